@@ -1,0 +1,70 @@
+"""spherejax: rigid multibody systems whose spherical joints are ideal, dry, lubricated or elastic, in JAX.
+
+A joint is a place and a model; changing the physics changes one word:
+
+    import jax.numpy as jnp
+    import spherejax as sj
+
+    scene = sj.gallery.four_bar(sj.Dry(clearance=1e-4, friction=sj.Threlfall(mu=0.1)))
+    run = sj.simulate(scene, ts=jnp.linspace(0.0, 2.0, 201))
+    run.position("rocker")
+"""
+
+import os as _os
+
+from spherejax import runtime
+
+if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
+    runtime.configure()
+
+from spherejax import gallery
+from spherejax.foundations.checks import Requirement, SceneError
+from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
+from spherejax.model.scene import Baumgarte, Scene
+from spherejax.model.system import System, compile_scene
+from spherejax.motion.assembly import Assembly
+from spherejax.motion.programs import ArrayPathWarning
+from spherejax.motion.simulate import simulate
+from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P
+from spherejax.motion.status import SimulationError, SimulationWarning, Status
+from spherejax.motion.trajectory import Trajectory
+from spherejax.physics.bodies import Body
+from spherejax.physics.forces import AbstractForce, AppliedWrench, Wrench
+from spherejax.physics.joints import (
+    AbstractSphericalModel,
+    Bushing,
+    Dry,
+    Ideal,
+    Lubricated,
+    Response,
+    Revolute,
+    Spherical,
+)
+from spherejax.physics.laws import (
+    AbstractElastomer,
+    AbstractFilmBoundary,
+    AbstractFrictionLaw,
+    AbstractHysteresisLaw,
+    AbstractNormalLaw,
+    AbstractStaticFriction,
+    Ambrosio,
+    BengisuAkay,
+    BrownMcPhee,
+    Coulomb,
+    CurveElastomer,
+    ExactRestitution,
+    Flores,
+    Gonthier,
+    Guembel,
+    Hertz,
+    HuntCrossley,
+    LankaraniNikravesh,
+    LuGre,
+    Material,
+    MatrixElastomer,
+    PinkusSternlicht,
+    RadialElastomer,
+    Sommerfeld,
+    Threlfall,
+    VectorElastomer,
+)

@@ -1,0 +1,85 @@
+"""What a value must satisfy, stated beside the class that owns it, judged in one place.
+
+A law or a joint lists its `Requirement`s. When a scene is compiled, values that are concrete are judged at once
+and a violated requirement raises a `SceneError` that names the place; values that are traced (inside `jit`,
+`vmap`, `grad`) are judged inside the program and turn into the status of that lane.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+
+class SceneError(ValueError):
+    """A scene, a model or a request that cannot be simulated; the message says what, where and what to do."""
+
+
+class Requirement(NamedTuple):
+    """One condition on one value.
+
+    Attributes:
+        field: the name of the value, as the user wrote it, e.g. `"restitution"`.
+        value: the value itself: a number or an array, concrete or traced.
+        satisfied: whether the condition holds, elementwise; NaN must count as violated
+            (write `x > 0`, never `~(x <= 0)`).
+        expected: what is expected, completing "must ...", e.g. `"lie in (0, 1]"`.
+        remedy: what to do, one sentence.
+    """
+
+    field: str
+    value: object
+    satisfied: object
+    expected: str
+    remedy: str
+
+
+def is_concrete(value) -> bool:
+    """Whether `value` holds numbers that Python can look at now (no tracer)."""
+    return not isinstance(value, jax.core.Tracer)
+
+
+def enforce(place: str, requirements: Iterable[Requirement]) -> list[Bool[Array, ""]]:
+    """Raise `SceneError` for the first violated concrete requirement; return the traced conditions.
+
+    Args:
+        place: where the values live in the scene, e.g. `"joint 'coupler_rocker', normal law Hertz"`.
+        requirements: the conditions.
+
+    Returns:
+        One boolean scalar for each requirement that depends on a traced value.
+    """
+    traced = []
+    for requirement in requirements:
+        if not is_concrete(requirement.satisfied):
+            traced.append(jnp.all(jnp.asarray(requirement.satisfied)))
+        elif not np.all(np.asarray(requirement.satisfied)):
+            raise SceneError(
+                f"{place}: {requirement.field} = {_shown(requirement.value)} must {requirement.expected}. "
+                f"{requirement.remedy}"
+            )
+    return traced
+
+
+def _shown(value) -> str:
+    if not is_concrete(value):
+        return "(traced)"
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        return repr(value)
+    return f"{array.item():.6g}" if array.ndim == 0 else np.array2string(array, precision=6, threshold=12)
+
+
+def concretely(function, *arguments):
+    """`function(*arguments)`, evaluated now, as NumPy, when nothing in the arguments is traced.
+
+    Inside an outer `jit` every JAX operation is staged, concrete operands or not; what could be known at once would
+    be lost to the checks, and to the folding of structural zeros.
+    """
+    if not all(is_concrete(leaf) for leaf in jax.tree.leaves(arguments)):
+        return function(*arguments)
+    with jax.ensure_compile_time_eval():
+        return jax.tree.map(np.asarray, function(*arguments))

@@ -1,0 +1,230 @@
+"""A straight-line program on scalars: nodes, with folding of constants and shared subexpressions.
+
+A node is an operation on earlier nodes. Building a node folds what is known: constants, sums with 0, products with
+0 and 1, powers with the exponents 1/2, 1, 3/2 and 2; a node that exists already is used again. A structural
+zero times x is 0: the program presumes finite numbers there, as the array program would for a matrix that stores
+no zeros.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+from jax import lax
+
+FLOAT, BOOL, INT = np.dtype("float64"), np.dtype("bool"), np.dtype("int64")
+
+
+class Graph:
+    """Nodes of a scalar program under construction; a node is named by its index.
+
+    Attributes:
+        operations: the operation of each node: a name of `EMIT`, a JAX primitive, `"constant"` or `"input"`.
+        arguments: the earlier nodes that each node reads.
+        parameters: a constant's value, an input's position, or a primitive's parameters.
+        dtypes: the NumPy dtype of each node.
+    """
+
+    def __init__(self):
+        self.operations: list = []
+        self.arguments: list[tuple[int, ...]] = []
+        self.parameters: list = []
+        self.dtypes: list[np.dtype] = []
+        self._known: dict = {}
+
+    def node(self, operation, arguments: tuple[int, ...], dtype: np.dtype, parameters=None) -> int:
+        """The node for an operation, made only if it does not exist yet."""
+        if operation in _COMMUTATIVE and arguments[0] > arguments[1]:
+            arguments = (arguments[1], arguments[0])
+        key = (operation, arguments, parameters, dtype)
+        known = self._known.get(key)
+        if known is not None:
+            return known
+        index = len(self.operations)
+        self.operations.append(operation)
+        self.arguments.append(arguments)
+        self.parameters.append(parameters)
+        self.dtypes.append(dtype)
+        self._known[key] = index
+        return index
+
+    def constant(self, value, dtype: np.dtype) -> int:
+        """The node of a constant."""
+        value = dtype.type(value)
+        return self.node("constant", (), dtype, (value.tobytes(), value))
+
+    def input(self, position: tuple[int, int]) -> int:
+        """The node of one entry of one argument: `position = (argument, flat index)`."""
+        return self.node("input", (), FLOAT, position)
+
+    def is_constant(self, node: int) -> bool:
+        """Whether the value of a node is known."""
+        return self.operations[node] == "constant"
+
+    def value(self, node: int):
+        """The value of a constant node."""
+        return self.parameters[node][1]
+
+    def is_value(self, node: int, value) -> bool:
+        """Whether a node is the constant `value`."""
+        return self.is_constant(node) and bool(self.value(node) == value)
+
+    # Arithmetic with folding ------------------------------------------------------------------------------------
+
+    def add(self, a: int, b: int) -> int:
+        """a + b."""
+        if self.is_value(a, 0):
+            return b
+        if self.is_value(b, 0):
+            return a
+        if self.operations[b] == "neg":
+            return self.sub(a, self.arguments[b][0])
+        if self.operations[a] == "neg":
+            return self.sub(b, self.arguments[a][0])
+        return self._folded("add", (a, b), lambda x, y: x + y)
+
+    def sub(self, a: int, b: int) -> int:
+        """a - b."""
+        if self.is_value(b, 0):
+            return a
+        if self.is_value(a, 0):
+            return self.neg(b)
+        if a == b and not self.is_constant(a) and self.dtypes[a] == FLOAT:
+            return self.constant(0, self.dtypes[a])
+        if self.operations[b] == "neg":
+            return self.add(a, self.arguments[b][0])
+        return self._folded("sub", (a, b), lambda x, y: x - y)
+
+    def mul(self, a: int, b: int) -> int:
+        """a * b; 0 when either is a structural zero."""
+        for x, y in ((a, b), (b, a)):
+            if self.is_constant(x):
+                value = self.value(x)
+                if value == 0:
+                    return self.constant(0, self.dtypes[x])
+                if value == 1:
+                    return y
+                if value == -1:
+                    return self.neg(y)
+        if self.operations[a] == "neg" and self.operations[b] == "neg":
+            return self.mul(self.arguments[a][0], self.arguments[b][0])
+        if self.operations[a] == "neg":
+            return self.neg(self.mul(self.arguments[a][0], b))
+        if self.operations[b] == "neg":
+            return self.neg(self.mul(a, self.arguments[b][0]))
+        return self._folded("mul", (a, b), lambda x, y: x * y)
+
+    def div(self, a: int, b: int) -> int:
+        """a / b."""
+        if self.is_value(b, 1):
+            return a
+        if self.is_value(a, 0) and not self.is_constant(b):
+            return a
+        return self._folded("div", (a, b), lambda x, y: np.divide(x, y))
+
+    def neg(self, a: int) -> int:
+        """-a."""
+        if self.operations[a] == "neg":
+            return self.arguments[a][0]
+        if self.operations[a] == "sub":
+            x, y = self.arguments[a]
+            return self.sub(y, x)
+        return self._folded("neg", (a,), lambda x: -x)
+
+    def select(self, predicate: int, on_false: int, on_true: int) -> int:
+        """`on_true` where the predicate holds, else `on_false`."""
+        if self.is_constant(predicate):
+            return on_true if self.value(predicate) else on_false
+        if on_false == on_true:
+            return on_true
+        return self.node("select", (predicate, on_false, on_true), self.dtypes[on_true])
+
+    def integer_power(self, a: int, exponent: int) -> int:
+        """a ** exponent for a Python integer, by repeated multiplication."""
+        if exponent < 0:
+            return self.div(self.constant(1, FLOAT), self.integer_power(a, -exponent))
+        result, square = self.constant(1, FLOAT), a
+        while exponent:
+            if exponent & 1:
+                result = self.mul(result, square)
+            exponent >>= 1
+            square = self.mul(square, square) if exponent else square
+        return result
+
+    def power(self, a: int, b: int) -> int:
+        """a ** b for a >= 0; exponents that are small multiples of one half become products and a square root."""
+        if self.is_constant(b) and not self.is_constant(a):
+            twice = 2 * float(self.value(b))
+            if twice == int(twice) and abs(twice) <= 8:
+                whole = self.integer_power(a, math.floor(twice / 2))
+                return self.mul(whole, self.node("sqrt", (a,), FLOAT)) if twice % 2 else whole
+        return self._folded("pow", (a, b), np.power)
+
+    def apply(self, primitive, arguments: tuple[int, ...], dtype: np.dtype, parameters: tuple) -> int:
+        """Any elementwise JAX primitive, evaluated now when all its arguments are constants."""
+        if all(self.is_constant(a) for a in arguments):
+            values = [np.asarray(self.value(a)) for a in arguments]
+            with jax.ensure_compile_time_eval():
+                return self.constant(np.asarray(primitive.bind(*values, **dict(parameters))), dtype)
+        return self.node(primitive, arguments, dtype, parameters)
+
+    def _folded(self, operation: str, arguments: tuple[int, ...], evaluate: Callable) -> int:
+        dtype = self.dtypes[arguments[0]]
+        if all(self.is_constant(a) for a in arguments):
+            with np.errstate(all="ignore"):
+                return self.constant(evaluate(*(self.value(a) for a in arguments)), dtype)
+        return self.node(operation, arguments, dtype)
+
+    # Emission ---------------------------------------------------------------------------------------------------
+
+    def needed(self, outputs: Sequence[int]) -> list[int]:
+        """The nodes that the outputs depend on, in an order in which they can be evaluated."""
+        is_needed = np.zeros(len(self.operations), bool)
+        is_needed[list(outputs)] = True
+        for index in range(len(self.operations) - 1, -1, -1):
+            if is_needed[index]:
+                for argument in self.arguments[index]:
+                    is_needed[argument] = True
+        return [int(index) for index in np.flatnonzero(is_needed)]
+
+    def count(self, outputs: Sequence[int]) -> Counter:
+        """How many operations of each name the outputs need (constants and inputs not counted)."""
+        names = Counter()
+        for index in self.needed(outputs):
+            operation = self.operations[index]
+            if operation not in ("constant", "input"):
+                names[operation if isinstance(operation, str) else operation.name] += 1
+        return names
+
+    def emit(self, outputs: Sequence[int], read: Callable[[tuple[int, int]], jax.Array]) -> dict[int, jax.Array]:
+        """Evaluate the outputs with JAX scalars (or tracers); `read(position)` gives the inputs."""
+        values: dict = {}
+        for index in self.needed(outputs):
+            operation = self.operations[index]
+            if operation == "constant":
+                values[index] = np.asarray(self.value(index), self.dtypes[index])
+            elif operation == "input":
+                values[index] = read(self.parameters[index])
+            else:
+                arguments = [values[a] for a in self.arguments[index]]
+                if isinstance(operation, str):
+                    values[index] = EMIT[operation](*arguments)
+                else:
+                    values[index] = operation.bind(*arguments, **dict(self.parameters[index]))
+        return values
+
+
+_COMMUTATIVE = frozenset({"add", "mul"})
+
+EMIT: dict[str, Callable] = {
+    "add": lax.add,
+    "sub": lax.sub,
+    "mul": lax.mul,
+    "div": lax.div,
+    "neg": lax.neg,
+    "pow": lax.pow,
+    "sqrt": lax.sqrt,
+    "select": lambda predicate, on_false, on_true: lax.select_n(predicate, on_false, on_true),
+}

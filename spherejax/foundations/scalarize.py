@@ -1,0 +1,213 @@
+"""Clear array code turned into a straight-line scalar program.
+
+XLA on the CPU pays for every small array operation and every call of LAPACK; a right-hand side made of 3-vectors
+and small blocks spends nearly all its time there. `scalarize` traces such a function once, follows its jaxpr with
+arrays of node names (reshaping and slicing cost nothing: they move names), folds structural zeros and ones,
+replaces `symmetric_solve` by an unrolled sparse elimination, and returns a function that emits scalar operations
+only. The result is an ordinary JAX function: jit, vmap, jvp, grad work on it.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core as jex
+
+from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph
+from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, NotScalarizable, move_names
+
+MAXIMUM_OPERATIONS = 60_000
+"""Above this many scalar operations, compiling takes minutes; the array program is then the better choice."""
+
+
+class ScalarProgram:
+    """A function as a straight-line scalar program; call it like the function it was made from.
+
+    Attributes:
+        operations: how many operations of each name one call performs.
+        n_operations: how many in total.
+    """
+
+    def __init__(self, graph: Graph, outputs: list[np.ndarray], tree, shapes: list[tuple[int, ...]], name: str):
+        self._graph = graph
+        self._outputs = outputs
+        self._tree = tree
+        self._shapes = shapes
+        self._flat_outputs = [int(node) for output in outputs for node in output.ravel()]
+        self.name = name
+        self.operations: Counter = graph.count(self._flat_outputs)
+        self.n_operations: int = self.operations.total()
+        self._run = jax.jit(self._emit)
+
+    def __call__(self, *arguments) -> Any:
+        """Evaluate; the arguments have the shapes of the example arguments."""
+        flat = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
+        shapes = [leaf.shape for leaf in flat]
+        if shapes != self._shapes:
+            raise ValueError(f"the scalar program {self.name} was made for shapes {self._shapes}, got {shapes}")
+        return self._run(*flat)
+
+    def _emit(self, *flat):
+        entries: dict = {}
+
+        def read(position):
+            if position not in entries:
+                argument, index = position
+                entries[position] = jax.lax.index_in_dim(flat[argument].reshape(-1), index, keepdims=False)
+            return entries[position]
+
+        values = self._graph.emit(self._flat_outputs, read)
+        return jax.tree.unflatten(self._tree, [self._assemble(output, values) for output in self._outputs])
+
+    def _assemble(self, output: np.ndarray, values: dict):
+        if output.size == 0:
+            return jnp.zeros(output.shape)
+        dtype = self._graph.dtypes[int(output.flat[0])]
+        parts = [jnp.asarray(values[int(node)], dtype) for node in output.ravel()]
+        return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
+
+
+def scalarize(
+    function: Callable,
+    *examples,
+    fixed: Mapping[tuple[int, int], float] | None = None,
+    maximum_operations: int = MAXIMUM_OPERATIONS,
+) -> ScalarProgram:
+    """Turn a function of small arrays into a straight-line scalar program.
+
+    Args:
+        function: pure JAX code on float64 arrays.
+        *examples: arguments (arrays or `jax.ShapeDtypeStruct`s, in any pytrees); only shapes matter.
+
+    Other args:
+        fixed: entries known in advance, `{(leaf number, flat index): value}`: the program folds the values and
+            does not read those entries.
+        maximum_operations: give up beyond this size.
+
+    Returns:
+        A `ScalarProgram` with the function's signature.
+
+    Raises:
+        NotScalarizable: for an operation without a scalar rule (the message names it), or beyond the size.
+    """
+    closed, output_shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
+    graph = Graph()
+    fixed = fixed or {}
+    shapes = [tuple(variable.aval.shape) for variable in closed.jaxpr.invars]
+    inputs = []
+    for number, shape in enumerate(shapes):
+        names = [
+            graph.constant(fixed[number, i], FLOAT) if (number, i) in fixed else graph.input((number, i))
+            for i in range(int(np.prod(shape)))
+        ]
+        inputs.append(np.array(names, np.int64).reshape(shape))
+    interpreter = _Interpreter(graph, maximum_operations)
+    outputs = interpreter.run(closed.jaxpr, closed.consts, inputs)
+    tree = jax.tree.structure(output_shapes)
+    return ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)))
+
+
+class _Interpreter:
+    """Follows a jaxpr with arrays of node names."""
+
+    def __init__(self, graph: Graph, maximum_operations: int):
+        self.graph = graph
+        self.maximum_operations = maximum_operations
+
+    def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
+        environment: dict = {}
+
+        def read(atom):
+            return self.names_of(atom.val) if isinstance(atom, jex.Literal) else environment[atom]
+
+        for variable, constant in zip(jaxpr.constvars, constants, strict=True):
+            environment[variable] = self.names_of(constant)
+        environment.update(zip(jaxpr.invars, arguments, strict=True))
+        for equation in jaxpr.eqns:
+            outputs = self.equation(equation, [read(atom) for atom in equation.invars])
+            environment.update(zip(equation.outvars, outputs, strict=True))
+            if len(self.graph.operations) > 4 * self.maximum_operations:
+                raise NotScalarizable(f"more than {self.maximum_operations} scalar operations")
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def names_of(self, value) -> np.ndarray:
+        if isinstance(value, jax.core.Tracer):
+            raise NotScalarizable("the function closes over a traced value; pass it as an argument")
+        array = np.asarray(value)
+        dtype = _graph_dtype(array.dtype)
+        names = [self.graph.constant(entry, dtype) for entry in array.ravel()]
+        return np.array(names, np.int64).reshape(array.shape)
+
+    def equation(self, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        name, parameters = equation.primitive.name, equation.params
+        inner = _INLINED.get(name)
+        if inner is not None:
+            closed = parameters[inner]
+            return self.run(closed.jaxpr, closed.consts, inputs)
+        if name == "scan":
+            return self.scan(parameters, inputs)
+        if name == "cond":
+            return self.cond(parameters, inputs)
+        shapes = [variable.aval.shape for variable in equation.outvars]
+        dtypes = [_graph_dtype(variable.aval.dtype) for variable in equation.outvars]
+        if name in STRUCTURAL:
+            return move_names(self.graph, equation.primitive, parameters, inputs, shapes)
+        if name in RULES:
+            return RULES[name](self.graph, inputs, parameters, shapes, dtypes)
+        if name in ELEMENTWISE:
+            return [self.elementwise(equation.primitive, inputs, parameters, shapes[0], dtypes[0])]
+        raise NotScalarizable(f"the operation {name!r} has no scalar rule")
+
+    def elementwise(self, primitive, inputs, parameters, shape, dtype) -> np.ndarray:
+        frozen = tuple(sorted(parameters.items()))
+        flat = [np.broadcast_to(array, shape).ravel() for array in inputs]
+        names = [self.graph.apply(primitive, tuple(map(int, entry)), dtype, frozen) for entry in zip(*flat, strict=True)]
+        return np.array(names, np.int64).reshape(shape)
+
+    def scan(self, parameters, inputs) -> list[np.ndarray]:
+        """A loop with a static number of turns, unrolled."""
+        n_constants, n_carried = parameters["num_consts"], parameters["num_carry"]
+        constants, carried = inputs[:n_constants], inputs[n_constants : n_constants + n_carried]
+        columns = inputs[n_constants + n_carried :]
+        closed, length = parameters["jaxpr"], parameters["length"]
+        turns = range(length - 1, -1, -1) if parameters["reverse"] else range(length)
+        stacked: list[list] = []
+        for turn in turns:
+            outputs = self.run(closed.jaxpr, closed.consts, [*constants, *carried, *(column[turn] for column in columns)])
+            carried = outputs[:n_carried]
+            stacked.append(outputs[n_carried:])
+        if parameters["reverse"]:
+            stacked.reverse()
+        return [*carried, *(np.stack(column) for column in zip(*stacked, strict=True))]
+
+    def cond(self, parameters, inputs) -> list[np.ndarray]:
+        """Branches: the one that is taken when that is known, else both and a selection, as under vmap."""
+        index, operands, branches = int(inputs[0]), inputs[1:], parameters["branches"]
+        graph = self.graph
+        if graph.is_constant(index):
+            chosen = branches[int(np.clip(int(graph.value(index)), 0, len(branches) - 1))]
+            return self.run(chosen.jaxpr, chosen.consts, operands)
+        if len(branches) != 2 or graph.dtypes[index] != BOOL:
+            raise NotScalarizable("a switch between more than two branches")
+        on_false, on_true = (self.run(branch.jaxpr, branch.consts, operands) for branch in branches)
+        return [
+            np.vectorize(lambda f, t: graph.select(index, int(f), int(t)), otypes=[np.int64])(false, true)
+            for false, true in zip(on_false, on_true, strict=True)
+        ]
+
+
+_INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr"}
+
+
+def _graph_dtype(dtype) -> np.dtype:
+    kind = np.dtype(dtype).kind
+    if kind == "f":
+        return FLOAT
+    if kind == "b":
+        return BOOL
+    if kind in "iu":
+        return INT
+    raise NotScalarizable(f"numbers of type {dtype}")

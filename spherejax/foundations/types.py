@@ -1,0 +1,12 @@
+"""Names for arrays, with shapes, used in signatures. All floating-point numbers are 64-bit."""
+
+from jaxtyping import Array, Bool, Float
+
+Scalar = Float[Array, ""]
+Vector3 = Float[Array, "3"]
+Matrix3 = Float[Array, "3 3"]
+Quaternion = Float[Array, "4"]
+Flag = Bool[Array, ""]
+
+Number = float | Scalar
+"""A physical number in a constructor: a Python float, or a traced scalar when it is swept or differentiated."""

@@ -1,0 +1,179 @@
+"""A scene: bodies, joints and forces by name, as the user describes it, and the checks of it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+
+from spherejax.foundations.checks import Requirement, SceneError, enforce
+from spherejax.foundations.types import Number
+from spherejax.physics.bodies import GROUND, Body, numbers
+from spherejax.physics.forces import AbstractForce
+from spherejax.physics.joints import AbstractJoint, Revolute, Spherical
+
+
+class Baumgarte(eqx.Module):
+    """Baumgarte's stabilization: D a = gamma - 2 alpha Phi_dot - beta^2 Phi (Eq. 2).
+
+    Attributes:
+        alpha: feedback of the velocity violation [1/s]; it also pulls quaternions back to unit norm.
+        beta: feedback of the position violation [1/s].
+
+    Zero switches the feedback off. Defaults from Table 3 of the paper.
+    """
+
+    alpha: Number = 5.0
+    beta: Number = 5.0
+
+    def requirements(self) -> list[Requirement]:
+        """Non-negative rates."""
+        return [
+            Requirement(name, value, (value >= 0) & (value < np.inf), "be finite and not negative [1/s]",
+                        "Give zero to switch the feedback off.")
+            for name, value in (("alpha", self.alpha), ("beta", self.beta))
+        ]
+
+
+class Scene(eqx.Module):
+    """A mechanism, described by names.
+
+    Attributes:
+        bodies: moving bodies by name; the name `"ground"` is taken.
+        joints: joints by name.
+        forces: force elements by name.
+        gravity: acceleration of gravity, world axes [m/s^2], shape (3,).
+        ground_points: points fixed in the world by name, world axes [m].
+        drift: how drift off the constraints is held back.
+
+    Scenes are pytrees: every physical number in them is a leaf that can be swept, batched and differentiated.
+    """
+
+    bodies: Mapping[str, Body]
+    joints: Mapping[str, AbstractJoint]
+    forces: Mapping[str, AbstractForce]
+    gravity: object
+    ground_points: Mapping[str, object]
+    drift: Baumgarte
+
+    def __init__(
+        self,
+        bodies: Mapping[str, Body],
+        joints: Mapping[str, AbstractJoint] | None = None,
+        forces: Mapping[str, AbstractForce] | None = None,
+        *,
+        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+        ground_points: Mapping[str, object] | None = None,
+        drift: Baumgarte | None = None,
+    ):
+        self.bodies = dict(bodies)
+        self.joints = dict(joints or {})
+        self.forces = dict(forces or {})
+        self.gravity = numbers(gravity)
+        self.ground_points = {name: numbers(place) for name, place in (ground_points or {}).items()}
+        self.drift = Baumgarte() if drift is None else drift
+
+    def find(self, name: str) -> tuple[str, object]:
+        """Resolve `"body.point"` to the body's name and the point in its axes [m].
+
+        Raises:
+            SceneError: for an unknown body or point, naming those that exist.
+        """
+        body, dot, point = name.partition(".")
+        if not dot:
+            raise SceneError(f"{name!r} is no point: write 'body.point', e.g. 'rocker.pivot'")
+        self.require_body(body, f"point {name!r}")
+        places = self.ground_points if body == GROUND else self.bodies[body].points
+        if point not in places:
+            raise SceneError(f"body {body!r} has no point {point!r}; it has {_listed(places)}. Add it to the body's points.")
+        return body, places[point]
+
+    def require_body(self, body: str, where: str) -> None:
+        """Raise `SceneError` when no body has this name."""
+        if body != GROUND and body not in self.bodies:
+            raise SceneError(f"{where}: there is no body {body!r}; the scene has {_listed([*self.bodies, GROUND])}")
+
+
+def check_scene(scene: Scene) -> list:
+    """Check names, connections and values.
+
+    Returns:
+        Boolean scalars, one for each condition on a traced value; they decide the status of that lane.
+
+    Raises:
+        SceneError: naming the joint, body or force, the value and the remedy.
+    """
+    _check_names(scene)
+    _check_connected(scene)
+    return [condition for place, required in _requirements(scene) for condition in enforce(place, required)]
+
+
+def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
+    gravity = Requirement("gravity", scene.gravity, abs(scene.gravity) < np.inf, "be finite [m/s^2]", "Give three numbers.")
+    yield "scene", [gravity]
+    yield "drift control", scene.drift.requirements()
+    for name, body in scene.bodies.items():
+        yield f"body {name!r}", body.requirements()
+    for name, joint in scene.joints.items():
+        yield f"joint {name!r}", joint.requirements()
+    for name, force in scene.forces.items():
+        yield f"force {name!r}", force.requirements()
+
+
+def _check_names(scene: Scene) -> None:
+    if not scene.bodies:
+        raise SceneError("the scene has no body; give bodies={'name': Body(...)}")
+    if GROUND in scene.bodies:
+        raise SceneError(f"the body name {GROUND!r} is taken by the world; give the body another name")
+    for name, joint in scene.joints.items():
+        for body in joint_bodies(scene, joint):
+            scene.require_body(body, f"joint {name!r}")
+        first, second = joint_bodies(scene, joint)
+        if first == second:
+            raise SceneError(f"joint {name!r} joins body {first!r} to itself; name two different bodies")
+    for name, force in scene.forces.items():
+        for body in force.body_names:
+            scene.require_body(body, f"force {name!r}")
+
+
+def joint_bodies(scene: Scene, joint: AbstractJoint) -> tuple[str, str]:
+    """Names of the two bodies that a joint joins."""
+    if isinstance(joint, Spherical):
+        return scene.find(joint.socket)[0], scene.find(joint.ball)[0]
+    if isinstance(joint, Revolute):
+        return joint.bodies
+    raise SceneError(f"{type(joint).__name__} is no joint that the scene knows")
+
+
+def _check_connected(scene: Scene) -> None:
+    """Joints that exist must form one mechanism with the ground, or none at all (free bodies are legal)."""
+    neighbors: dict[str, set[str]] = {}
+    for joint in scene.joints.values():
+        first, second = joint_bodies(scene, joint)
+        neighbors.setdefault(first, set()).add(second)
+        neighbors.setdefault(second, set()).add(first)
+    jointed = [name for name in scene.bodies if name in neighbors]
+    loose = [name for name in scene.bodies if name not in neighbors]
+    if jointed and loose:
+        raise SceneError(
+            f"body {loose[0]!r} is joined to nothing while the others form a mechanism; add a joint, remove the body, "
+            "or simulate it in a scene of its own"
+        )
+    if not jointed:
+        return
+    reached, frontier = set(), [jointed[0]]
+    while frontier:
+        body = frontier.pop()
+        if body not in reached:
+            reached.add(body)
+            # Two mechanisms that both stand on the ground are connected through it.
+            frontier.extend(neighbors[body])
+    apart = [name for name in jointed if name not in reached]
+    if apart:
+        raise SceneError(
+            f"body {apart[0]!r} is not connected to body {jointed[0]!r}; add a joint between the two groups, or simulate "
+            "them in scenes of their own"
+        )
+
+
+def _listed(names) -> str:
+    return ", ".join(repr(name) for name in names) or "none"

@@ -1,0 +1,196 @@
+"""From a scene to a system: only what the scene calls for, in a form ready for the equations of motion."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.model.scene import Baumgarte, Scene, check_scene
+from spherejax.physics.bodies import Body
+from spherejax.physics.forces import AbstractForce
+from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
+from spherejax.physics.state import Layout
+
+PlacedJoint = PlacedSpherical | PlacedRevolute
+
+
+class MemorySlot(NamedTuple):
+    """Where one joint's memory is (static).
+
+    Attributes:
+        joint: name of the joint.
+        start: index of its first entry in the memory.
+        names: names of the entries.
+    """
+
+    joint: str
+    start: int
+    names: tuple[str, ...]
+
+    @property
+    def entries(self) -> slice:
+        """The joint's entries in the memory."""
+        return slice(self.start, self.start + len(self.names))
+
+
+class System(eqx.Module):
+    """A compiled scene: a pytree whose leaves are the physical numbers and whose structure is static.
+
+    Attributes:
+        bodies: moving bodies by name, in the order of the state.
+        joints: placed joints by name.
+        forces: force elements by name.
+        gravity: world axes [m/s^2].
+        drift: drift control.
+        memory_slots: where the joints' memory is; empty where no law needs one.
+        tracks_work: whether the state carries the work that each non-ideal joint absorbs.
+    """
+
+    bodies: dict[str, Body]
+    joints: dict[str, PlacedJoint]
+    forces: dict[str, AbstractForce]
+    gravity: object
+    drift: Baumgarte
+    memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
+    tracks_work: bool = eqx.field(static=True)
+
+    @property
+    def layout(self) -> Layout:
+        """Where things are in the flat state."""
+        n_memory = sum(len(slot.names) for slot in self.memory_slots)
+        return Layout(len(self.bodies), n_memory, len(self.force_joints) if self.tracks_work else 0)
+
+    @property
+    def force_joints(self) -> tuple[str, ...]:
+        """Names of the joints that answer with a force."""
+        return tuple(
+            name for name, joint in self.joints.items() if isinstance(joint, PlacedSpherical) and not joint.model.is_ideal
+        )
+
+    @property
+    def contact_joints(self) -> tuple[str, ...]:
+        """Names of the joints whose contact onsets must be located."""
+        return tuple(name for name in self.force_joints if self.joints[name].model.detects_onsets)
+
+    @property
+    def n_constraints(self) -> int:
+        """Number of constraint equations."""
+        return sum(_n_rows(joint) for joint in self.joints.values())
+
+    def memory_of(self, joint: str) -> slice:
+        """The joint's entries in the memory; an empty slice without memory."""
+        for slot in self.memory_slots:
+            if slot.joint == joint:
+                return slot.entries
+        return slice(0, 0)
+
+
+class Compiled(NamedTuple):
+    """A compiled scene and the conditions that could not be judged yet.
+
+    Attributes:
+        system: the system.
+        conditions: boolean scalars on traced values; a lane in which one fails is not simulated.
+    """
+
+    system: System
+    conditions: list
+
+
+def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
+    """Check a scene and reduce it to the effects that it calls for.
+
+    Constraint rows exist for ideal joints only; contact, friction, film and elastomer only in joints whose model has
+    them; memory only for laws that use it; work only when asked for.
+
+    Args:
+        scene: the scene.
+        track_work: integrate the work that each non-ideal joint absorbs, for an exact account of dissipation.
+
+    Raises:
+        SceneError: for a scene that cannot be simulated.
+    """
+    conditions = check_scene(scene)
+    bodies = {name: _with_array_fields(body) for name, body in scene.bodies.items()}
+    joints = {name: joint.placed(scene.bodies, scene.find) for name, joint in scene.joints.items()}
+    slots, start = [], 0
+    for name, joint in joints.items():
+        names = joint.model.memory_names if isinstance(joint, PlacedSpherical) else ()
+        if names:
+            slots.append(MemorySlot(name, start, names))
+            start += len(names)
+    system = System(bodies, joints, dict(scene.forces), scene.gravity, scene.drift, tuple(slots), track_work)
+    return Compiled(system, conditions)
+
+
+def _with_array_fields(body: Body) -> Body:
+    # Points are resolved into the joints; leaving them here would make unused numbers part of the program's shape.
+    return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
+
+
+def _n_rows(joint: PlacedJoint) -> int:
+    if isinstance(joint, PlacedRevolute):
+        return 5
+    return 3 if joint.model.is_ideal else 0
+
+
+SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)
+"""Numbers that simplify the program when they are known: structural zeros and ones, and the Hertzian exponent."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Everything static about a system: what a program is compiled for. Hashable; no pytree.
+
+    Attributes:
+        tree: the tree structure of the system's leaves.
+        shapes: the leaves' shapes.
+        special: entries that are known to be one of `SPECIAL_VALUES`, as (flat index, value).
+    """
+
+    tree: object
+    shapes: tuple[tuple[int, ...], ...]
+    special: tuple[tuple[int, float], ...]
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.tree, self.shapes, self.special))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def system(self, theta) -> System:
+        """The system whose numbers are the flat vector `theta`."""
+
+        leaves, start = [], 0
+        for shape in self.shapes:
+            size = int(np.prod(shape))
+            leaves.append(theta[start : start + size].reshape(shape))
+            start += size
+        return jax.tree.unflatten(self.tree, leaves)
+
+
+def flatten_system(system: System):
+    """Split a system into its static `Structure` and the flat vector of its numbers.
+
+    Returns:
+        structure, theta: `theta` has shape (p,); NumPy when everything is concrete, else a (traced) JAX array.
+    """
+
+    leaves, tree = jax.tree.flatten(system)
+    shapes = tuple(np.shape(leaf) for leaf in leaves)
+    special, start = [], 0
+    for leaf, shape in zip(leaves, shapes, strict=True):
+        if is_concrete(leaf):
+            flat = np.asarray(leaf, np.float64).ravel()
+            special.extend((start + i, float(v)) for i, v in enumerate(flat) if v in SPECIAL_VALUES)
+        start += int(np.prod(shape))
+    structure = Structure(tree, shapes, tuple(special))
+    if all(is_concrete(leaf) for leaf in leaves):
+        return structure, np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in leaves])
+    return structure, jnp.concatenate([jnp.ravel(jnp.asarray(leaf, jnp.float64)) for leaf in leaves])

@@ -1,0 +1,166 @@
+"""The constraint equations of a system, and the augmented system of Newton and Euler (Eqs 1 and 2).
+
+The augmented system [M D^T; D 0]{a; lambda} = {g; gamma} is reduced to the constraints: with the inverse of the
+block-diagonal mass matrix, S lambda = D M^-1 g - gamma for S = D M^-1 D^T, symmetric and positive definite when no
+constraint is redundant; then a = M^-1 (g - D^T lambda).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.symmetric_solve import symmetric_solve
+from spherejax.model.system import System
+from spherejax.motion.loads import Wrenches
+from spherejax.physics.bodies import inverse_inertia_in_world
+from spherejax.physics.joints import ConstraintRows
+from spherejax.physics.joints.places import Motions
+
+
+class InverseMass(NamedTuple):
+    """Inverse of a body's 6 x 6 block of the mass matrix.
+
+    Attributes:
+        of_translation: 1 / m [1/kg].
+        of_rotation: inverse inertia in world axes [1/(kg m^2)], shape (3, 3).
+    """
+
+    of_translation: Float[Array, ""]
+    of_rotation: Float[Array, "3 3"]
+
+    def times(self, wrench: Float[Array, "6 *k"]) -> Float[Array, "6 *k"]:
+        """M^-1 times a wrench, or several wrenches as columns."""
+        return jnp.concatenate([self.of_translation * wrench[:3], self.of_rotation @ wrench[3:]])
+
+
+class ConstraintSet(NamedTuple):
+    """The constraint equations of a system.
+
+    Attributes:
+        rows: rows of each constraining joint, by name.
+        bodies: the two bodies of each joint, by name.
+    """
+
+    rows: dict[str, ConstraintRows]
+    bodies: dict[str, tuple[str, str]]
+
+    @property
+    def residual(self) -> Float[Array, " n"]:
+        """Phi [m or 1]."""
+        return _joined([rows.residual for rows in self.rows.values()])
+
+    @property
+    def bias(self) -> Float[Array, " n"]:
+        """gamma [m/s^2 or 1/s^2]."""
+        return _joined([rows.bias for rows in self.rows.values()])
+
+    def blocks_of(self, body: str) -> dict[str, Float[Array, "n 6"]]:
+        """The blocks of D that belong to a body, by joint."""
+        return {
+            joint: rows.jacobians[self.bodies[joint].index(body)]
+            for joint, rows in self.rows.items()
+            if body in self.bodies[joint]
+        }
+
+    def times(self, vectors: dict[str, Float[Array, "6"]]) -> Float[Array, " n"]:
+        """D times a vector that is given by body."""
+        parts = {joint: jnp.zeros_like(rows.residual) for joint, rows in self.rows.items()}
+        for body, vector in vectors.items():
+            for joint, block in self.blocks_of(body).items():
+                parts[joint] = parts[joint] + block @ vector
+        return _joined(list(parts.values()))
+
+    def split(self, values: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:
+        """A vector with one entry an equation, by joint."""
+        parts, start = {}, 0
+        for joint, rows in self.rows.items():
+            size = rows.residual.shape[0]
+            parts[joint] = values[start : start + size]
+            start += size
+        return parts
+
+    def transposed_times(self, body: str, multipliers: Float[Array, " n"]) -> Float[Array, "6"]:
+        """The part of D^T lambda that belongs to a body."""
+        parts = self.split(multipliers)
+        total = jnp.zeros(6)
+        for joint, block in self.blocks_of(body).items():
+            total = total + block.T @ parts[joint]
+        return total
+
+
+def constraint_set(system: System, motions: Motions) -> ConstraintSet:
+    """The equations of the joints that constrain."""
+    return _collected(system, {name: joint.constraint_rows(motions) for name, joint in system.joints.items()})
+
+
+def assembly_set(system: System, motions: Motions) -> ConstraintSet:
+    """The equations that a consistent start satisfies: joints that start concentric count as ideal."""
+    return _collected(system, {name: joint.assembly_rows(motions) for name, joint in system.joints.items()})
+
+
+def _collected(system: System, rows: dict[str, ConstraintRows | None]) -> ConstraintSet:
+    kept = {name: found for name, found in rows.items() if found is not None}
+    return ConstraintSet(kept, {name: system.joints[name].bodies for name in kept})
+
+
+def inverse_masses(system: System, motions: Motions) -> dict[str, InverseMass]:
+    """The inverse mass matrix, body by body."""
+    return {
+        name: InverseMass(1 / jnp.asarray(body.mass), inverse_inertia_in_world(body.inertia, motions[name].rotation))
+        for name, body in system.bodies.items()
+    }
+
+
+def constraint_mobility(constraints: ConstraintSet, masses: dict[str, InverseMass]) -> Float[Array, "n n"]:
+    """S = D M^-1 D^T, assembled from the blocks of joints that share a body."""
+    sizes = {joint: rows.residual.shape[0] for joint, rows in constraints.rows.items()}
+    blocks = {(a, b): jnp.zeros((sizes[a], sizes[b])) for a in sizes for b in sizes}
+    for body, mass in masses.items():
+        jacobians = constraints.blocks_of(body)
+        weighted = {joint: mass.times(block.T) for joint, block in jacobians.items()}
+        for a, block in jacobians.items():
+            for b, column in weighted.items():
+                blocks[a, b] = blocks[a, b] + block @ column
+    if not sizes:
+        return jnp.zeros((0, 0))
+    return jnp.concatenate([jnp.concatenate([blocks[a, b] for b in sizes], 1) for a in sizes])
+
+
+class Solution(NamedTuple):
+    """Accelerations and multipliers.
+
+    Attributes:
+        accelerations: linear [m/s^2] and angular [rad/s^2] of each body, world axes, shape (6,), by name.
+        multipliers: lambda of each constraining joint, by name; the constraint's wrench on a body is -D^T lambda.
+    """
+
+    accelerations: dict[str, Float[Array, "6"]]
+    multipliers: dict[str, Float[Array, " n_joint"]]
+
+
+def constrained_accelerations(
+    system: System, motions: Motions, constraints: ConstraintSet, applied: Wrenches
+) -> Solution:
+    """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with Baumgarte's feedback."""
+    masses = inverse_masses(system, motions)
+    free = {
+        name: masses[name].times(jnp.concatenate([applied[name].force, applied[name].moment])) for name in masses
+    }
+    if not constraints.rows:
+        return Solution(free, {})
+    velocities = {name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in masses}
+    alpha, beta = system.drift.alpha, system.drift.beta
+    desired = (
+        constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
+    )
+    mobility = constraint_mobility(constraints, masses)
+    multipliers = symmetric_solve(mobility, constraints.times(free) - desired)
+    accelerations = {
+        name: free[name] - masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses
+    }
+    return Solution(accelerations, constraints.split(multipliers))
+
+
+def _joined(parts: list[Float[Array, " n"]]) -> Float[Array, " total"]:
+    return jnp.concatenate(parts) if parts else jnp.zeros(0)

@@ -1,0 +1,120 @@
+"""What can be observed of a motion besides the state: accelerations, reactions, energies, constraint violation."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.types import Scalar, Vector3
+from spherejax.model.system import System
+from spherejax.motion.dynamics import Evaluation, evaluate
+from spherejax.physics.bodies import inertia_in_world
+from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
+from spherejax.physics.kinematics import point_motion
+
+
+class Reaction(NamedTuple):
+    """What a joint exerts on its second body (of a spherical joint: the ball's).
+
+    Attributes:
+        force: world axes [N].
+        moment: about the joint's point on that body, world axes [N m].
+    """
+
+    force: Vector3
+    moment: Vector3
+
+
+class Observation(NamedTuple):
+    """Observables at one instant.
+
+    Attributes:
+        acceleration: of the centers of mass, world axes [m/s^2], shape (n_bodies, 3).
+        angular_acceleration: world axes [rad/s^2], shape (n_bodies, 3).
+        reactions: by joint.
+        eccentricity: socket center to ball center, world axes [m], by spherical joint.
+        eccentricity_rate: its time derivative [m/s].
+        parts: named contributions of the joints that answer with a force, by joint.
+        elastic_energy: stored in each joint that answers with a force [J], by joint.
+        kinetic_energy: of all bodies [J].
+        potential_energy: of weight and force elements [J].
+        constraint_violation: largest entry of |Phi| [m or 1].
+        velocity_violation: largest entry of |Phi_dot| [m/s or 1/s].
+    """
+
+    acceleration: Float[Array, "b 3"]
+    angular_acceleration: Float[Array, "b 3"]
+    reactions: dict[str, Reaction]
+    eccentricity: dict[str, Vector3]
+    eccentricity_rate: dict[str, Vector3]
+    parts: dict[str, dict[str, Array]]
+    elastic_energy: dict[str, Scalar]
+    kinetic_energy: Scalar
+    potential_energy: Scalar
+    constraint_violation: Scalar
+    velocity_violation: Scalar
+
+
+def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
+    """All observables at one state."""
+    evaluation = evaluate(system, t, y)
+    accelerations = jnp.stack(list(evaluation.solution.accelerations.values()))
+    spherical = {name: joint for name, joint in system.joints.items() if isinstance(joint, PlacedSpherical)}
+    relative = {name: joint.relative_motion(evaluation.motions) for name, joint in spherical.items()}
+    position_violation, velocity_violation = _violations(evaluation)
+    return Observation(
+        acceleration=accelerations[:, :3],
+        angular_acceleration=accelerations[:, 3:],
+        reactions={name: _reaction(system, evaluation, name) for name in system.joints},
+        eccentricity={name: motion.eccentricity for name, motion in relative.items()},
+        eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
+        parts={name: load.response.parts for name, load in evaluation.loads.items()},
+        elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
+        kinetic_energy=_kinetic_energy(system, evaluation),
+        potential_energy=_potential_energy(system, t, evaluation),
+        constraint_violation=position_violation,
+        velocity_violation=velocity_violation,
+    )
+
+
+def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
+    joint = system.joints[name]
+    if name in evaluation.loads:
+        response = evaluation.loads[name].response
+        return Reaction(response.force, response.ball_moment)
+    body = joint.bodies[1]
+    jacobian = evaluation.constraints.rows[name].jacobians[1]
+    wrench = -jacobian.T @ evaluation.solution.multipliers[name]
+    place = joint.places[1] if isinstance(joint, PlacedRevolute) else joint.ball_place
+    arm = point_motion(evaluation.motions[body], jnp.asarray(place)).arm
+    return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
+
+
+def _kinetic_energy(system: System, evaluation: Evaluation) -> Scalar:
+    total = jnp.zeros(())
+    for name, body in system.bodies.items():
+        motion = evaluation.motions[name]
+        w = motion.angular_velocity
+        rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
+        total = total + (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
+    return total
+
+
+def _potential_energy(system: System, t: Scalar, evaluation: Evaluation) -> Scalar:
+    total = jnp.zeros(())
+    for name, body in system.bodies.items():
+        total = total - body.mass * (system.gravity @ evaluation.motions[name].position)
+    for force in system.forces.values():
+        total = total + force.potential_energy(t, evaluation.motions)
+    return total
+
+
+def _violations(evaluation: Evaluation) -> tuple[Scalar, Scalar]:
+    constraints = evaluation.constraints
+    if not constraints.rows:
+        return jnp.zeros(()), jnp.zeros(())
+    velocities = {
+        name: jnp.concatenate([evaluation.motions[name].velocity, evaluation.motions[name].angular_velocity])
+        for name in evaluation.solution.accelerations
+    }
+    return jnp.max(jnp.abs(constraints.residual)), jnp.max(jnp.abs(constraints.times(velocities)))

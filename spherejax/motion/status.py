@@ -1,0 +1,81 @@
+"""How a run ended: a value, with a diagnosis and a remedy."""
+
+import enum
+
+import diffrax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from spherejax.foundations.types import Flag
+
+
+class SimulationWarning(UserWarning):
+    """A run did not reach its end; the message says when, why and what to do."""
+
+
+class SimulationError(RuntimeError):
+    """As `SimulationWarning`, for `throw=True`."""
+
+
+class Status(enum.IntEnum):
+    """How a run ended. `SUCCEEDED` is zero, so a lane has failed where the status is not."""
+
+    SUCCEEDED = 0
+    TOO_MANY_STEPS = 1
+    STEP_TOO_SMALL = 2
+    BAD_VALUE = 3
+    START_NOT_CLOSED = 4
+    SOLVER_FAILED = 5
+
+
+REMEDIES = {
+    Status.TOO_MANY_STEPS: (
+        "the number of steps reached max_steps. Raise max_steps, loosen rtol, or, when the steps are tiny, choose a stiff "
+        "solver (solver=spherejax.Rodas5P())"
+    ),
+    Status.STEP_TOO_SMALL: (
+        "the step size shrank to the rounding of time: the accelerations are not finite or grow without bound there. "
+        "Check the forces at that instant, loosen rtol, or soften the contact or film"
+    ),
+    Status.BAD_VALUE: (
+        "a physical number is not legal (for instance a clearance that is not positive). Simulate this lane alone, outside "
+        "jit and vmap, to get the error that names the joint and the value"
+    ),
+    Status.START_NOT_CLOSED: (
+        "the joints cannot be closed at the start. Simulate this lane alone, outside jit and vmap, to get the error that "
+        "names the joint"
+    ),
+    Status.SOLVER_FAILED: (
+        "the solver could not make a step (a linear or nonlinear solve failed). Choose another solver or loosen rtol"
+    ),
+}
+
+
+def status_of(result: diffrax.RESULTS, values_are_legal: Flag, start_is_closed: Flag) -> Int[Array, ""]:
+    """The status as an integer array, from diffrax's result and the checks made inside the program."""
+    results = diffrax.RESULTS
+    failed = jnp.where(result == results.successful, Status.SUCCEEDED, Status.SOLVER_FAILED)
+    failed = jnp.where(result == results.max_steps_reached, Status.TOO_MANY_STEPS, failed)
+    failed = jnp.where(result == results.dt_min_reached, Status.STEP_TOO_SMALL, failed)
+    failed = jnp.where(start_is_closed, failed, Status.START_NOT_CLOSED)
+    return jnp.where(values_are_legal, failed, Status.BAD_VALUE)
+
+
+def diagnosis(status, t_reached, t_end) -> str:
+    """What happened, in one sentence a lane; empty when all lanes succeeded.
+
+    Args:
+        status: integers, any shape (one an entry is a lane).
+        t_reached: times reached [s], same shape.
+        t_end: times asked for [s], same shape.
+    """
+    status, t_reached, t_end = (np.atleast_1d(np.asarray(value)) for value in (status, t_reached, t_end))
+    sentences = []
+    for lane in np.argwhere(status != Status.SUCCEEDED):
+        index = tuple(lane)
+        which = "" if status.size == 1 else f"lane {', '.join(map(str, index))}: "
+        sentences.append(
+            f"{which}stopped at t = {t_reached[index]:.9g} s of {t_end[index]:.9g} s: {REMEDIES[Status(status[index])]}."
+        )
+    return "\n".join(sentences)

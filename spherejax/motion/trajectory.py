@@ -1,0 +1,247 @@
+"""The result of a run: times, states, observables, statistics, and how it ended."""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.numerics import safe_norm
+from spherejax.model.system import System, flatten_system
+from spherejax.motion.assembly import Assembly
+from spherejax.motion.observables import Observation, observe
+from spherejax.motion.programs import program_for
+from spherejax.motion.status import SimulationError, Status, diagnosis
+from spherejax.physics.state import State, unpack
+
+_BLOCK = 256
+"""Samples observed at once: enough for vector instructions, few enough to stay in the cache."""
+
+
+class Statistics(NamedTuple):
+    """What a run cost.
+
+    Attributes:
+        n_steps: steps tried.
+        n_accepted: steps kept.
+        n_rejected: steps repeated, for their error or to land on a contact onset or release.
+        n_evaluations: evaluations of the right-hand side; for an implicit method without its Newton iterations.
+        n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
+    """
+
+    n_steps: Int[Array, ""]
+    n_accepted: Int[Array, ""]
+    n_rejected: Int[Array, ""]
+    n_evaluations: Int[Array, ""]
+    n_onsets: Int[Array, " n_contacts"]
+
+
+class Trajectory(eqx.Module):
+    """A simulated motion.
+
+    It is a pytree: it can be returned from `jax.jit` and `jax.vmap` (its arrays then have a leading axis of lanes; use
+    `jax.vmap(lambda run: run.acceleration("rocker"))(runs)` for observables that need an evaluation).
+
+    Attributes:
+        ts: sample times [s], shape (n,).
+        ys: flat states, shape (n, size); NaN at samples that a failed run did not reach.
+        system: the compiled scene.
+        stats: what the run cost.
+        status: how it ended, an integer of `Status`.
+        t_reached: the time that was reached [s].
+        assembly: how the start was made consistent.
+        choice: which method was used, and why.
+        scalar: whether the scalar program is used.
+    """
+
+    ts: Float[Array, " n"]
+    ys: Float[Array, "n size"]
+    system: System
+    stats: Statistics
+    status: Int[Array, ""]
+    t_reached: Float[Array, ""]
+    assembly: Assembly
+    choice: str = eqx.field(static=True)
+    scalar: bool = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        if not is_concrete(self.status):
+            return "Trajectory(traced)"
+        bodies, n = ", ".join(self.system.bodies), self.ts.shape[-1]
+        ended = "succeeded" if bool(np.all(self.succeeded)) else self.diagnosis
+        steps = int(np.sum(self.stats.n_steps))
+        return f"Trajectory of {bodies}: {n} samples, {steps} steps, {self.choice}; {ended}"
+
+    # How it ended ------------------------------------------------------------------------------------------------
+
+    @property
+    def succeeded(self):
+        """Whether the run reached its end."""
+        return self.status == Status.SUCCEEDED
+
+    @property
+    def diagnosis(self) -> str:
+        """Which lane stopped, when, why, and what to do; empty after success."""
+        return diagnosis(self.status, self.t_reached, np.asarray(self.ts)[..., -1])
+
+    def require_success(self) -> "Trajectory":
+        """The run itself; raises `SimulationError` with the diagnosis when it failed."""
+        if not bool(np.all(self.succeeded)):
+            raise SimulationError(self.diagnosis)
+        return self
+
+    # The state ---------------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        """The state by name, with leading axis of samples."""
+        return unpack(self.system.layout, self.ys)
+
+    def position(self, body: str) -> Float[Array, "n 3"]:
+        """Center of mass of a body, world axes [m]."""
+        return self.state.position[..., self._body(body), :]
+
+    def quaternion(self, body: str) -> Float[Array, "n 4"]:
+        """Orientation of a body, unit quaternion, scalar first."""
+        return self.state.quaternion[..., self._body(body), :]
+
+    def velocity(self, body: str) -> Float[Array, "n 3"]:
+        """Velocity of a body's center of mass, world axes [m/s]."""
+        return self.state.velocity[..., self._body(body), :]
+
+    def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
+        """Angular velocity of a body, world axes [rad/s]."""
+        return self.state.angular_velocity[..., self._body(body), :]
+
+    # Observables -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def observation(self) -> Observation:
+        """All observables at all samples, evaluated on first use."""
+        structure, theta = flatten_system(self.system)
+        return _observed(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
+
+    def acceleration(self, body: str) -> Float[Array, "n 3"]:
+        """Acceleration of a body's center of mass, world axes [m/s^2]."""
+        return self.observation.acceleration[:, self._body(body), :]
+
+    def angular_acceleration(self, body: str) -> Float[Array, "n 3"]:
+        """Angular acceleration of a body, world axes [rad/s^2]."""
+        return self.observation.angular_acceleration[:, self._body(body), :]
+
+    def reaction(self, joint: str) -> Float[Array, "n 3"]:
+        """Force of a joint on its second body (of a spherical joint: the ball's), world axes [N]."""
+        return self.observation.reactions[self._joint(joint)].force
+
+    def reaction_moment(self, joint: str) -> Float[Array, "n 3"]:
+        """Moment of a joint on its second body about the joint's point, world axes [N m]."""
+        return self.observation.reactions[self._joint(joint)].moment
+
+    def eccentricity(self, joint: str) -> Float[Array, "n 3"]:
+        """From the socket's center to the ball's center, world axes [m]."""
+        return self._of_spherical(self.observation.eccentricity, joint)
+
+    def eccentricity_rate(self, joint: str) -> Float[Array, "n 3"]:
+        """Time derivative of the eccentricity in world axes [m/s]."""
+        return self._of_spherical(self.observation.eccentricity_rate, joint)
+
+    def penetration(self, joint: str) -> Float[Array, " n"]:
+        """Penetration |e| - c of ball and socket [m]; negative where they do not touch."""
+        return jax.vmap(safe_norm)(self.eccentricity(joint)) - self.clearance(joint)
+
+    def eccentricity_ratio(self, joint: str) -> Float[Array, " n"]:
+        """|e| / c, above 1 in contact."""
+        return jax.vmap(safe_norm)(self.eccentricity(joint)) / self.clearance(joint)
+
+    def clearance(self, joint: str):
+        """Radial clearance of a joint [m]."""
+        model = getattr(self.system.joints[self._joint(joint)], "model", None)
+        if not hasattr(model, "clearance"):
+            raise SceneError(f"joint {joint!r} has no clearance: its model is {type(model).__name__}")
+        return model.clearance
+
+    def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
+        """A named contribution of a joint that answers with a force, e.g. `"normal_force"`, `"film_force"` [N]."""
+        parts = self.observation.parts.get(self._joint(joint), {})
+        if name not in parts:
+            raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
+        return parts[name]
+
+    @property
+    def kinetic_energy(self) -> Float[Array, " n"]:
+        """Kinetic energy of all bodies [J]."""
+        return self.observation.kinetic_energy
+
+    @property
+    def potential_energy(self) -> Float[Array, " n"]:
+        """Potential energy of weight and force elements [J]."""
+        return self.observation.potential_energy
+
+    @property
+    def elastic_energy(self) -> Float[Array, " n"]:
+        """Energy stored in all joints [J]."""
+        return sum(self.observation.elastic_energy.values(), jnp.zeros(self.ts.shape))
+
+    @property
+    def mechanical_energy(self) -> Float[Array, " n"]:
+        """Kinetic, potential and elastic energy together [J]."""
+        return self.kinetic_energy + self.potential_energy + self.elastic_energy
+
+    def absorbed_work(self, joint: str) -> Float[Array, " n"]:
+        """Work that a joint has taken from the bodies since the start [J]; needs `track_work=True`."""
+        names = self.system.force_joints
+        if joint not in names:
+            raise SceneError(f"joint {self._joint(joint)!r} is ideal: it absorbs no work")
+        if not self.system.tracks_work:
+            raise SceneError(
+                "the work absorbed by each joint was not integrated; pass track_work=True to simulate, or read the "
+                "total loss from mechanical_energy"
+            )
+        return self.state.work[..., names.index(joint)]
+
+    def dissipated_energy(self, joint: str) -> Float[Array, " n"]:
+        """Energy that a joint has dissipated since the start [J]; needs `track_work=True`.
+
+        Absorbed work minus the change of the energy stored in the joint.
+        """
+        work = self.absorbed_work(joint)
+        stored = self.observation.elastic_energy[joint]
+        return work - (stored - stored[:1])
+
+    @property
+    def constraint_violation(self) -> Float[Array, " n"]:
+        """Largest entry of |Phi| [m or 1]."""
+        return self.observation.constraint_violation
+
+    @property
+    def velocity_violation(self) -> Float[Array, " n"]:
+        """Largest entry of |Phi_dot| [m/s or 1/s]."""
+        return self.observation.velocity_violation
+
+    # Names -------------------------------------------------------------------------------------------------------
+
+    def _body(self, name: str) -> int:
+        names = list(self.system.bodies)
+        if name not in names:
+            raise SceneError(f"there is no body {name!r}; the run has {', '.join(map(repr, names))}")
+        return names.index(name)
+
+    def _joint(self, name: str) -> str:
+        if name not in self.system.joints:
+            raise SceneError(f"there is no joint {name!r}; the run has {', '.join(map(repr, self.system.joints))}")
+        return name
+
+    def _of_spherical(self, values: dict, joint: str):
+        if self._joint(joint) not in values:
+            raise SceneError(f"joint {joint!r} is not spherical: it has no eccentricity")
+        return values[joint]
+
+
+@eqx.filter_jit
+def _observed(structure, use_scalars: bool, theta, ts, ys) -> Observation:
+    program = program_for(observe, structure, use_scalars)
+    return jax.lax.map(lambda sample: program(theta, *sample), (ts, ys), batch_size=_BLOCK)

@@ -1,0 +1,117 @@
+"""Rigid bodies: inertia, where they start, and named points on them."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.types import Matrix3, Number
+
+GROUND = "ground"
+"""The name of the body that does not move; its axes are the world axes."""
+
+UNIT_NORM_TOLERANCE = 1e-3
+"""How far a given quaternion may be from unit norm: printed tables carry four digits; it is normalized at the start."""
+
+
+class Body(eqx.Module):
+    """A rigid body: inertia, initial motion, and points by name.
+
+    Attributes:
+        mass: mass [kg].
+        inertia: about the center of mass in body axes [kg m^2]; shape (3,) for principal axes, or (3, 3).
+        position: initial position of the center of mass in world axes [m], shape (3,).
+        quaternion: initial unit quaternion, scalar first, body axes to world axes, shape (4,).
+        velocity: initial velocity of the center of mass, world axes [m/s], shape (3,).
+        angular_velocity: initial angular velocity, world axes [rad/s], shape (3,).
+        points: places on the body where joints and forces meet it, body axes [m], each of shape (3,).
+    """
+
+    mass: Number
+    inertia: object
+    position: object = (0.0, 0.0, 0.0)
+    quaternion: object = (1.0, 0.0, 0.0, 0.0)
+    velocity: object = (0.0, 0.0, 0.0)
+    angular_velocity: object = (0.0, 0.0, 0.0)
+    points: Mapping[str, object] = eqx.field(default_factory=dict)
+
+    def __init__(
+        self,
+        mass,
+        inertia,
+        position=(0.0, 0.0, 0.0),
+        quaternion=(1.0, 0.0, 0.0, 0.0),
+        velocity=(0.0, 0.0, 0.0),
+        angular_velocity=(0.0, 0.0, 0.0),
+        points: Mapping[str, object] | None = None,
+    ):
+        self.mass = mass
+        self.inertia = numbers(inertia)
+        self.position = numbers(position)
+        self.quaternion = numbers(quaternion)
+        self.velocity = numbers(velocity)
+        self.angular_velocity = numbers(angular_velocity)
+        self.points = {name: numbers(place) for name, place in (points or {}).items()}
+
+    def requirements(self) -> list[Requirement]:
+        """What the numbers must satisfy."""
+        finite = "be finite numbers"
+        remedy = "Check the units (SI) and the source of the number."
+        inertia_positive = (
+            self.inertia > 0 if np.ndim(self.inertia) == 1 else concretely(jnp.linalg.eigvalsh, self.inertia) > 0
+        )
+        norm_error = abs((self.quaternion**2).sum() ** 0.5 - 1)
+        rows = [
+            Requirement("mass", self.mass, (self.mass > 0) & (self.mass < np.inf), "be positive [kg]",
+                        "A massless part is modeled with a small mass or as a force element."),
+            Requirement("inertia", self.inertia, inertia_positive, "be positive (definite) [kg m^2]",
+                        "Give three principal moments, or a symmetric 3 x 3 matrix."),
+            Requirement("quaternion", self.quaternion, norm_error < UNIT_NORM_TOLERANCE, "have unit norm",
+                        "Divide it by its norm; the scalar part comes first."),
+        ]
+        for field in ("position", "velocity", "angular_velocity"):
+            value = getattr(self, field)
+            rows.append(Requirement(field, value, abs(value) < np.inf, finite, remedy))
+        for name, place in self.points.items():
+            rows.append(Requirement(f"points[{name!r}]", place, abs(place) < np.inf, finite, remedy))
+        return rows
+
+
+def numbers(value):
+    """Nested tuples or lists of numbers as one float64 array; arrays and tracers pass.
+
+    Concrete values become NumPy arrays, so that they stay concrete inside an outer trace.
+    """
+    if isinstance(value, np.ndarray):
+        return np.asarray(value, np.float64)
+    if hasattr(value, "dtype"):
+        return value
+    try:
+        return np.asarray(value, np.float64)
+    except Exception:  # an entry is traced: NumPy refuses it
+        return jnp.asarray(value, jnp.float64)
+
+
+def inertia_in_world(inertia, rotation: Matrix3) -> Matrix3:
+    """Inertia A J' A^T [kg m^2] about the center of mass, in world axes."""
+    if jnp.ndim(inertia) == 1:
+        return rotation @ (inertia[:, None] * rotation.T)
+    return rotation @ inertia @ rotation.T
+
+
+def inverse_inertia_in_world(inertia, rotation: Matrix3) -> Matrix3:
+    """Inverse of the inertia, A J'^(-1) A^T [1 / (kg m^2)], in world axes."""
+    if jnp.ndim(inertia) == 1:
+        return rotation @ ((1 / inertia)[:, None] * rotation.T)
+    return rotation @ _inverse(inertia) @ rotation.T
+
+
+def _inverse(matrix: Matrix3) -> Matrix3:
+    """Inverse of a 3 x 3 matrix by cofactors: scalar operations only."""
+    a, b, c = matrix
+    cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)])
+    return cofactors.T / (a @ cofactors[0])
+
+

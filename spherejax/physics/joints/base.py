@@ -1,0 +1,95 @@
+"""What a model of a spherical joint is: how the ball's motion in its socket is answered."""
+
+import abc
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.types import Scalar, Vector3
+from spherejax.physics.kinematics import RelativeMotion
+
+
+class Response(NamedTuple):
+    """How a joint answers a relative motion.
+
+    Attributes:
+        force: on the ball's body, at the ball's center, world axes [N]; the socket's body receives its opposite at
+            the socket's center.
+        ball_moment: on the ball's body about the ball's center, world axes [N m].
+        socket_moment: on the socket's body about the socket's center, world axes [N m].
+        memory_rate: time derivative of the joint's memory between events, shape (n_memory,).
+        elastic_energy: energy that the joint stores [J].
+        parts: named contributions for inspection, e.g. `penetration` [m], `normal_force` [N].
+    """
+
+    force: Vector3
+    ball_moment: Vector3
+    socket_moment: Vector3
+    memory_rate: Float[Array, " n_memory"]
+    elastic_energy: Scalar
+    parts: dict[str, Array]
+
+
+class Crossing(NamedTuple):
+    """A smooth function of time that changes sign when contact begins or ends.
+
+    Attributes:
+        value: g = (|e|^2 / c^2 - 1) / 2, dimensionless: -1/2 for a concentric ball, 0 at contact, and about
+            penetration / clearance beyond. Unlike |e| - c it is smooth when the ball passes the socket's center.
+        rate: its time derivative [1/s].
+    """
+
+    value: Scalar
+    rate: Scalar
+
+
+class AbstractSphericalModel(eqx.Module):
+    """How a spherical joint resists: one of ideal, dry, lubricated, bushing, or a user's own.
+
+    A model that is not ideal implements `respond`. A model with memory names its entries in `memory_names`; a
+    model whose contact begins and ends at sharp instants also implements `crossing` and `memory_at_onset`.
+    """
+
+    is_ideal: ClassVar[bool] = False
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """Names of the memory entries (static); empty for a model without memory."""
+        return ()
+
+    @property
+    def detects_onsets(self) -> bool:
+        """Whether contact onsets and releases must be located (static)."""
+        return False
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The physical effects that the model brings in (static), for `sj.effects`."""
+        return ()
+
+    @abc.abstractmethod
+    def requirements(self) -> list[Requirement]:
+        """What the model's numbers must satisfy."""
+
+    def respond(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Response:
+        """Force and moment that answer a relative motion."""
+        raise TypeError(f"{type(self).__name__} answers with constraints, not with a force")
+
+    def penetration(self, motion: RelativeMotion) -> Scalar | None:
+        """Penetration |e| - c [m], negative without contact; None for a model without a socket surface."""
+        return None
+
+    def crossing(self, motion: RelativeMotion) -> Crossing:
+        """The function whose sign says whether there is contact."""
+        raise TypeError(f"{type(self).__name__} has no contact")
+
+    def memory_at_onset(self, onset_rate: Scalar) -> Float[Array, " n_memory"]:
+        """The memory just after a contact onset with the normal velocity `onset_rate` [m/s]."""
+        raise TypeError(f"{type(self).__name__} has no contact")
+
+    def memory_at_release(self) -> Float[Array, " n_memory"]:
+        """The memory just after a release."""
+        return jnp.zeros(len(self.memory_names))

@@ -1,0 +1,73 @@
+"""The bushing: ball and socket joined by an elastomer, without clearance (sections 3.4 and 4.4)."""
+
+import jax.numpy as jnp
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.rotation import rotation_vector
+from spherejax.foundations.types import Number
+from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.physics.laws import AbstractElastomer, RadialElastomer
+
+
+class Bushing(AbstractSphericalModel):
+    """Ball and socket joined by an elastomer.
+
+    `Bushing(stiffness=k, damping=b)` is the paper's Eq. 41, f = k (delta + b delta_dot) n, with b in seconds. Other
+    laws are given whole: `Bushing(law=VectorElastomer(...))`, `MatrixElastomer`, `CurveElastomer`, or a user's own.
+
+    Attributes:
+        law: how the elastomer resists.
+
+    The force acts on both bodies at the ball's center; rotations are counted from the start of the motion.
+    """
+
+    law: AbstractElastomer
+
+    def __init__(
+        self,
+        stiffness: Number | None = None,
+        damping: Number | None = None,
+        *,
+        law: AbstractElastomer | None = None,
+    ):
+        if (law is None) == (stiffness is None):
+            raise TypeError("give either stiffness= (and damping=) or law=, not both and not neither")
+        if law is not None and damping is not None:
+            raise TypeError("damping= belongs to stiffness=; a law= brings its own")
+        self.law = RadialElastomer(stiffness, 0.0 if damping is None else damping) if law is None else law
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The elastomer."""
+        kind = "translation and rotation" if self.law.resists_rotation else "translation"
+        return (f"elastomer, {kind} ({type(self.law).__name__})",)
+
+    def requirements(self) -> list[Requirement]:
+        """What the elastomer requires."""
+        return self.law.requirements()
+
+    def respond(self, motion, memory) -> Response:
+        """Elastic and damping force and moment on the ball."""
+        del memory
+        e, socket = motion.eccentricity, motion.socket_rotation
+        rate_on_socket = motion.eccentricity_rate - jnp.cross(motion.socket_angular_velocity, e)
+        deflection, deflection_rate = e, rate_on_socket
+        if not self.law.isotropic:
+            deflection, deflection_rate = socket.T @ e, socket.T @ rate_on_socket
+        force = self.law.force(deflection, deflection_rate)
+        if not self.law.isotropic:
+            force = socket @ force
+        rotation = jnp.zeros(3)
+        moment = jnp.zeros(3)
+        if self.law.resists_rotation:
+            rotation = rotation_vector(motion.relative_quaternion)
+            relative = socket.T @ (motion.ball_angular_velocity - motion.socket_angular_velocity)
+            moment = socket @ self.law.moment(rotation, relative)
+        return Response(
+            force=force,
+            ball_moment=moment,
+            socket_moment=-jnp.cross(e, force) - moment,
+            memory_rate=jnp.zeros(0),
+            elastic_energy=self.law.elastic_energy(deflection, rotation),
+            parts={"deflection": deflection, "rotation": rotation},
+        )

@@ -1,0 +1,212 @@
+"""Contact of ball and socket (Eqs 15 to 36), shared by the dry and the lubricated joint.
+
+The contact points are at the socket's center + R_i n and at the ball's center + R_j n, with n = e / |e| and
+R_j = R_i - c. Friction works on the relative velocity of the *material* points there. The paper's Eq. 17, read
+literally (R_k n_dot instead of w_k x R_k n), makes the sliding velocity (|e| - c) n_dot, which vanishes at the
+socket's surface, so that friction would do nothing.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Number, Scalar, Vector3
+from spherejax.physics.joints.base import Crossing
+from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material, generalized_stiffness
+
+SMALLEST_ONSET_RATE = 1e-12
+"""An onset slower than this [m/s] is remembered as this fast: a memory of 0 means flight."""
+
+
+class Surfaces(NamedTuple):
+    """Geometry and material of ball and socket.
+
+    Attributes:
+        clearance: c = R_i - R_j [m].
+        socket_radius: R_i [m].
+        socket_material: material of the socket.
+        ball_material: material of the ball.
+    """
+
+    clearance: Number
+    socket_radius: Number
+    socket_material: Material
+    ball_material: Material
+
+    @property
+    def ball_radius(self) -> Number:
+        """R_j = R_i - c [m] (Eq. 11)."""
+        return self.socket_radius - self.clearance
+
+    def requirements(self, ball_radius_given: bool) -> list[Requirement]:
+        """A positive clearance that leaves a ball."""
+        c, radius = self.clearance, self.socket_radius
+        remedy = "Give the radial clearance in meters, e.g. clearance=1e-4."
+        if ball_radius_given:
+            fits = Requirement(
+                "ball_radius", self.ball_radius, self.ball_radius < radius, "be smaller than the socket's radius",
+                "The ball is larger than its socket: exchange the two radii or check their units.",
+            )
+        else:
+            fits = Requirement("clearance", c, (c > 0) & (c < np.inf), "be positive [m]", remedy)
+        return [
+            Requirement("socket_radius", radius, (radius > 0) & (radius < np.inf), "be positive [m]",
+                        "Give the socket's inner radius in meters, e.g. socket_radius=0.010."),
+            fits,
+            Requirement("clearance", c, c < radius, "be smaller than the socket's radius",
+                        "No ball is left inside the socket: reduce the clearance or check its unit."),
+            *self.socket_material.requirements(),
+            *self.ball_material.requirements(),
+        ]
+
+
+class ContactForces(NamedTuple):
+    """Forces of one contact.
+
+    Attributes:
+        normal_force: f_n [N], not negative.
+        force: on the ball, normal and friction together, world axes [N].
+        friction: the friction part of `force` [N].
+        bristle_rate: time derivative of the bristle deflection [m/s]; empty without bristles.
+        sliding_velocity: tangential velocity of the ball's surface against the socket's [m/s].
+    """
+
+    normal_force: Scalar
+    force: Vector3
+    friction: Vector3
+    bristle_rate: Float[Array, " n"]
+    sliding_velocity: Vector3
+
+
+def direction_of(e: Vector3) -> Vector3:
+    """n = e / |e|. Limits: 0 at e = 0, where no contact is possible; value and derivative are finite there."""
+    length = safe_norm(e)
+    return e / jnp.where(length > 0, length, 1.0)
+
+
+def sliding_velocity(motion: RelativeMotion, surfaces: Surfaces, n: Vector3) -> Vector3:
+    """Tangential velocity [m/s] of the ball's material contact point against the socket's (Eqs 18, 19)."""
+    relative = (
+        motion.eccentricity_rate
+        + jnp.cross(motion.ball_angular_velocity, surfaces.ball_radius * n)
+        - jnp.cross(motion.socket_angular_velocity, surfaces.socket_radius * n)
+    )
+    return relative - (relative @ n) * n
+
+
+def stiffness_of(normal: AbstractNormalLaw, surfaces: Surfaces) -> Number:
+    """The normal law's own stiffness, or Eq. 24 with the socket's radius negative [N/m^n]."""
+    if normal.stiffness is not None:
+        return normal.stiffness
+    return generalized_stiffness(
+        surfaces.socket_radius, surfaces.ball_radius, surfaces.socket_material, surfaces.ball_material
+    )
+
+
+def contact_forces(
+    motion: RelativeMotion,
+    memory: Float[Array, " n_memory"],
+    surfaces: Surfaces,
+    normal: AbstractNormalLaw,
+    friction: AbstractFrictionLaw | None,
+    share: Number = 1.0,
+) -> ContactForces:
+    """Normal and friction force of one contact.
+
+    Args:
+        motion: motion of the ball in the socket.
+        memory: onset rate [m/s] (0 in flight), then the bristle deflection [m], as `memory_names` lists them.
+        surfaces: geometry and material.
+        normal: normal law.
+        friction: friction law, or None.
+        share: the part of the normal force that acts, in [0, 1] (the hybrid lubricated joint).
+
+    Returns:
+        The forces. In flight (onset rate 0) they are zero even where a trial step of the integrator has gone
+        beyond the surface, so that flight is smooth up to the onset that the integrator lands on.
+    """
+    e = motion.eccentricity
+    n = direction_of(e)
+    penetration = safe_norm(e) - surfaces.clearance
+    penetration_rate = motion.eccentricity_rate @ n
+    stiffness = stiffness_of(normal, surfaces)
+    n_bristle = 0 if friction is None else friction.bristle_size
+    onset_rate: Number = 0.0
+    is_touching = penetration > 0
+    if has_memory(normal, friction):
+        onset_rate = memory[0]
+        is_touching = onset_rate > 0
+        penetration = jnp.where(is_touching, penetration, -surfaces.clearance)
+    normal_force = share * normal.force(penetration, penetration_rate, onset_rate, stiffness)
+    if friction is None:
+        zero = jnp.zeros(3)
+        return ContactForces(normal_force, -normal_force * n, zero, jnp.zeros(0), zero)
+    velocity = sliding_velocity(motion, surfaces, n)
+    if n_bristle:
+        bristle = memory[1:]
+        bristle = bristle - (bristle @ n) * n
+        traction = friction.bristle_traction(bristle, velocity, normal_force)
+        # The bristles are carried by the socket's surface; in flight they rest.
+        carried = friction.bristle_rate(bristle, velocity) + jnp.cross(motion.socket_angular_velocity, memory[1:])
+        bristle_rate = jnp.where(is_touching, carried, 0.0)
+    else:
+        traction = friction.traction(velocity, normal_force)
+        bristle_rate = jnp.zeros(0)
+    return ContactForces(normal_force, traction - normal_force * n, traction, bristle_rate, velocity)
+
+
+def contact_moments(motion: RelativeMotion, surfaces: Surfaces, friction: Vector3) -> tuple[Vector3, Vector3]:
+    """Moments [N m] of the friction force about the ball's and the socket's center; the normal force has none."""
+    n = direction_of(motion.eccentricity)
+    return (
+        jnp.cross(surfaces.ball_radius * n, friction),
+        -jnp.cross(surfaces.socket_radius * n, friction),
+    )
+
+
+def has_memory(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> bool:
+    """Whether the contact must remember its onset: for the normal law's sake, or to set bristles free."""
+    return normal.remembers_onset or (friction is not None and friction.bristle_size > 0)
+
+
+def contact_memory_names(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
+    """Memory entries of a contact: nothing for a law that needs none."""
+    if not has_memory(normal, friction):
+        return ()
+    bristles = ("bristle_x", "bristle_y", "bristle_z")
+    return ("onset_rate", *(bristles if friction is not None and friction.bristle_size else ()))
+
+
+def contact_memory_at_onset(names: tuple[str, ...], onset_rate: Scalar) -> Float[Array, " n_memory"]:
+    """The onset rate is remembered; bristles start undeflected."""
+    first = jnp.maximum(onset_rate, SMALLEST_ONSET_RATE)[None]
+    return jnp.concatenate([first, jnp.zeros(len(names) - 1)])
+
+
+def contact_crossing(motion: RelativeMotion, clearance: Number) -> Crossing:
+    """g = (|e|^2 / c^2 - 1) / 2 and its rate e . e_dot / c^2."""
+    e, square = motion.eccentricity, clearance * clearance
+    return Crossing((e @ e / square - 1) / 2, e @ motion.eccentricity_rate / square)
+
+
+def contact_effects(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
+    """Names of the effects of a contact, for tables."""
+    names = [f"normal contact ({type(normal).__name__})"]
+    if has_memory(normal, friction):
+        names.append("onset memory")
+    if friction is not None:
+        names.append(f"friction ({type(friction).__name__})")
+    return tuple(names)
+
+
+def contact_law_requirements(
+    normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None
+) -> list[Requirement]:
+    """What the laws of a contact require, with the law's name in front of each field."""
+    laws = [normal, *([] if friction is None else [friction])]
+    return [r._replace(field=f"{type(law).__name__}.{r.field}") for law in laws for r in law.requirements()]

@@ -1,0 +1,130 @@
+"""The dry joint with clearance: normal contact and friction (sections 3.2, 4.1 and 4.2 of the paper)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Number
+from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.physics.joints.contact import (
+    Surfaces,
+    contact_crossing,
+    contact_effects,
+    contact_forces,
+    contact_law_requirements,
+    contact_memory_at_onset,
+    contact_memory_names,
+    contact_moments,
+    has_memory,
+    stiffness_of,
+)
+from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, LankaraniNikravesh, Material
+
+
+def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Number:
+    """The clearance c = R_i - R_j [m] from whichever of clearance and ball radius is given."""
+    if (clearance is None) == (ball_radius is None):
+        raise TypeError("give either clearance= or ball_radius=, not both and not neither")
+    return socket_radius - ball_radius if clearance is None else clearance
+
+
+class Dry(AbstractSphericalModel):
+    """Ball and socket with clearance, dry: they fly, impact, and slide on each other.
+
+    Attributes:
+        clearance: radial clearance c = R_i - R_j [m].
+        socket_radius: R_i [m].
+        normal: law of the normal force.
+        friction: law of the friction force, or None.
+        socket_material: material of the socket.
+        ball_material: material of the ball.
+
+    Source: the paper, sections 3.2, 4.1, 4.2; defaults from its Table 3.
+    """
+
+    clearance: Number
+    socket_radius: Number
+    normal: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None
+    socket_material: Material
+    ball_material: Material
+    _ball_radius_given: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        clearance: Number | None = None,
+        *,
+        socket_radius: Number = 0.010,
+        ball_radius: Number | None = None,
+        normal: AbstractNormalLaw | None = None,
+        friction: AbstractFrictionLaw | None = None,
+        socket_material: Material | None = None,
+        ball_material: Material | None = None,
+    ):
+        self.clearance = clearance_from(clearance, socket_radius, ball_radius)
+        self.socket_radius = socket_radius
+        self.normal = LankaraniNikravesh(restitution=0.9) if normal is None else normal
+        self.friction = friction
+        self.socket_material = Material() if socket_material is None else socket_material
+        self.ball_material = Material() if ball_material is None else ball_material
+        self._ball_radius_given = ball_radius is not None
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """Geometry and material together."""
+        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material)
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """The onset rate, and bristles, only for laws that use them."""
+        return contact_memory_names(self.normal, self.friction)
+
+    @property
+    def detects_onsets(self) -> bool:
+        """Only for laws that remember."""
+        return has_memory(self.normal, self.friction)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Contact and, if any, friction."""
+        return contact_effects(self.normal, self.friction)
+
+    def requirements(self) -> list[Requirement]:
+        """Legal geometry, materials and laws."""
+        return self.surfaces.requirements(self._ball_radius_given) + contact_law_requirements(
+            self.normal, self.friction
+        )
+
+    def respond(self, motion, memory) -> Response:
+        """Contact forces on the ball, at the contact point, as force and moments at the centers."""
+        surfaces = self.surfaces
+        contact = contact_forces(motion, memory, surfaces, self.normal, self.friction)
+        ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
+        onset_rate_rate = jnp.zeros(1 if self.memory_names else 0)
+        penetration = self.penetration(motion)
+        return Response(
+            force=contact.force,
+            ball_moment=ball_moment,
+            socket_moment=socket_moment,
+            memory_rate=jnp.concatenate([onset_rate_rate, contact.bristle_rate]),
+            elastic_energy=self.normal.elastic_energy(penetration, stiffness_of(self.normal, surfaces)),
+            parts={
+                "penetration": penetration,
+                "normal_force": contact.normal_force,
+                "friction_force": contact.friction,
+                "sliding_velocity": contact.sliding_velocity,
+            },
+        )
+
+    def penetration(self, motion):
+        """|e| - c [m]."""
+        return safe_norm(motion.eccentricity) - self.clearance
+
+    def crossing(self, motion):
+        """Sign change at |e| = c."""
+        return contact_crossing(motion, self.clearance)
+
+    def memory_at_onset(self, onset_rate):
+        """Onset rate, and bristles undeflected."""
+        return contact_memory_at_onset(self.memory_names, onset_rate)

@@ -1,0 +1,184 @@
+"""The hydrodynamically lubricated joint: a squeeze film that hands over to dry contact (sections 3.3 and 4.3)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Number, Scalar
+from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.physics.joints.contact import (
+    Surfaces,
+    contact_crossing,
+    contact_effects,
+    contact_forces,
+    contact_law_requirements,
+    contact_memory_at_onset,
+    contact_memory_names,
+    contact_moments,
+    has_memory,
+    stiffness_of,
+)
+from spherejax.physics.joints.dry import clearance_from
+from spherejax.physics.laws import (
+    AbstractFilmBoundary,
+    AbstractFrictionLaw,
+    AbstractNormalLaw,
+    Guembel,
+    LankaraniNikravesh,
+    Material,
+    film_force,
+    hybrid_weight,
+)
+from spherejax.physics.laws.base import non_negative, positive
+
+
+class Lubricated(AbstractSphericalModel):
+    """Ball and socket with clearance, filled with a lubricant: squeeze film, and dry contact beyond it.
+
+        f = (1 - w) f_film + w f_contact,    w = 0 up to e = c, linear to 1 at e = c + e_h0
+
+    Attributes:
+        clearance: radial clearance c = R_i - R_j [m].
+        socket_radius: R_i [m].
+        viscosity: dynamic viscosity of the lubricant [Pa s].
+        normal: law of the normal force in dry contact.
+        friction: law of the friction force in dry contact, or None.
+        e_h0: width of the transition from film to contact [m].
+        e_h1: offset that keeps the film finite at e = c [m].
+        boundary: which parts of the film carry pressure.
+        socket_material: material of the socket.
+        ball_material: material of the ball.
+
+    Source: the paper, Eqs 37 to 40, with the eccentricity rate in m/s and, on separation, the pressure of the other
+    half film (`Guembel`); defaults from its Table 3.
+    """
+
+    clearance: Number
+    socket_radius: Number
+    viscosity: Number
+    normal: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None
+    e_h0: Number
+    e_h1: Number
+    boundary: AbstractFilmBoundary
+    socket_material: Material
+    ball_material: Material
+    _ball_radius_given: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        clearance: Number | None = None,
+        viscosity: Number = 0.4,
+        *,
+        socket_radius: Number = 0.010,
+        ball_radius: Number | None = None,
+        normal: AbstractNormalLaw | None = None,
+        friction: AbstractFrictionLaw | None = None,
+        e_h0: Number = 1e-6,
+        e_h1: Number = 2e-6,
+        boundary: AbstractFilmBoundary | None = None,
+        socket_material: Material | None = None,
+        ball_material: Material | None = None,
+    ):
+        self.clearance = clearance_from(clearance, socket_radius, ball_radius)
+        self.socket_radius = socket_radius
+        self.viscosity = viscosity
+        self.normal = LankaraniNikravesh(restitution=0.9) if normal is None else normal
+        self.friction = friction
+        self.e_h0 = e_h0
+        self.e_h1 = e_h1
+        self.boundary = Guembel() if boundary is None else boundary
+        self.socket_material = Material() if socket_material is None else socket_material
+        self.ball_material = Material() if ball_material is None else ball_material
+        self._ball_radius_given = ball_radius is not None
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """Geometry and material together."""
+        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material)
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """The memory of the dry contact, only for laws that use it."""
+        return contact_memory_names(self.normal, self.friction)
+
+    @property
+    def detects_onsets(self) -> bool:
+        """Only for laws that remember."""
+        return has_memory(self.normal, self.friction)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Film, contact and, if any, friction."""
+        return (f"squeeze film ({type(self.boundary).__name__})", *contact_effects(self.normal, self.friction))
+
+    def requirements(self) -> list[Requirement]:
+        """Legal geometry, lubricant, materials and laws."""
+        return [
+            *self.surfaces.requirements(self._ball_radius_given),
+            positive("viscosity", self.viscosity, "Pa s"),
+            non_negative("e_h0", self.e_h0, "m"),
+            non_negative("e_h1", self.e_h1, "m"),
+            *self.boundary.requirements(),
+            *contact_law_requirements(self.normal, self.friction),
+        ]
+
+    def respond(self, motion, memory) -> Response:
+        """Film and contact forces on the ball."""
+        surfaces = self.surfaces
+        weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
+        contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
+        film = (1 - weight) * film_force(
+            motion.eccentricity,
+            motion.eccentricity_rate,
+            self.clearance,
+            self.socket_radius,
+            self.viscosity,
+            self.boundary,
+            self.e_h1,
+        )
+        ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
+        penetration = self.penetration(motion)
+        onset_rate_rate = jnp.zeros(1 if self.memory_names else 0)
+        return Response(
+            force=film + contact.force,
+            ball_moment=ball_moment,
+            socket_moment=socket_moment,
+            memory_rate=jnp.concatenate([onset_rate_rate, contact.bristle_rate]),
+            elastic_energy=self._elastic_energy(penetration),
+            parts={
+                "penetration": penetration,
+                "normal_force": contact.normal_force,
+                "friction_force": contact.friction,
+                "film_force": film,
+                "sliding_velocity": contact.sliding_velocity,
+            },
+        )
+
+    def _elastic_energy(self, penetration: Scalar) -> Scalar:
+        """Integral of w(delta) K delta^n: the blended contact force does the work that contact gives back.
+
+        With h = e_h0: K delta^(n+2) / ((n+2) h) up to delta = h, then
+        K h^(n+1) / (n+2) + K (delta^(n+1) - h^(n+1)) / (n+1).
+        """
+        normal, h = self.normal, self.e_h0
+        stiffness = stiffness_of(normal, self.surfaces)
+        n = normal.exponent
+        width = jnp.where(h > 0, h, 1.0)
+        inside = jnp.clip(penetration, 0.0, h)
+        blended = normal.elastic_force(inside, stiffness) * inside * inside / ((n + 2) * width)
+        full = normal.elastic_energy(penetration, stiffness) - normal.elastic_energy(inside, stiffness)
+        return jnp.where(h > 0, blended, 0.0) + full
+
+    def penetration(self, motion):
+        """|e| - c [m]."""
+        return safe_norm(motion.eccentricity) - self.clearance
+
+    def crossing(self, motion):
+        """Sign change at |e| = c."""
+        return contact_crossing(motion, self.clearance)
+
+    def memory_at_onset(self, onset_rate):
+        """Onset rate, and bristles undeflected."""
+        return contact_memory_at_onset(self.memory_names, onset_rate)

@@ -1,0 +1,91 @@
+"""Force laws of one contact: normal, friction, film and elastomer, as in Sect. 4 of the paper.
+
+A law is written once, for one contact, in clear array code; joints are composed of laws.
+"""
+
+from spherejax.physics.laws.base import AbstractLaw
+from spherejax.physics.laws.elastomer import (
+    AbstractElastomer,
+    AbstractPivotElastomer,
+    CurveElastomer,
+    MatrixElastomer,
+    RadialElastomer,
+    VectorElastomer,
+)
+from spherejax.physics.laws.film import (
+    AbstractFilmBoundary,
+    Guembel,
+    PinkusSternlicht,
+    Sommerfeld,
+    film_force,
+    hybrid_weight,
+    squeeze_coefficient,
+    squeeze_factor,
+)
+from spherejax.physics.laws.friction import (
+    AbstractFrictionLaw,
+    AbstractStaticFriction,
+    Ambrosio,
+    BengisuAkay,
+    BrownMcPhee,
+    Coulomb,
+    LuGre,
+    Threlfall,
+)
+from spherejax.physics.laws.impact import (
+    exact_hysteresis_factor,
+    maximum_penetration,
+    realized_restitution,
+)
+from spherejax.physics.laws.material import Material, generalized_stiffness
+from spherejax.physics.laws.normal import (
+    MINIMUM_ONSET_RATE,
+    AbstractHysteresisLaw,
+    AbstractNormalLaw,
+    ExactRestitution,
+    Flores,
+    Gonthier,
+    Hertz,
+    HuntCrossley,
+    LankaraniNikravesh,
+)
+
+__all__ = [
+    "MINIMUM_ONSET_RATE",
+    "AbstractElastomer",
+    "AbstractFilmBoundary",
+    "AbstractFrictionLaw",
+    "AbstractHysteresisLaw",
+    "AbstractLaw",
+    "AbstractNormalLaw",
+    "AbstractPivotElastomer",
+    "AbstractStaticFriction",
+    "Ambrosio",
+    "BengisuAkay",
+    "BrownMcPhee",
+    "Coulomb",
+    "CurveElastomer",
+    "ExactRestitution",
+    "Flores",
+    "Gonthier",
+    "Guembel",
+    "Hertz",
+    "HuntCrossley",
+    "LankaraniNikravesh",
+    "LuGre",
+    "Material",
+    "MatrixElastomer",
+    "PinkusSternlicht",
+    "RadialElastomer",
+    "Sommerfeld",
+    "Threlfall",
+    "VectorElastomer",
+    "exact_hysteresis_factor",
+    "film_force",
+    "generalized_stiffness",
+    "hybrid_weight",
+    "maximum_penetration",
+    "realized_restitution",
+    "squeeze_coefficient",
+    "squeeze_factor",
+]
