@@ -23,6 +23,7 @@ from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scal
 from spherejax.model.scene import Baumgarte, Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
+from spherejax.motion.modes import Mode
 from spherejax.motion.programs import ArrayPathWarning
 from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P
@@ -68,3 +69,4 @@ from spherejax.physics.laws import (
     Threlfall,
     VectorElastomer,
 )
+from spherejax.studies.effects import effects

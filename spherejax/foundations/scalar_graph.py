@@ -8,7 +8,7 @@ no zeros.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import jax
 import numpy as np
@@ -179,30 +179,59 @@ class Graph:
 
     # Emission ---------------------------------------------------------------------------------------------------
 
-    def needed(self, outputs: Sequence[int]) -> list[int]:
-        """The nodes that the outputs depend on, in an order in which they can be evaluated."""
+    def needed(self, outputs: Sequence[int], given: Collection[int] = ()) -> list[int]:
+        """The nodes that the outputs depend on, in an order in which they can be evaluated.
+
+        Nodes that are `given` are not looked behind.
+        """
+        given = frozenset(given)
         is_needed = np.zeros(len(self.operations), bool)
         is_needed[list(outputs)] = True
         for index in range(len(self.operations) - 1, -1, -1):
-            if is_needed[index]:
+            if is_needed[index] and index not in given:
                 for argument in self.arguments[index]:
                     is_needed[argument] = True
         return [int(index) for index in np.flatnonzero(is_needed)]
 
-    def count(self, outputs: Sequence[int]) -> Counter:
-        """How many operations of each name the outputs need (constants and inputs not counted)."""
-        names = Counter()
+    def invariants(self, outputs: Sequence[int], argument: int) -> list[int]:
+        """The operations that depend on one argument alone and are read by others that depend on more (or returned).
+
+        These are what can be evaluated once, ahead of a loop in which that argument does not change.
+        """
+        is_invariant: dict[int, bool] = {}
+        frontier = set()
         for index in self.needed(outputs):
             operation = self.operations[index]
-            if operation not in ("constant", "input"):
+            if operation == "input":
+                is_invariant[index] = self.parameters[index][0] == argument
+            else:
+                is_invariant[index] = all(is_invariant[a] for a in self.arguments[index])
+            if not is_invariant[index]:
+                frontier.update(a for a in self.arguments[index] if is_invariant[a])
+        frontier.update(index for index in outputs if is_invariant[index])
+        return sorted(index for index in frontier if self.operations[index] not in ("constant", "input"))
+
+    def count(self, outputs: Sequence[int], given: Collection[int] = ()) -> Counter:
+        """How many operations of each name the outputs need (constants, inputs and given nodes not counted)."""
+        names = Counter()
+        for index in self.needed(outputs, given):
+            operation = self.operations[index]
+            if operation not in ("constant", "input") and index not in given:
                 names[operation if isinstance(operation, str) else operation.name] += 1
         return names
 
-    def emit(self, outputs: Sequence[int], read: Callable[[tuple[int, int]], jax.Array]) -> dict[int, jax.Array]:
+    def emit(
+        self,
+        outputs: Sequence[int],
+        read: Callable[[tuple[int, int]], jax.Array],
+        given: Mapping[int, jax.Array] | None = None,
+    ) -> dict[int, jax.Array]:
         """Evaluate the outputs with JAX scalars (or tracers); `read(position)` gives the inputs."""
-        values: dict = {}
-        for index in self.needed(outputs):
+        values: dict = dict(given or {})
+        for index in self.needed(outputs, values.keys()):
             operation = self.operations[index]
+            if index in values:
+                continue
             if operation == "constant":
                 values[index] = np.asarray(self.value(index), self.dtypes[index])
             elif operation == "input":
@@ -216,6 +245,32 @@ class Graph:
         return values
 
 
+    # Evaluation -------------------------------------------------------------------------------------------------
+
+    def compute(self, outputs: Sequence[int], read: Callable[[tuple[int, int]], float]) -> dict[int, float]:
+        """Evaluate the outputs with Python numbers, at once and without compiling anything."""
+        values: dict = {}
+        for index in self.needed(outputs):
+            operation = self.operations[index]
+            if operation == "constant":
+                values[index] = self.value(index).item()
+            elif operation == "input":
+                values[index] = read(self.parameters[index])
+            else:
+                arguments = [values[a] for a in self.arguments[index]]
+                values[index] = self._computed(operation, arguments, index)
+        return values
+
+    def _computed(self, operation, arguments: list, index: int):
+        name = operation if isinstance(operation, str) else operation.name
+        if name in COMPUTE:
+            return COMPUTE[name](*arguments)
+        dtypes = [self.dtypes[a] for a in self.arguments[index]]
+        operands = [np.asarray(a, dtype) for a, dtype in zip(arguments, dtypes, strict=True)]
+        with jax.ensure_compile_time_eval():
+            return np.asarray(operation.bind(*operands, **dict(self.parameters[index]))).item()
+
+
 _COMMUTATIVE = frozenset({"add", "mul"})
 
 EMIT: dict[str, Callable] = {
@@ -227,4 +282,24 @@ EMIT: dict[str, Callable] = {
     "pow": lax.pow,
     "sqrt": lax.sqrt,
     "select": lambda predicate, on_false, on_true: lax.select_n(predicate, on_false, on_true),
+}
+
+COMPUTE: dict[str, Callable] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b if b else float(np.divide(a, b)),
+    "neg": lambda a: -a,
+    "pow": lambda a, b: float(np.power(a, b)),
+    "sqrt": lambda a: math.sqrt(a) if a >= 0 else math.nan,
+    "select": lambda predicate, on_false, on_true: on_true if predicate else on_false,
+    "sin": math.sin,
+    "cos": math.cos,
+    "atan2": math.atan2,
+    "abs": abs,
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "gt": lambda a, b: a > b,
+    "ge": lambda a, b: a >= b,
+    "eq": lambda a, b: a == b,
 }

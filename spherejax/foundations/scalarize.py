@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.extend import core as jex
 
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph
@@ -29,6 +30,7 @@ class ScalarProgram:
     Attributes:
         operations: how many operations of each name one call performs.
         n_operations: how many in total.
+        n_operations_inside: how many remain in a loop over which the first argument is constant.
     """
 
     def __init__(self, graph: Graph, outputs: list[np.ndarray], tree, shapes: list[tuple[int, ...]], name: str):
@@ -40,17 +42,51 @@ class ScalarProgram:
         self.name = name
         self.operations: Counter = graph.count(self._flat_outputs)
         self.n_operations: int = self.operations.total()
-        self._run = jax.jit(self._emit)
+        self._ahead = graph.invariants(self._flat_outputs, 0)
+        self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
+        self._run = jax.jit(lambda *flat: self._emit(flat, {}))
+        self._run_ahead = jax.jit(self._emit_ahead)
+        self._run_inside = jax.jit(lambda ahead, *flat: self._emit(flat, dict(zip(self._ahead, ahead, strict=True))))
 
     def __call__(self, *arguments) -> Any:
         """Evaluate; the arguments have the shapes of the example arguments."""
+        return self._run(*self._flat(arguments))
+
+    def compute(self, *arguments) -> Any:
+        """Evaluate concrete arguments with Python numbers, as NumPy: slower than a compiled call, but nothing is compiled.
+
+        For what is done once: a compilation takes a second, this a few milliseconds.
+        """
+        flat = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(arguments)]
+        entries = [array.ravel().tolist() for array in flat]
+        with np.errstate(all="ignore"):
+            values = self._graph.compute(self._flat_outputs, lambda position: entries[position[0]][position[1]])
+        outputs = [np.array([values[int(n)] for n in o.ravel()]).reshape(o.shape) for o in self._outputs]
+        return jax.tree.unflatten(self._tree, outputs)
+
+    def ahead(self, first) -> tuple[Array, ...]:
+        """What depends on the first argument alone, to be evaluated once ahead of a loop; see `inside`."""
+        return self._run_ahead(jnp.asarray(first))
+
+    def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
+        """As a call, with what `ahead` has evaluated for the same first argument."""
+        return self._run_inside(ahead, *self._flat(arguments))
+
+    def _flat(self, arguments) -> list[Array]:
         flat = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
         shapes = [leaf.shape for leaf in flat]
         if shapes != self._shapes:
             raise ValueError(f"the scalar program {self.name} was made for shapes {self._shapes}, got {shapes}")
-        return self._run(*flat)
+        return flat
 
-    def _emit(self, *flat):
+    def _emit_ahead(self, first):
+        entries = first.reshape(-1)
+        values = self._graph.emit(
+            self._ahead, lambda position: jax.lax.index_in_dim(entries, position[1], keepdims=False)
+        )
+        return tuple(values[node] for node in self._ahead)
+
+    def _emit(self, flat, given):
         entries: dict = {}
 
         def read(position):
@@ -59,7 +95,7 @@ class ScalarProgram:
                 entries[position] = jax.lax.index_in_dim(flat[argument].reshape(-1), index, keepdims=False)
             return entries[position]
 
-        values = self._graph.emit(self._flat_outputs, read)
+        values = self._graph.emit(self._flat_outputs, read, given)
         return jax.tree.unflatten(self._tree, [self._assemble(output, values) for output in self._outputs])
 
     def _assemble(self, output: np.ndarray, values: dict):

@@ -6,6 +6,7 @@ velocities are projected. Joints with clearance or elastomer start concentric, a
 otherwise.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -13,14 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import SceneError, concretely, is_concrete
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.constraints import assembly_set, constraint_mobility, inverse_masses
 from spherejax.motion.dynamics import body_motions
-from spherejax.physics.state import State, pack
+from spherejax.motion.programs import Program, program_for
+from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, pack, unpack
 
 N_NEWTON_STEPS = 8
 """Newton's method doubles the digits each step: eight are ample for a start that is off by a few percent."""
@@ -61,86 +63,119 @@ class Assembly(NamedTuple):
         )
 
 
-def assemble(system: System) -> Assembly:
-    """Move bodies and velocities to a consistent start; differentiable and traceable."""
-    described = _described(system)
-    before = _residual(system, described)
-    moved = described
-    if assembly_set(system, body_motions(system, described)).rows:
-        moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, state: _newton_step(system, state), described)
-        moved = _with_consistent_velocities(system, moved)
-    return Assembly(
-        pack(moved),
-        before,
-        _residual(system, moved),
-        _norms(moved.position - described.position),
-        2 * _norms(_difference(moved.quaternion, described.quaternion)),
-        _norms(moved.velocity - described.velocity),
-    )
+def assemble(structure: Structure, theta: Float[Array, " p"]) -> Assembly:
+    """Move bodies and velocities to a consistent start; for traced numbers, and differentiable."""
+    step, project, residual = _programs(structure)
+    described = described_state(structure.system(theta))
+    t = jnp.zeros(())
+    moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
+    moved = project(theta, t, moved)
+    before, after = (_largest(residual(theta, t, y)) for y in (described, moved))
+    return _report(described, moved, before, after)
 
 
 def assemble_now(structure: Structure, theta: np.ndarray) -> Assembly:
-    """`assemble` for concrete numbers, compiled once for each mechanism, with a check of the result.
+    """`assemble` for concrete numbers, computed at once, with a check of the result.
 
     Raises:
         SceneError: when the mechanism cannot be closed, naming the joint that gapes most.
     """
-    with jax.ensure_compile_time_eval():
-        assembly, gaps = _assemble_flat(structure, jnp.asarray(theta))
-        assembly = jax.tree.map(np.asarray, assembly)
+    return _assembled(structure, theta.tobytes())
+
+
+@lru_cache(maxsize=1024)
+def _assembled(structure: Structure, numbers: bytes) -> Assembly:
+    """Kept: studies of joint models start from the same geometry again and again."""
+    theta = np.frombuffer(numbers)
+    step, project, residual = _programs(structure)
+    described = concretely(lambda numbers: described_state(structure.system(numbers)), theta)
+    moved = described
+    for _ in range(N_NEWTON_STEPS):
+        gaps = residual.compute(theta, 0.0, moved)
+        if all(np.max(np.abs(gap)) <= _ROUNDING for gap in gaps.values()):
+            break
+        moved = step.compute(theta, 0.0, moved)
+    moved = project.compute(theta, 0.0, moved)
+    before, gaps = residual.compute(theta, 0.0, described), residual.compute(theta, 0.0, moved)
+    assembly = concretely(
+        lambda *values: _report(values[0], values[1], _largest(values[2]), _largest(values[3])), described, moved, before, gaps
+    )
     if not assembly.residual_after < CLOSING_TOLERANCE:
-        worst = max(gaps, key=lambda name: float(np.nan_to_num(gaps[name], nan=np.inf)))
+        size_of = {name: float(np.nan_to_num(np.max(np.abs(gap)), nan=np.inf)) for name, gap in gaps.items()}
+        worst = max(size_of, key=lambda name: size_of[name])
         raise SceneError(
             f"joint {worst!r} cannot be closed: from the start as described, with a residual of "
             f"{float(assembly.residual_before):.3g}, the bodies cannot be moved so that all joints hold (remaining residual "
-            f"{float(gaps[worst]):.3g} m or rad). Check the joint's points and the bodies' positions and quaternions."
+            f"{size_of[worst]:.3g} m or rad). Check the joint's points and the bodies' positions and quaternions."
         )
     return assembly
 
 
-def _assemble_flat_untimed(structure: Structure, theta):
-    system = structure.system(theta)
-    assembly = assemble(system)
-    n = system.layout.n_bodies
-    q, v = assembly.y[: 7 * n].reshape(n, 7), assembly.y[7 * n :].reshape(n, 6)
-    state = State(q[:, :3], q[:, 3:], v[:, :3], v[:, 3:], jnp.zeros(0), jnp.zeros(0))
-    rows = assembly_set(system, body_motions(system, state)).rows
-    return assembly, {name: jnp.max(jnp.abs(found.residual)) for name, found in rows.items()}
+_ROUNDING = 1e-16
+"""Residuals [m or 1] below this are rounding: another Newton step cannot make them smaller."""
 
 
-_assemble_flat = jax.jit(_assemble_flat_untimed, static_argnums=0)
+def _programs(structure: Structure) -> tuple[Program, Program, Program]:
+    functions = (newton_step, consistent_velocities, assembly_residuals)
+    return tuple(program_for(function, structure) for function in functions)
 
 
-def _described(system: System) -> State:
-    bodies = list(system.bodies.values())
-    return State(
-        jnp.stack([jnp.asarray(body.position) for body in bodies]),
-        jnp.stack([normalized(jnp.asarray(body.quaternion)) for body in bodies]),
-        jnp.stack([jnp.asarray(body.velocity) for body in bodies]),
-        jnp.stack([jnp.asarray(body.angular_velocity) for body in bodies]),
-        jnp.zeros(0),
-        jnp.zeros(0),
+def _report(described, moved, before, after) -> Assembly:
+    n = described.shape[0] // (POSITION_SIZE + VELOCITY_SIZE)
+    start, end = unpack(Layout(n), described), unpack(Layout(n), moved)
+    return Assembly(
+        moved,
+        before,
+        after,
+        _norms(end.position - start.position),
+        2 * _norms(_difference(end.quaternion, start.quaternion)),
+        _norms(end.velocity - start.velocity),
     )
 
 
-def _residual(system: System, state: State) -> Scalar:
-    residual = assembly_set(system, body_motions(system, state)).residual
-    return jnp.max(jnp.abs(residual), initial=0.0)
+def _largest(gaps: dict[str, Float[Array, " n"]]) -> Scalar:
+    return jnp.max(jnp.concatenate([jnp.zeros(1), *(jnp.abs(gap) for gap in gaps.values())]))
 
 
-def _newton_step(system: System, state: State) -> State:
+def described_state(system: System) -> Float[Array, " n"]:
+    """The start as the scene describes it, with unit quaternions, as a flat state without memory."""
+    bodies = list(system.bodies.values())
+    return pack(
+        State(
+            jnp.stack([jnp.asarray(body.position) for body in bodies]),
+            jnp.stack([normalized(jnp.asarray(body.quaternion)) for body in bodies]),
+            jnp.stack([jnp.asarray(body.velocity) for body in bodies]),
+            jnp.stack([jnp.asarray(body.angular_velocity) for body in bodies]),
+            jnp.zeros(0),
+            jnp.zeros(0),
+        )
+    )
+
+
+def assembly_residuals(system: System, t: Scalar, y: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:
+    """Residual Phi of each joint that the start must satisfy [m or 1]."""
+    del t
+    rows = assembly_set(system, body_motions(system, unpack(system.layout, y))).rows
+    return {name: found.residual for name, found in rows.items()}
+
+
+def newton_step(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
     """Move the bodies by -M^-1 D^T (D M^-1 D^T)^-1 Phi."""
+    del t
+    state = unpack(system.layout, y)
     steps = _least_correction(system, state, lambda constraints, motions: constraints.residual)
     position, quaternion = [], []
     for i, step in enumerate(steps.values()):
         position.append(state.position[i] - step[:3])
         turned = quaternion_product(quaternion_from_rotation_vector(-step[3:]), state.quaternion[i])
         quaternion.append(normalized(turned))
-    return state._replace(position=jnp.stack(position), quaternion=jnp.stack(quaternion))
+    return pack(state._replace(position=jnp.stack(position), quaternion=jnp.stack(quaternion)))
 
 
-def _with_consistent_velocities(system: System, state: State) -> State:
+def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
     """Remove the part of the velocities that violates the constraints."""
+    del t
+    state = unpack(system.layout, y)
 
     def violation(constraints, motions):
         velocities = {
@@ -149,8 +184,8 @@ def _with_consistent_velocities(system: System, state: State) -> State:
         return constraints.times(velocities)
 
     steps = jnp.stack(list(_least_correction(system, state, violation).values()))
-    return state._replace(
-        velocity=state.velocity - steps[:, :3], angular_velocity=state.angular_velocity - steps[:, 3:]
+    return pack(
+        state._replace(velocity=state.velocity - steps[:, :3], angular_velocity=state.angular_velocity - steps[:, 3:])
     )
 
 
@@ -160,6 +195,8 @@ def _least_correction(system: System, state: State, violation) -> dict[str, Floa
     masses = inverse_masses(system, motions)
     mobility = constraint_mobility(constraints, masses)
     size = mobility.shape[0]
+    if size == 0:
+        return {name: jnp.zeros(6) for name in masses}
     mobility = mobility + RELATIVE_REGULARIZATION * jnp.trace(mobility) / size * jnp.eye(size)
     multipliers = symmetric_solve(mobility, violation(constraints, motions))
     return {name: masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses}

@@ -25,36 +25,30 @@ def crossings(system: System, t: Scalar, y: Float[Array, " size"]) -> Crossing:
     return Crossing(jnp.stack([c.value for c in each]), jnp.stack([c.rate for c in each]))
 
 
-def memory_after_step(system: System, t: Scalar, y_pair: Float[Array, "2 size"]) -> Float[Array, " n_memory"]:
+def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> Float[Array, " n_memory"]:
     """The memory at the end of a step, updated where a contact began or ended within it.
 
     Args:
         system: the system.
         t: time at the end of the step [s].
-        y_pair: flat states at the start and at the end of the step, stacked.
+        packed: flat states at the start and at the end of the step, then one slope delta_ddot / delta_dot [1/s] for
+            each contact, one after the other.
 
     Returns:
-        In flight at the start and beyond the surface at the end: the memory of an onset with the normal velocity at
-        the end. In contact at the start and off the surface at the end: the memory of a release. Else unchanged.
+        In flight at the start and beyond the surface at the end: the memory of an onset with the normal velocity
+        delta_dot - slope delta. In contact at the start and off the surface at the end: the memory of a release. Else
+        unchanged.
+
+        With the true slope this is, to first order, the velocity at the instant when the surface was crossed. Its
+        value differs from delta_dot by less than the landing window allows, and the slope may be 0; its derivative
+        needs the slope, for the instant of the onset moves with the parameters.
     """
-    return _memory_after_step(system, t, y_pair, is_exact=False)
-
-
-def exact_memory_after_step(system: System, t: Scalar, y_pair: Float[Array, "2 size"]) -> Float[Array, " n_memory"]:
-    """`memory_after_step` with the onset rate at the instant when the surface is crossed, to first order.
-
-    delta_dot - delta_ddot delta / delta_dot at the end of the step: the value differs from delta_dot by less than the
-    landing window allows; the derivative differs by how the instant of onset moves with the parameters.
-    """
-    return _memory_after_step(system, t, y_pair, is_exact=True)
-
-
-def _memory_after_step(system: System, t, y_pair, is_exact: bool):
-    y_start, y_end = y_pair[0], y_pair[1]
+    size = system.layout.size
+    y_start, y_end, slopes = packed[:size], packed[size : 2 * size], packed[2 * size :]
     memory_start = unpack(system.layout, y_start).memory
     memory_end = unpack(system.layout, y_end).memory
     motions = relative_motions(system, y_end)
-    accelerations = _penetration_accelerations(system, t, y_end) if is_exact else None
+    slope_of = {name: slopes[i] for i, name in enumerate(motions)}
     parts = []
     for slot in system.memory_slots:
         now = memory_end[slot.entries]
@@ -62,16 +56,23 @@ def _memory_after_step(system: System, t, y_pair, is_exact: bool):
             model, motion = system.joints[slot.joint].model, motions[slot.joint]
             was_touching = memory_start[slot.start] > 0
             is_beyond = model.crossing(motion).value > 0
-            rate = motion.eccentricity_rate @ motion.eccentricity / _length(motion.eccentricity)
-            if accelerations is not None:
-                # A grazing onset has no first-order correction: its instant moves without bound.
-                is_grazing = jnp.abs(rate) < GRAZING_RATE
-                correction = accelerations[slot.joint] * model.penetration(motion) / jnp.where(is_grazing, 1.0, rate)
-                rate = jnp.where(is_grazing, rate, rate - correction)
+            rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
             now = jnp.where(~was_touching & is_beyond, model.memory_at_onset(rate), now)
             now = jnp.where(was_touching & ~is_beyond, model.memory_at_release(), now)
         parts.append(now)
     return jnp.concatenate(parts)
+
+
+def onset_slopes(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " n_contacts"]:
+    """delta_ddot / delta_dot [1/s] of each contact; 0 for a grazing one, whose instant moves without bound."""
+    rate = state_rate(system, t, y)
+
+    def penetration_rates(y):
+        return jnp.stack([penetration_rate(m) for m in relative_motions(system, y).values()])
+
+    rates, accelerations = jax.jvp(penetration_rates, (y,), (rate,))
+    is_grazing = jnp.abs(rates) < GRAZING_RATE
+    return jnp.where(is_grazing, 0.0, accelerations / jnp.where(is_grazing, 1.0, rates))
 
 
 GRAZING_RATE = 1e-9
@@ -82,15 +83,9 @@ def _length(e):
     return jnp.sqrt(jnp.maximum(e @ e, 1e-300))
 
 
-def _penetration_accelerations(system: System, t, y) -> dict[str, Scalar]:
-    """Second time derivative of each penetration [m/s^2]: the rate's derivative along the motion."""
-    rate = state_rate(system, t, y)
-
-    def penetration_rates(y):
-        motions = relative_motions(system, y)
-        return {name: m.eccentricity_rate @ m.eccentricity / _length(m.eccentricity) for name, m in motions.items()}
-
-    return jax.jvp(penetration_rates, (y,), (rate,))[1]
+def penetration_rate(motion: RelativeMotion) -> Scalar:
+    """Normal velocity delta_dot = e . e_dot / |e| [m/s]."""
+    return motion.eccentricity_rate @ motion.eccentricity / _length(motion.eccentricity)
 
 
 def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
@@ -101,7 +96,7 @@ def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n
         start = jnp.zeros(len(slot.names))
         if slot.joint in motions:
             model, motion = system.joints[slot.joint].model, motions[slot.joint]
-            rate = motion.eccentricity_rate @ motion.eccentricity / _length(motion.eccentricity)
+            rate = penetration_rate(motion)
             start = jnp.where(model.crossing(motion).value > 0, model.memory_at_onset(rate), start)
         parts.append(start)
     return jnp.concatenate(parts) if parts else jnp.zeros(0)

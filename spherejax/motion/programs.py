@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.foundations.checks import concretely
 from spherejax.foundations.scalar_rules import NotScalarizable
 from spherejax.foundations.scalarize import ScalarProgram, scalarize
 from spherejax.model.system import Structure, System
@@ -32,13 +33,13 @@ class Program:
         scalar: the scalar program, or None on the array path.
     """
 
-    def __init__(self, function: SystemFunction, structure: Structure, use_scalars: bool, n_states: int | None):
+    def __init__(self, function: SystemFunction, structure: Structure, use_scalars: bool, y_size: int | None):
         self.function = function
         self.structure = structure
         self.scalar: ScalarProgram | None = None
         if use_scalars:
             try:
-                self.scalar = _scalar_program(function, structure, n_states)
+                self.scalar = _scalar_program(function, structure, y_size)
             except NotScalarizable as reason:
                 warnings.warn(
                     f"{function.__name__} runs as array code, 10 to 30 times slower than a scalar program: {reason}. "
@@ -47,6 +48,22 @@ class Program:
                     ArrayPathWarning,
                     stacklevel=2,
                 )
+
+    def ahead(self, theta):
+        """What depends on the parameters alone, evaluated once; pass it to `inside`."""
+        return () if self.scalar is None else self.scalar.ahead(theta)
+
+    def inside(self, theta, ahead, t, y):
+        """As a call, inside a loop over which the parameters are constant."""
+        if self.scalar is None:
+            return self(theta, t, y)
+        return self.scalar.inside(ahead, theta, jnp.asarray(t, jnp.float64), y)
+
+    def compute(self, theta, t, y):
+        """Evaluate concrete numbers now, as NumPy, without compiling anything where there is a scalar program."""
+        if self.scalar is not None:
+            return self.scalar.compute(theta, t, y)
+        return concretely(lambda *numbers: self.function(self.structure.system(numbers[0]), *numbers[1:]), theta, t, y)
 
     def __call__(self, theta, t, y):
         """Evaluate at parameters theta, time t [s] and flat state y."""
@@ -57,7 +74,7 @@ class Program:
 
 @lru_cache(maxsize=256)
 def program_for(
-    function: SystemFunction, structure: Structure, use_scalars: bool = True, n_states: int | None = None
+    function: SystemFunction, structure: Structure, use_scalars: bool = True, y_size: int | None = None
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -65,12 +82,12 @@ def program_for(
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
         use_scalars: make a scalar program; False keeps the array code.
-        n_states: how many states the function takes, stacked; None for a single one.
+        y_size: length of the function's third argument; None for a flat state.
     """
-    return Program(function, structure, use_scalars, n_states)
+    return Program(function, structure, use_scalars, y_size)
 
 
-def _scalar_program(function: SystemFunction, structure: Structure, n_states: int | None) -> ScalarProgram:
+def _scalar_program(function: SystemFunction, structure: Structure, y_size: int | None) -> ScalarProgram:
     size = sum(int(np.prod(shape)) for shape in structure.shapes)
 
     def of_numbers(theta, t, y):
@@ -79,8 +96,8 @@ def _scalar_program(function: SystemFunction, structure: Structure, n_states: in
     of_numbers.__name__ = function.__name__
     number = jax.ShapeDtypeStruct((), jnp.float64)
     shapes = jax.ShapeDtypeStruct((size,), jnp.float64)
-    example = jax.eval_shape(structure.system, shapes)
-    leading = () if n_states is None else (n_states,)
-    state = jax.ShapeDtypeStruct((*leading, example.layout.size), jnp.float64)
+    if y_size is None:
+        y_size = jax.eval_shape(structure.system, shapes).layout.size
+    state = jax.ShapeDtypeStruct((y_size,), jnp.float64)
     fixed = {(0, index): value for index, value in structure.special}
     return scalarize(of_numbers, shapes, number, state, fixed=fixed)

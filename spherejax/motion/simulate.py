@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -16,7 +17,7 @@ from spherejax.foundations.types import Flag
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble, assemble_now
-from spherejax.motion.contacts import crossings, exact_memory_after_step, initial_memory, memory_after_step
+from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.programs import program_for
 from spherejax.motion.solvers.automatic import Choice, choose_solver
@@ -92,7 +93,7 @@ def simulate(
         # The loop that forward mode differentiates; a checkpointing loop when there is much to differentiate by.
         by_sensitivities = len(unknown) <= MANY_PARAMETERS
         adjoint = diffrax.ForwardMode() if by_sensitivities else diffrax.RecursiveCheckpointAdjoint()
-        integrate = _integrate_with_sensitivities if by_sensitivities else _integrate
+        integrate = _integrate_with_sensitivities if by_sensitivities and unknown else _integrate
     else:
         integrate = _integrate
     options = Options(choice.solver, stepsize_controller, adjoint, max_steps)
@@ -148,6 +149,18 @@ class Options(eqx.Module):
     max_steps: int = eqx.field(static=True)
 
 
+class Parameters(NamedTuple):
+    """What the right-hand side is given besides time and state (diffrax's `args`).
+
+    Attributes:
+        theta: all numbers of the system.
+        ahead: what follows from them alone, evaluated once before the integration.
+    """
+
+    theta: Float[Array, " p"]
+    ahead: tuple[Array, ...]
+
+
 class Outcome(eqx.Module):
     """What an integration returns.
 
@@ -179,9 +192,9 @@ def _integrate(
     """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
     theta = plan.theta(values, known)
     system = plan.structure.system(theta)
-    assembly = assemble(_as_ideal(system)) if start is None else start
+    assembly = assemble(*flatten_system(as_ideal(system))) if start is None else start
     is_closed = assembly.residual_after < CLOSING_TOLERANCE
-    y0 = _initial_state(system, assembly)
+    y0 = initial_state(system, assembly)
     may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
     # A lane that cannot run must not hold up the others: it gets an interval of length zero.
     t1 = jnp.where(may_run, ts[-1], ts[0])
@@ -189,13 +202,13 @@ def _integrate(
     contacts = contacts_of(plan.structure, plan.scalar) if system.contact_joints else None
     solver = options.solver if contacts is None else MemorySolver(options.solver, contacts)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: rate(args, t, y)),
+        diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
         solver,
         t0=ts[0],
         t1=t1,
         dt0=None,
         y0=y0,
-        args=theta,
+        args=Parameters(theta, rate.ahead(theta)),
         saveat=diffrax.SaveAt(
             subs=[diffrax.SubSaveAt(ts=jnp.minimum(ts, t1)), diffrax.SubSaveAt(t1=True)], solver_state=True
         ),
@@ -243,34 +256,42 @@ def _integrate_with_sensitivities(plan, options, values, known, ts, start, value
 @lru_cache(maxsize=64)
 def contacts_of(structure: Structure, scalar: bool) -> Contacts:
     """The contacts of a system as programs, for the integrator."""
+    example = jax.eval_shape(structure.system, jax.ShapeDtypeStruct((_n_numbers(structure),), jnp.float64))
+    layout, n_contacts = example.layout, len(example.contact_joints)
     crossing = program_for(crossings, structure, scalar)
-    update = program_for(memory_after_step, structure, scalar, 2)
-    exact_update = program_for(exact_memory_after_step, structure, scalar, 2)
-    layout_system = jax.eval_shape(structure.system, jax.ShapeDtypeStruct((_n_numbers(structure),), jnp.float64))
-    layout = layout_system.layout
+    slopes = program_for(onset_slopes, structure, scalar)
+    update = program_for(memory_after_step, structure, scalar, 2 * layout.size + n_contacts)
 
     @jax.custom_jvp
-    def memory(theta, t, y_pair):
-        return update(theta, t, y_pair)
+    def memory(theta, t, y_start, y_end):
+        return update(theta, t, jnp.concatenate([y_start, y_end, jnp.zeros(n_contacts)]))
 
     @memory.defjvp
     def memory_jvp(primals, tangents):
-        return memory(*primals), jax.jvp(exact_update, primals, tangents)[1]
+        slope = jax.lax.stop_gradient(slopes(primals[0], primals[1], primals[3]))
 
-    def updated(theta, t, y_start, y_end):
-        now = memory(theta, jnp.asarray(t, jnp.float64), jnp.stack([y_start, y_end]))
+        def with_slope(theta, t, y_start, y_end):
+            return update(theta, t, jnp.concatenate([y_start, y_end, slope]))
+
+        return memory(*primals), jax.jvp(with_slope, primals, tangents)[1]
+
+    def crossing_at(args, t, y):
+        return crossing(args.theta, t, y)
+
+    def updated(args, t, y_start, y_end):
+        now = memory(args.theta, jnp.asarray(t, jnp.float64), y_start, y_end)
         return jnp.concatenate([y_end[: layout.memory_start], now, y_end[layout.work_start :]])
 
-    slots = {slot.joint: slot for slot in layout_system.memory_slots}
-    entries = tuple(layout.memory_start + slots[name].start for name in layout_system.contact_joints)
-    return Contacts(crossing, updated, entries)
+    slots = {slot.joint: slot for slot in example.memory_slots}
+    entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
+    return Contacts(crossing_at, updated, entries)
 
 
 def _n_numbers(structure: Structure) -> int:
     return sum(int(np.prod(shape)) for shape in structure.shapes)
 
 
-def _as_ideal(system: System) -> System:
+def as_ideal(system: System) -> System:
     """The system for assembly: geometry and inertia without models and forces, so that one program serves all models."""
     joints = {
         name: eqx.tree_at(lambda j: j.model, joint, Ideal())
@@ -284,11 +305,12 @@ def _as_ideal(system: System) -> System:
 
 def _start_now(system: System) -> Assembly | None:
     """The consistent start, when the geometry is known now; None when it is traced."""
-    structure, theta = flatten_system(_as_ideal(system))
+    structure, theta = flatten_system(as_ideal(system))
     return assemble_now(structure, theta) if is_concrete(theta) else None
 
 
-def _initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
+def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
+    """The flat state at the start: the assembled motion, the contacts' memory, and no work."""
     layout = system.layout
     without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
     memory = initial_memory(system, without_memory)

@@ -1,7 +1,7 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,10 +13,14 @@ from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.assembly import Assembly
+from spherejax.motion.modes import modes
 from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
 from spherejax.motion.status import SimulationError, Status, diagnosis
 from spherejax.physics.state import State, unpack
+
+if TYPE_CHECKING:
+    import xarray
 
 _BLOCK = 256
 """Samples observed at once: enough for vector instructions, few enough to stay in the cache."""
@@ -171,6 +175,13 @@ class Trajectory(eqx.Module):
             raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
         return parts[name]
 
+    def mode(self, joint: str) -> np.ndarray:
+        """What the ball does at each sample, integers of `Mode` (flight, impact, contact); see `motion.modes`.
+
+        For a concrete run whose samples are finer than a contact lasts.
+        """
+        return modes(self.system, self.ts, self.ys, self.penetration(joint), joint)
+
     @property
     def kinetic_energy(self) -> Float[Array, " n"]:
         """Kinetic energy of all bodies [J]."""
@@ -221,6 +232,16 @@ class Trajectory(eqx.Module):
     def velocity_violation(self) -> Float[Array, " n"]:
         """Largest entry of |Phi_dot| [m/s or 1/s]."""
         return self.observation.velocity_violation
+
+    def to_xarray(self, *, every: int = 1) -> "xarray.Dataset":
+        """The run as a labelled `xarray.Dataset`, with units in the attributes; see `motion.dataset.to_dataset`.
+
+        Args:
+            every: keep every so many samples.
+        """
+        from spherejax.motion.dataset import to_dataset
+
+        return to_dataset(self, every=every)
 
     # Names -------------------------------------------------------------------------------------------------------
 

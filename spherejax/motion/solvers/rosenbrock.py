@@ -4,8 +4,7 @@ They are linearly implicit: a step costs one Jacobian, one factorization and s -
 field, and has no iteration that could fail to converge. The equations, letters and sources are in
 `rosenbrock_tableaus`.
 
-The order of the methods rests on the exact Jacobian. One that is merely close reduces the order (to 1 or 2),
-while the error estimate still controls the step.
+The order of the methods rests on the exact Jacobian: one that is merely close lowers it.
 """
 
 from collections.abc import Callable

@@ -15,12 +15,12 @@ The dense output at t + theta h is, with u_j = sum_i H_ji k_i and Horner's schem
     y(theta) = (1 - theta) y + theta (y_new + (1 - theta) (u_1 + theta u_2 + theta^2 u_3))
 
 The classical coefficients are, with Gamma = inv(I/gamma - C): alpha = A Gamma, the weights b Gamma, c_i =
-sum_j alpha_ij and d_i = sum_j Gamma_ij (Hairer & Wanner, equations IV.7.24 and IV.7.25).
+sum_j alpha_ij and d_i = sum_j Gamma_ij (Hairer & Wanner, section IV.7).
 
 Sources: G. Steinebach, "Order reduction of ROW methods for DAEs and method of lines applications", Preprint
 1741, TH Darmstadt, 1995 (Rodas4P). G. Steinebach, "Construction of Rosenbrock-Wanner method Rodas5P and
 numerical benchmarks within the Julia Differential Equations package", BIT Numerical Mathematics 63:27, 2023
-(Rodas5P). The decimals are those in which the authors publish the methods in OrdinaryDiffEq.jl. E. Hairer,
+(Rodas5P). The decimals are those of OrdinaryDiffEq.jl. E. Hairer,
 G. Wanner, "Solving Ordinary Differential Equations II", 2nd edition, Springer 1996, sections IV.7 and VI.4.
 """
 

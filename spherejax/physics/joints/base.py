@@ -46,6 +46,18 @@ class Crossing(NamedTuple):
     rate: Scalar
 
 
+class Effect(NamedTuple):
+    """One physical effect of a model, for tables of what it costs.
+
+    Attributes:
+        name: what it is.
+        model: the model with this effect and those listed before it, and without those listed after it.
+    """
+
+    name: str
+    model: "AbstractSphericalModel"
+
+
 class AbstractSphericalModel(eqx.Module):
     """How a spherical joint resists: one of ideal, dry, lubricated, bushing, or a user's own.
 
@@ -66,9 +78,9 @@ class AbstractSphericalModel(eqx.Module):
         return False
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """The physical effects that the model brings in (static), for `sj.effects`."""
-        return ()
+    def effects(self) -> tuple[Effect, ...]:
+        """The physical effects that the model brings in, one upon the other, for `sj.effects`."""
+        return () if self.is_ideal else (Effect(type(self).__name__, self),)
 
     @abc.abstractmethod
     def requirements(self) -> list[Requirement]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.rotation import rotation_vector
 from spherejax.foundations.types import Number
-from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Response
 from spherejax.physics.laws import AbstractElastomer, RadialElastomer
 
 
@@ -40,7 +40,7 @@ class Bushing(AbstractSphericalModel):
     def effects(self) -> tuple[str, ...]:
         """The elastomer."""
         kind = "translation and rotation" if self.law.resists_rotation else "translation"
-        return (f"elastomer, {kind} ({type(self.law).__name__})",)
+        return (Effect(f"elastomer, {kind} ({type(self.law).__name__})", self),)
 
     def requirements(self) -> list[Requirement]:
         """What the elastomer requires."""

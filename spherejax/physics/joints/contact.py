@@ -8,6 +8,7 @@ socket's surface, so that friction would do nothing.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,7 +16,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Vector3
-from spherejax.physics.joints.base import Crossing
+from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Effect
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material, generalized_stiffness
 
@@ -194,14 +195,28 @@ def contact_crossing(motion: RelativeMotion, clearance: Number) -> Crossing:
     return Crossing((e @ e / square - 1) / 2, e @ motion.eccentricity_rate / square)
 
 
-def contact_effects(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
-    """Names of the effects of a contact, for tables."""
-    names = [f"normal contact ({type(normal).__name__})"]
-    if has_memory(normal, friction):
-        names.append("onset memory")
-    if friction is not None:
-        names.append(f"friction ({type(friction).__name__})")
-    return tuple(names)
+def contact_effects(
+    model: AbstractSphericalModel, first: str, elastic: AbstractNormalLaw
+) -> tuple[Effect, ...]:
+    """The effects of a model with contact, one upon the other: elastic contact, its damping, friction.
+
+    Args:
+        model: the model; it has the fields `normal` and `friction`.
+        first: name of the effects that come with elastic contact.
+        elastic: the elastic law that stands for the normal law without its damping.
+    """
+    plain = eqx.tree_at(
+        lambda m: (m.normal, m.friction), model, (elastic, None), is_leaf=lambda leaf: leaf is None
+    )
+    effects = [Effect(first, plain)]
+    frictionless = eqx.tree_at(lambda m: m.friction, model, None, is_leaf=lambda leaf: leaf is None)
+    if type(model.normal) is not type(elastic):
+        memory = ", with onset memory" if model.normal.remembers_onset else ""
+        effects.append(Effect(f"contact damping ({type(model.normal).__name__}{memory})", frictionless))
+    if model.friction is not None:
+        bristles = ", with bristles" if model.friction.bristle_size else ""
+        effects.append(Effect(f"friction ({type(model.friction).__name__}{bristles})", model))
+    return tuple(effects)
 
 
 def contact_law_requirements(

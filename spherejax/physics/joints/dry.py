@@ -19,7 +19,7 @@ from spherejax.physics.joints.contact import (
     has_memory,
     stiffness_of,
 )
-from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, LankaraniNikravesh, Material
+from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Hertz, LankaraniNikravesh, Material
 
 
 def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Number:
@@ -86,9 +86,10 @@ class Dry(AbstractSphericalModel):
         return has_memory(self.normal, self.friction)
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Contact and, if any, friction."""
-        return contact_effects(self.normal, self.friction)
+    def effects(self):
+        """Elastic contact, then what the normal law adds to it, then friction."""
+        elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
+        return contact_effects(self, "normal contact, elastic (Hertz)", elastic)
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, materials and laws."""

@@ -25,6 +25,7 @@ from spherejax.physics.laws import (
     AbstractFrictionLaw,
     AbstractNormalLaw,
     Guembel,
+    Hertz,
     LankaraniNikravesh,
     Material,
     film_force,
@@ -109,9 +110,10 @@ class Lubricated(AbstractSphericalModel):
         return has_memory(self.normal, self.friction)
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Film, contact and, if any, friction."""
-        return (f"squeeze film ({type(self.boundary).__name__})", *contact_effects(self.normal, self.friction))
+    def effects(self):
+        """Elastic contact, then what the normal law adds to it, then friction."""
+        elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
+        return contact_effects(self, f"squeeze film ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic)
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, lubricant, materials and laws."""

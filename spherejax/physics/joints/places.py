@@ -113,13 +113,14 @@ class PlacedSpherical(AbstractPlacedJoint):
 
     def constraint_rows(self, motions):
         """Three equations for an ideal joint, none for the others."""
-        return self._coincidence(motions) if self.model.is_ideal else None
+        return self.coincidence(motions) if self.model.is_ideal else None
 
     def assembly_rows(self, motions):
         """The centers coincide at the start, unless the user placed the ball elsewhere."""
-        return self._coincidence(motions) if self.model.is_ideal or self.starts_concentric else None
+        return self.coincidence(motions) if self.model.is_ideal or self.starts_concentric else None
 
-    def _coincidence(self, motions):
+    def coincidence(self, motions: Motions) -> ConstraintRows:
+        """The equations of the ideal joint, whatever the model."""
         socket, ball = self.bodies
         return coincidence_rows(motions[socket], motions[ball], self.socket_place, self.ball_place)
 

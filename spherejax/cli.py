@@ -1,0 +1,88 @@
+"""The command line: `spherejax run | compare | effects | list`."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from spherejax import runtime
+
+BAD_REQUEST, FAILED_RUN, INTERRUPTED = 2, 3, 130
+"""Exit codes besides 0."""
+
+DESCRIPTION = """Multibody simulation with ideal, dry, lubricated and bushing spherical joints.
+
+Each command has its own help, e.g. `spherejax run --help`. Exit code 0: done; 2: the request makes no sense; 3: a run
+did not reach its end; 130: interrupted.
+"""
+
+EPILOG = """examples:
+  spherejax list
+  spherejax run four-bar --joint friction --t1 0.2 --out run.nc
+  spherejax compare four-bar --quick --out results/
+
+Compiled programs are kept in $XDG_CACHE_HOME/spherejax/jax (~/.cache without XDG_CACHE_HOME), so that a command starts
+faster the second time; SPHEREJAX_CACHE=0 switches that off.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: arguments; those of the process when None.
+
+    Returns:
+        The exit code: 0 done, 2 for a request that makes no sense, 3 for a failed run, 130 when interrupted.
+    """
+    import spherejax as sj
+
+    try:
+        options = _parser().parse_args(argv)
+    except SystemExit as stop:  # argparse has printed the help or the error
+        return stop.code if isinstance(stop.code, int) else BAD_REQUEST
+    _use_cache()
+    try:
+        return options.action(options)
+    except (sj.SceneError, sj.runtime.PrecisionError) as error:
+        print(f"spherejax: {_one_line(error)}", file=sys.stderr)
+        return BAD_REQUEST
+    except sj.SimulationError as error:
+        print(f"spherejax: the run failed: {_one_line(error)}", file=sys.stderr)
+        return FAILED_RUN
+    except KeyboardInterrupt:
+        print("spherejax: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    from spherejax.command_line.catalog import add_list
+    from spherejax.command_line.compare import add_compare
+    from spherejax.command_line.effects import add_effects
+    from spherejax.command_line.run import add_run
+
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for add in (add_run, add_compare, add_effects, add_list):
+        add(commands)
+    return parser
+
+
+def _use_cache() -> None:
+    """Keep compiled programs between processes, unless told otherwise or already done."""
+    import jax
+
+    if os.environ.get("SPHEREJAX_CACHE", "1") == "0" or jax.config.read("jax_compilation_cache_dir"):
+        return
+    folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    runtime.configure(cache=Path(folder) / "spherejax" / "jax")
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

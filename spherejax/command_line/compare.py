@@ -1,0 +1,120 @@
+"""`spherejax compare`: the joint models against each other, as a table, files and figures."""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+
+import spherejax as sj
+from spherejax.command_line.catalog import SCENES
+from spherejax.command_line.printing import print_table, progress
+from spherejax.studies.compare import Comparison, Row, compare
+
+SAVED_SAMPLES = 2000
+"""Samples of the netCDF files, about; the study itself uses a hundred times more."""
+
+EPILOG = """examples:
+  spherejax compare four-bar --out results/
+  spherejax compare four-bar --quick --out results/
+"""
+
+HEADS = (
+    "model", "energy lost [mJ]", "peak acceleration [m/s^2]", "max |e| / 0.10 mm", "onsets", "steps",
+    "warm run [s]", "time ratio", "repeatable until [s]",
+)  # fmt: skip
+
+
+def add_compare(commands) -> None:
+    """The command `compare`."""
+    parser = commands.add_parser(
+        "compare",
+        help="compare all joint models on a mechanism: table, figures, files",
+        description="Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction, "
+        "lubricated, bushing), vary their parameters, and print a table: energy lost, peak acceleration, largest "
+        "eccentricity, steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each "
+        "model, and figures that follow the numbering of the paper (figNN_*.png). About three minutes on two cores; "
+        "later runs are faster, because compiled programs are kept.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", choices=[name for name in SCENES if name == "four-bar"], help="the mechanism")
+    parser.add_argument("--quick", action="store_true", help="0.2 s of motion instead of 2 s, one parameter study")
+    parser.add_argument("--out", default="results", metavar="FOLDER", help="folder for all files (default: results)")
+    parser.add_argument("--overwrite", action="store_true", help="replace the files of an earlier comparison")
+    parser.set_defaults(action=compare_models)
+
+
+def compare_models(options: argparse.Namespace) -> int:
+    """Simulate, print the table, write everything."""
+    from spherejax.output.io import make_folder, require_free
+
+    folder = Path(options.out).expanduser()
+    require_free(folder / "table.csv", overwrite=options.overwrite)
+    make_folder(folder)
+    start = time.perf_counter()
+    with progress("comparing") as report:
+        comparison = compare(SCENES[options.scene], quick=options.quick, report=lambda what, share: report(what, 0.9 * share))
+        names = _write(comparison, folder, report)
+    print_comparison(comparison)
+    seconds = time.perf_counter() - start
+    print(f"wrote table.csv, {len(comparison.runs)} netCDF files and {len(names)} figures to {folder} in {seconds:.0f} s")
+    return 0
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """The table of the models, and one for each parameter study."""
+    title = f"Joint models, {comparison.t_end:g} s of motion"
+    print_table(title, HEADS, [_cells(row) for row in comparison.rows], numeric=True)
+    for result in comparison.studies:
+        rows = [(label, f"{1e3 * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
+        title = f"{result.study.name}: {result.study.title}".replace("\n", " ")
+        print_table(title, ("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), rows, numeric=True)
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    return (
+        row.label,
+        f"{1e3 * row.lost_energy:.4g}",
+        f"{row.peak_acceleration:.4g}",
+        f"{row.eccentricity_ratio:.4g}",
+        "-" if row.n_onsets is None else str(row.n_onsets),
+        f"{row.n_steps:,}",
+        f"{row.seconds:.3g}",
+        f"{row.time_ratio:.3g}",
+        "the end" if row.horizon is None else f"{row.horizon:.3g}",
+    )
+
+
+def _write(comparison: Comparison, folder: Path, report) -> list[str]:
+    """Table, netCDF files and figures; returns the figures' names."""
+    from spherejax.command_line.figures import figures_of
+    from spherejax.motion.dataset import to_dataset
+    from spherejax.output.io import save
+
+    _write_table(comparison.rows, folder / "table.csv")
+    for name, run in comparison.runs.items():
+        dataset = to_dataset(run, every=max(1, len(run.ts) // SAVED_SAMPLES))
+        save(dataset, folder / f"{name}.nc", overwrite=True)
+    figures = figures_of(comparison)
+    for done, (name, draw) in enumerate(figures.items(), start=1):
+        path = folder / f"{name}.png"
+        try:
+            draw().savefig(path)
+        except OSError as error:
+            raise sj.SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+        report(f"drawn: {path.name}", 0.9 + 0.1 * done / len(figures))
+    return list(figures)
+
+
+def _write_table(rows: list[Row], path: Path) -> None:
+    heads = {
+        "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",
+        "eccentricity_ratio": "eccentricity_ratio [-]", "n_onsets": "n_onsets", "n_steps": "n_steps",
+        "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "horizon": "repeatable_until [s]", "method": "method",
+    }  # fmt: skip
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(heads.values())
+        for row in rows:
+            values = [getattr(row, name) for name in heads]
+            writer.writerow(["" if value is None else value for value in values])

@@ -1,0 +1,103 @@
+"""From the options of a command to a joint model."""
+
+import argparse
+import dataclasses
+
+import spherejax as sj
+from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS
+
+CONTACT = ("dry", "friction", "lubricated")
+
+
+def add_joint_options(parser: argparse.ArgumentParser) -> None:
+    """Options that describe the studied joint."""
+    parser.add_argument("--joint", choices=JOINTS, default="ideal", help="model of the studied joint (default: ideal)")
+    gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
+    gap.add_argument("--clearance", type=float, metavar="M", help="radial clearance [m] (default: 1e-4)")
+    gap.add_argument("--socket-radius", type=float, metavar="M", help="inner radius of the socket [m] (default: 0.010)")
+    gap.add_argument("--youngs-modulus", type=float, metavar="PA", help="of ball and socket [Pa] (default: 207e9)")
+    gap.add_argument("--normal", choices=NORMAL_LAWS, help="normal contact law (default: lankarani-nikravesh)")
+    gap.add_argument("--restitution", type=float, metavar="CR", help="coefficient of restitution (default: 0.9)")
+    gap.add_argument("--friction", choices=[*FRICTION_LAWS, "none"], help="friction law (default: none; threlfall with --joint friction)")
+    gap.add_argument("--mu", type=float, help="kinetic friction coefficient (default: 0.1)")
+    gap.add_argument("--mu-static", type=float, help="static friction coefficient, where the law has one (default: 0.15)")
+    film = parser.add_argument_group("film (lubricated)")
+    film.add_argument("--viscosity", type=float, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
+    film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
+    bushing = parser.add_argument_group("bushing")
+    bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6)")
+    bushing.add_argument("--damping", type=float, metavar="B", help="stiffness-proportional damping [s] (default: 1e-2)")
+    bushing.add_argument("--elastomer", choices=ELASTOMERS, help="damping of the radial rate alone, or of all (default: radial)")
+
+
+def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
+    """The joint model that the options ask for.
+
+    Raises:
+        SceneError: for an option that the model does not use: ignoring it would answer another question.
+    """
+    _refuse_unused(options)
+    if options.joint == "ideal":
+        return sj.Ideal()
+    if options.joint == "bushing":
+        law = ELASTOMERS[options.elastomer or "radial"]
+        return sj.Bushing(law=law(_or(options.stiffness, 1e6), _or(options.damping, 1e-2)))
+    material = sj.Material() if options.youngs_modulus is None else sj.Material(youngs_modulus=options.youngs_modulus)
+    contact = {
+        "socket_radius": _or(options.socket_radius, 0.010),
+        "normal": _normal_from(options),
+        "friction": _friction_from(options),
+        "socket_material": material,
+        "ball_material": material,
+    }
+    clearance = _or(options.clearance, 1e-4)
+    if options.joint == "lubricated":
+        boundary = BOUNDARIES[options.boundary or "guembel"]()
+        return sj.Lubricated(clearance, viscosity=_or(options.viscosity, 0.4), boundary=boundary, **contact)
+    return sj.Dry(clearance, **contact)
+
+
+_USED_BY = {
+    **dict.fromkeys(
+        ("clearance", "socket_radius", "youngs_modulus", "normal", "restitution", "friction", "mu", "mu_static"), CONTACT
+    ),
+    **dict.fromkeys(("viscosity", "boundary"), ("lubricated",)),
+    **dict.fromkeys(("stiffness", "damping", "elastomer"), ("bushing",)),
+}
+
+
+def _refuse_unused(options: argparse.Namespace) -> None:
+    for name, joints in _USED_BY.items():
+        if getattr(options, name) is not None and options.joint not in joints:
+            flag = "--" + name.replace("_", "-")
+            raise sj.SceneError(f"{flag} means nothing with --joint {options.joint}; it belongs to {', '.join(joints)}")
+
+
+def _normal_from(options: argparse.Namespace) -> sj.AbstractNormalLaw:
+    law = NORMAL_LAWS[options.normal or "lankarani-nikravesh"]
+    if law is sj.Hertz:
+        if options.restitution is not None:
+            raise sj.SceneError("--restitution means nothing with --normal hertz, which dissipates nothing")
+        return law()
+    return law(restitution=_or(options.restitution, 0.9))
+
+
+def _friction_from(options: argparse.Namespace) -> sj.AbstractFrictionLaw | None:
+    name = options.friction or ("threlfall" if options.joint == "friction" else "none")
+    if name == "none":
+        if options.joint == "friction":
+            raise sj.SceneError("--joint friction with --friction none is --joint dry; say that")
+        if options.mu is not None or options.mu_static is not None:
+            raise sj.SceneError("--mu means nothing without friction; add --friction threlfall or take --joint friction")
+        return None
+    law = FRICTION_LAWS[name]
+    fields = {field.name for field in dataclasses.fields(law)}
+    given = {"mu" if "mu" in fields else "mu_kinetic": options.mu, "mu_static": options.mu_static}
+    given = {key: value for key, value in given.items() if value is not None}
+    if "mu_static" in given and "mu_static" not in fields:
+        raise sj.SceneError(f"--mu-static means nothing with --friction {name}, which has no static friction")
+    return law(**given)
+
+
+def _or(value, default):
+    return default if value is None else value

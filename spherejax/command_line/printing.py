@@ -1,0 +1,45 @@
+"""Tables and progress on the terminal; plain lines where there is none."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+Report = Callable[[str, float], None]
+
+WIDTH_WITHOUT_TERMINAL = 150
+"""Columns of a table that is written to a file or a pipe, where none must be cut."""
+
+
+def console(*, errors: bool = False) -> Console:
+    """The terminal, as wide as it is."""
+    stream = sys.stderr if errors else sys.stdout
+    width = None if stream.isatty() else WIDTH_WITHOUT_TERMINAL
+    return Console(file=stream, width=width, highlight=False)
+
+
+def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: bool = False) -> None:
+    """A titled table; with `numeric`, all columns but the first are aligned to the right."""
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for position, head in enumerate(heads):
+        table.add_column(head, justify="right" if numeric and position else "left", overflow="fold")
+    for row in rows:
+        # Text from docstrings may hold brackets, which are no markup here.
+        table.add_row(*(cell.replace("[", "\\[") for cell in row))
+    console().print(table)
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Report]:
+    """A function that reports what has been done and the share of the work: a bar, or plain lines without a terminal."""
+    out = console(errors=True)
+    if not out.is_terminal:
+        yield lambda what, share: print(f"[{100 * share:3.0f} %] {what}", file=sys.stderr, flush=True)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=out, transient=True) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda what, share: bar.update(task, completed=share, description=what)

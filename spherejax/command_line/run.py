@@ -1,0 +1,108 @@
+"""`spherejax run`: one scene, one joint model, one file."""
+
+import argparse
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import spherejax as sj
+from spherejax.command_line.catalog import SCENES, SOLVERS
+from spherejax.command_line.models import add_joint_options, model_from
+from spherejax.command_line.printing import print_table
+
+EPILOG = """examples:
+  spherejax run four-bar --joint friction --out run.nc
+  spherejax run four-bar --joint dry --clearance 1e-4 --normal lankarani-nikravesh --friction threlfall \\
+      --t1 0.2 --rtol 1e-9 --out run.nc
+  spherejax run four-bar --joint bushing --stiffness 1e5 --dt 1e-3 --out run.csv
+"""
+
+
+def add_run(commands) -> None:
+    """The command `run`."""
+    parser = commands.add_parser(
+        "run",
+        help="simulate one scene and write its motion to a file",
+        description="Simulate a mechanism from rest with one joint model, print how the run went, and write the sampled "
+        "motion: positions, velocities, accelerations, reactions, eccentricities and energies. Options that are not "
+        "given take the defaults named below; all numbers are in SI units.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", choices=SCENES, help="the mechanism")
+    add_joint_options(parser)
+    times = parser.add_argument_group("times and accuracy")
+    times.add_argument("--t1", type=float, default=2.0, metavar="S", help="length of the motion [s] (default: 2)")
+    sampling = times.add_mutually_exclusive_group()
+    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001)")
+    sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
+    times.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
+    times.add_argument("--atol", type=float, default=1e-10, help="absolute tolerance of a step (default: 1e-10)")
+    times.add_argument("--max-steps", type=int, default=20_000_000, metavar="N", help="give up beyond (default: 20000000)")
+    times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    files = parser.add_argument_group("files")
+    files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
+    files.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.set_defaults(action=run_scene)
+
+
+def run_scene(options: argparse.Namespace) -> int:
+    """Simulate, print a summary, write the file."""
+    from spherejax.output.io import save, writable
+
+    scene = SCENES[options.scene](model_from(options))
+    ts = sample_times(options)
+    if options.out is not None:
+        writable(options.out, overwrite=options.overwrite)
+    solver = SOLVERS[options.solver][0]() if options.solver else None
+    start = time.perf_counter()
+    run = sj.simulate(
+        scene, ts, rtol=options.rtol, atol=options.atol, max_steps=options.max_steps, solver=solver, throw=True
+    )
+    jax.block_until_ready(run.ys)
+    seconds = time.perf_counter() - start
+    print_table(f"{options.scene}, {options.joint} joint, {options.t1:g} s", ("quantity", "value"), _summary(run, seconds))
+    if options.out is not None:
+        print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
+    return 0
+
+
+def sample_times(options: argparse.Namespace):
+    """Sample times from `--t1` and `--samples` or `--dt`.
+
+    Raises:
+        SceneError: for an interval or a number of samples that cannot be.
+    """
+    if not (np.isfinite(options.t1) and options.t1 > 0):
+        raise sj.SceneError(f"--t1 = {options.t1:g} must be a positive time [s]")
+    if options.dt is not None:
+        if not 0 < options.dt <= options.t1:
+            raise sj.SceneError(f"--dt = {options.dt:g} must be positive and not above --t1 = {options.t1:g} [s]")
+        n_samples = round(options.t1 / options.dt) + 1
+    else:
+        n_samples = 2001 if options.samples is None else options.samples
+    if n_samples < 2:
+        raise sj.SceneError(f"--samples = {n_samples} must be at least 2: the start and the end")
+    return jnp.linspace(0.0, options.t1, n_samples)
+
+
+def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
+    energy = np.asarray(run.mechanical_energy)
+    peaks = {body: float(np.max(np.linalg.norm(np.asarray(run.acceleration(body)), axis=1))) for body in run.system.bodies}
+    body = max(peaks, key=lambda name: peaks[name])
+    rows = [
+        ("method", run.choice),
+        ("steps", f"{int(run.stats.n_steps):,} ({int(run.stats.n_rejected):,} rejected)"),
+        ("time of the first run, with compilation [s]", f"{seconds:.2f}"),
+        ("mechanical energy lost at the end [mJ]", f"{1e3 * (energy[0] - energy[-1]):.6g}"),
+        ("largest acceleration at the samples [m/s^2]", f"{peaks[body]:.4g} ({body})"),
+        ("largest constraint violation", f"{float(np.max(np.asarray(run.constraint_violation))):.2e}"),
+    ]
+    for name in run.system.force_joints:
+        distance = np.linalg.norm(np.asarray(run.eccentricity(name)), axis=1)
+        rows.append((f"largest eccentricity of {name} [mm]", f"{1e3 * distance.max():.6g}"))
+    for name, onsets in zip(run.system.contact_joints, np.asarray(run.stats.n_onsets), strict=True):
+        rows.append((f"contact onsets of {name}", f"{int(onsets)}"))
+    return rows

@@ -1,0 +1,163 @@
+"""What the force laws look like by themselves (Figs 6, 7 and 8)."""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, letter, new_figure, note
+from spherejax.physics.joints import Lubricated
+from spherejax.physics.joints.contact import stiffness_of
+from spherejax.physics.laws import (
+    AbstractFrictionLaw,
+    AbstractNormalLaw,
+    film_force,
+    hybrid_weight,
+    maximum_penetration,
+    realized_restitution,
+)
+
+_IMPACT_STEPS = 4000
+"""Runge-Kutta steps over one impact; its error is then far below a line's width."""
+
+
+def impact_loops(
+    families: Mapping[float, Sequence[AbstractNormalLaw]], *, mass: float = 0.03, rate: float = 0.1, stiffness: float
+) -> Figure:
+    """Force against penetration during one free impact, a panel for each prescribed restitution (Fig. 6).
+
+    Args:
+        families: the laws to draw, by the restitution that was prescribed to them.
+        mass: effective mass [kg].
+        rate: penetration rate at the onset [m/s].
+        stiffness: K [N/m^1.5].
+    """
+    title = f"Free impact: {mass * 1e3:g} g (effective) at {rate:g} m/s, K = {stiffness:.4g} N/m$^{{1.5}}$"
+    figure, axes = new_figure(1, len(families), 4.6 * len(families), 4.2, title)
+    for ax, (restitution, laws) in zip(axes.flat, families.items(), strict=True):
+        for law, color, dashes in zip(laws, LAW_COLORS, LAW_DASHES, strict=False):
+            penetration, force = _free_impact(law, mass, rate, stiffness)
+            realized = realized_restitution(float(law.hysteresis_factor()))
+            label = f"{_spaced(law)} (realizes {realized:.3f})"
+            ax.plot(1e6 * penetration, force, color=color, ls=dashes, lw=1.4, label=label)
+        ax.set_xlabel("penetration [µm]")
+        ax.set_ylabel("contact force [N]")
+        ax.set_xlim(left=0)
+        ax.set_ylim(bottom=0)
+        ax.set_title(f"prescribed restitution {restitution:g}", loc="left", fontsize=9)
+        ax.legend(fontsize=7, loc="upper left")
+    letter(list(axes.flat))
+    return figure
+
+
+def _free_impact(law: AbstractNormalLaw, mass: float, rate: float, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Penetration [m] and force [N] from onset to separation."""
+    deepest = float(maximum_penetration(mass, rate, law.hysteresis_factor(), stiffness))
+    # Compression takes 1.47 deepest / rate without damping; restitution takes longer by the lost speed.
+    restitution = realized_restitution(float(law.hysteresis_factor()))
+    step = 2.0 * (1.0 + 1.0 / restitution) * deepest / rate / _IMPACT_STEPS
+
+    def slope(y):
+        return jnp.array([y[1], -law.force(y[0], y[1], rate, stiffness) / mass])
+
+    def advance(y, _):
+        k1 = slope(y)
+        k2 = slope(y + step / 2 * k1)
+        k3 = slope(y + step / 2 * k2)
+        k4 = slope(y + step * k3)
+        return y + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4), y
+
+    _, path = jax.lax.scan(advance, jnp.array([0.0, rate]), length=_IMPACT_STEPS)
+    path = np.asarray(path)
+    touching = (path[:, 0] >= 0) & (np.cumsum(path[:, 0] < 0) == 0)
+    force = jax.vmap(lambda y: law.force(y[0], y[1], rate, stiffness))(jnp.asarray(path[touching]))
+    return np.append(path[touching, 0], 0.0), np.append(np.asarray(force), 0.0)
+
+
+def friction_curves(laws: Sequence[AbstractFrictionLaw], *, fastest: float = 4e-3, close_up: float = 4e-4) -> Figure:
+    """Friction coefficient against sliding velocity, and its close-up near zero (Fig. 7).
+
+    Args:
+        laws: the laws to draw; one that cannot be simulated (Coulomb's) is drawn as the reference, grey and wide.
+        fastest: largest sliding velocity of the left panel [m/s].
+        close_up: largest sliding velocity of the right panel [m/s].
+    """
+    figure, axes = new_figure(1, 2, 9.2, 4.2, "Friction laws in steady sliding, parameters of Table 3")
+    for ax, limit, name in zip(axes.flat, (fastest, close_up), ("all velocities", "near zero sliding"), strict=True):
+        _draw_friction(ax, laws, limit)
+        ax.set_title(name, loc="left", fontsize=9)
+    axes[0, 0].legend(fontsize=7.5, loc="lower right")
+    letter(list(axes.flat))
+    return figure
+
+
+def _draw_friction(ax: Axes, laws: Sequence[AbstractFrictionLaw], limit: float) -> None:
+    velocities = np.linspace(-limit, limit, 4001)
+    styles = iter(zip(LAW_COLORS, LAW_DASHES, strict=True))
+    for law in laws:
+        coefficients = np.asarray(jax.vmap(law.coefficient)(jnp.abs(velocities))) * np.sign(velocities)
+        if law.simulable:
+            color, dashes = next(styles)
+            ax.plot(1e3 * velocities, coefficients, color=color, ls=dashes, lw=1.4, label=_spaced(law))
+        else:
+            ax.plot(1e3 * velocities, coefficients, color="0.75", lw=4, label=f"{_spaced(law)} (reference)")
+    ax.set_xlabel("sliding velocity [mm/s]")
+    ax.set_ylabel("friction force / normal force [-]")
+    ax.set_xlim(-1e3 * limit, 1e3 * limit)
+
+
+def hybrid_force(joint: Lubricated, *, rate: float = 1e-4) -> Figure:
+    """Film, contact and blended force of a lubricated joint across e = c (Fig. 8).
+
+    Args:
+        joint: the joint model.
+        rate: approach speed [m/s].
+    """
+    c, c_mm = float(joint.clearance), 1e3 * float(joint.clearance)
+    title = f"Lubricated joint: c = {c_mm:g} mm, {float(joint.viscosity):g} Pa s, approach at {1e3 * rate:g} mm/s"
+    figure, axes = new_figure(1, 2, 9.2, 4.2, title)
+    intervals = ((0.0, 1.06 * c), (c - 3e-6, c + 4e-6))
+    for ax, (low, high), name in zip(axes.flat, intervals, ("whole clearance", "around e = c"), strict=True):
+        _draw_hybrid(ax, joint, np.linspace(low, high, 2001), rate)
+        ax.set_xlim(1e3 * low, 1e3 * high)
+        ax.set_xlabel("eccentricity [mm]")
+        ax.set_ylabel("resisting force [N]")
+        ax.set_title(name, loc="left", fontsize=9)
+    axes[0, 0].set_yscale("log")
+    axes[0, 0].set_ylim(1.0, None)
+    axes[0, 1].set_ylim(0.0, None)
+    axes[0, 0].legend(fontsize=7.5, loc="upper left")
+    note(axes[0, 1], "dotted lines: e = c and e = c + e_h0", place=(0.99, 0.98))
+    letter(list(axes.flat))
+    return figure
+
+
+def _draw_hybrid(ax: Axes, joint: Lubricated, eccentricities: np.ndarray, rate: float) -> None:
+    stiffness = stiffness_of(joint.normal, joint.surfaces)
+
+    def forces(e):
+        direction = jnp.array([1.0, 0.0, 0.0])
+        film = -film_force(
+            e * direction, rate * direction, joint.clearance, joint.socket_radius, joint.viscosity, joint.boundary,
+            joint.e_h1,
+        )[0]
+        contact = joint.normal.force(e - joint.clearance, rate, rate, stiffness)
+        weight = hybrid_weight(e, joint.clearance, joint.e_h0)
+        return film, contact, (1 - weight) * film + weight * contact
+
+    film, contact, blend = (np.asarray(values) for values in jax.vmap(forces)(jnp.asarray(eccentricities)))
+    x = 1e3 * eccentricities
+    ax.plot(x, blend, color="0.7", lw=5, label="blend: the joint's force")
+    ax.plot(x, film, color=LAW_COLORS[2], lw=1.4, label="squeeze film alone")
+    ax.plot(x, np.where(contact > 0, contact, np.nan), color=LAW_COLORS[1], lw=1.4, dashes=(5, 2), label="dry contact alone")
+    for place in (joint.clearance, joint.clearance + joint.e_h0):
+        ax.axvline(1e3 * float(place), color="0.3", lw=0.8, ls=":")
+
+
+def _spaced(law) -> str:
+    """`"Hunt Crossley"` from the class name of a law."""
+    name = type(law).__name__
+    return "".join(f" {c}" if c.isupper() and i and name[i - 1].islower() else c for i, c in enumerate(name))

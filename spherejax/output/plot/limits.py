@@ -1,0 +1,61 @@
+"""How every model tends to the ideal joint: a small gap, a stiff bushing, a viscous film."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from spherejax.output.plot.style import LAW_COLORS, letter, new_figure, note
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The deviation from the ideal motion against one parameter.
+
+    Attributes:
+        label: the joint model, with the parameters that stay.
+        parameter: name and unit of the parameter, for the axis.
+        values: its values.
+        deviations: largest deviation of the body's vertical position from the ideal motion [m].
+        order: expected power of the parameter, for a line to compare with; None without an expectation.
+    """
+
+    label: str
+    parameter: str
+    values: Sequence[float]
+    deviations: Sequence[float]
+    order: int | None = None
+
+
+def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
+    """A panel for each parameter, with logarithmic axes; limits of the same parameter share a panel.
+
+    Args:
+        limits: what to draw.
+        title: what is shown, with the length of the motion.
+    """
+    parameters = list(dict.fromkeys(limit.parameter for limit in limits))
+    figure, axes = new_figure(1, len(parameters), 3.3 * len(parameters) + 0.3, 3.8, title)
+    for ax, parameter in zip(axes.flat, parameters, strict=True):
+        for limit, color in zip((one for one in limits if one.parameter == parameter), LAW_COLORS, strict=False):
+            ax.plot(limit.values, 1e3 * np.asarray(limit.deviations), "o-", color=color, ms=4, lw=1.2, label=limit.label)
+            if limit.order is not None:
+                _draw_slope(ax, limit)
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.set_xlabel(parameter)
+        ax.set_title(parameter.split(" [")[0], loc="left", fontsize=9)
+        ax.legend(fontsize=7, loc="best", framealpha=0.9)
+    axes[0, 0].set_ylabel("largest deviation of rocker z from ideal [mm]")
+    letter(list(axes.flat))
+    return figure
+
+
+def _draw_slope(ax: Axes, limit: Limit) -> None:
+    values = np.asarray(limit.values, float)
+    middle = len(values) // 2
+    line = 1e3 * limit.deviations[middle] * (values / values[middle]) ** limit.order
+    ax.plot(values, line, ":", color="0.4", lw=1.0)
+    note(ax, f"dotted: power {limit.order:+d}")

@@ -1,0 +1,57 @@
+"""Phase portraits of the rocker's vertical motion (Fig. 19)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from spherejax.output.plot.curves import Curves
+from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, limit_by_bulk, new_figure
+
+
+def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20) -> Figure:
+    """Position against velocity, and velocity against acceleration; a row for each joint model.
+
+    Args:
+        models: by model name (`"ideal"`, `"dry"`, ...), drawn from top to bottom on common axes.
+        title: what is shown, with the values of the parameters.
+        every: samples to skip; a portrait has no time axis along which to keep the peaks.
+
+    The ideal motion lies behind every portrait in grey, so that each one can be judged by itself.
+    """
+    figure, axes = new_figure(len(models), 2, 8.2, 2.2 * len(models) + 0.5, title)
+    ideal = models.get("ideal")
+    for (left, right), (name, one) in zip(axes, models.items(), strict=True):
+        color = MODEL_COLORS.get(name, "#000000")
+        for curves, style in ((ideal, {"color": "0.65", "lw": 2.0}), (one, {"color": color, "lw": 0.7})):
+            if curves is None or (curves is one and curves is ideal and style["lw"] > 1):
+                continue
+            left.plot(1e3 * curves.position[::every], curves.velocity[::every], **style)
+            right.plot(curves.velocity[::every], curves.acceleration[::every], **style)
+        left.set_ylabel(LABELS["z_rate"])
+        right.set_ylabel(LABELS["z_acceleration"])
+        left.set_title(one.label, loc="left", fontsize=9)
+        right.set_title(one.label, loc="left", fontsize=9)
+    axes[-1, 0].set_xlabel(LABELS["z"])
+    axes[-1, 1].set_xlabel(LABELS["z_rate"])
+    _share_limits(axes, models)
+    letter(list(axes.flat))
+    return figure
+
+
+def _share_limits(axes: np.ndarray, models: Mapping[str, Curves]) -> None:
+    """The same horizontal limits in a column; vertical ones of the velocity too, accelerations each by their bulk."""
+    positions = [1e3 * one.position for one in models.values()]
+    velocities = [one.velocity for one in models.values()]
+    for left, right in axes:
+        _set_range(left.set_xlim, positions)
+        _set_range(left.set_ylim, velocities)
+        _set_range(right.set_xlim, velocities)
+    for (_, right), one in zip(axes, models.values(), strict=True):
+        limit_by_bulk(right, [one.acceleration], keep=98.0)
+
+
+def _set_range(setter, values: list[np.ndarray]) -> None:
+    low, high = min(np.nanmin(v) for v in values), max(np.nanmax(v) for v in values)
+    room = 0.05 * max(high - low, 1e-12)
+    setter(low - room, high + room)

@@ -1,0 +1,118 @@
+"""One look for all figures: colors, lines, labels with units, and axes that a spike does not flatten."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+RESOLUTION = 150
+"""Dots per inch of the figures."""
+
+MODEL_COLORS = {
+    "ideal": "#000000",
+    "dry": "#D55E00",
+    "friction": "#0072B2",
+    "lubricated": "#009E73",
+    "bushing": "#CC79A7",
+}
+"""A color for each joint model, from the palette of Okabe and Ito (2008), which survives color blindness."""
+
+LAW_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Colors of things without an order, such as laws; of the same palette."""
+
+LAW_DASHES = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 2, 4, 2)))
+"""Dashes that tell laws apart where their curves coincide or the print has no color."""
+
+LABELS = {
+    "t": "time [s]",
+    "z": "rocker z [mm]",
+    "z_rate": "rocker z velocity [m/s]",
+    "z_acceleration": "rocker z acceleration [m/s$^2$]",
+    "energy": "energy change [mJ]",
+}
+
+
+def new_figure(n_rows: int, n_columns: int, width: float, height: float, title: str) -> tuple[Figure, np.ndarray]:
+    """An empty figure with a grid of axes.
+
+    Args:
+        n_rows: rows of axes.
+        n_columns: columns of axes.
+        width: [inch].
+        height: [inch].
+        title: what is shown, with the values of the parameters.
+
+    Returns:
+        The figure, and the axes with shape (n_rows, n_columns).
+    """
+    figure = Figure(figsize=(width, height), dpi=RESOLUTION, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=11)
+    axes = figure.subplots(n_rows, n_columns, squeeze=False)
+    for ax in axes.flat:
+        dress(ax)
+    return figure, axes
+
+
+def dress(ax: Axes) -> None:
+    """Grid behind the curves, small tick labels, no box on the right and on top."""
+    ax.grid(True, color="0.88", linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.tick_params(labelsize=8)
+    ax.xaxis.label.set_size(9)
+    ax.yaxis.label.set_size(9)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+
+
+def ordered_colors(n: int) -> list:
+    """Colors for `n` values of one parameter: from dark to light, without the palest that vanish on white."""
+    return [colormaps["viridis"](position) for position in np.linspace(0.05, 0.78, n)]
+
+
+def letter(axes: Sequence[Axes]) -> None:
+    """Letters (a), (b), ... in front of the panels' titles."""
+    for character, ax in zip("abcdefghijklmnop", axes, strict=False):
+        title = ax.get_title(loc="left")
+        ax.set_title(f"({character}) {title}".rstrip(), loc="left", fontsize=9)
+
+
+def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 99.0, margin: float = 0.35) -> None:
+    """Limit the vertical axis to the bulk of the curves, and say in the panel how far the peaks reach.
+
+    Args:
+        ax: the panel.
+        curves: the values drawn in it.
+        keep: percentage of the samples of every curve that stays inside.
+        margin: room around them, as a share of their range.
+    """
+    finite = [values[np.isfinite(values)] for values in curves]
+    finite = [values for values in finite if values.size]
+    if not finite:
+        return
+    low = min(np.percentile(values, (100 - keep) / 2) for values in finite)
+    high = max(np.percentile(values, 100 - (100 - keep) / 2) for values in finite)
+    room = margin * max(high - low, 1e-300)
+    lowest, highest = min(v.min() for v in finite), max(v.max() for v in finite)
+    bottom, top = max(low - room, lowest - 0.05 * room), min(high + room, highest + 0.05 * room)
+    ax.set_ylim(bottom, top)
+    if lowest < bottom - 0.05 * room or highest > top + 0.05 * room:
+        note(ax, f"axis clipped; peaks from {lowest:.3g} to {highest:.3g}")
+
+
+def note(ax: Axes, text: str, *, place: tuple[float, float] = (0.99, 0.02)) -> None:
+    """A small remark in a corner of a panel, on white so that curves do not run through it."""
+    horizontal, vertical = ("right" if place[0] > 0.5 else "left"), ("top" if place[1] > 0.5 else "bottom")
+    ax.text(
+        *place, text, transform=ax.transAxes, ha=horizontal, va=vertical, fontsize=7, color="0.25",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0}, zorder=10,
+    )
+
+
+def legend_below(figure: Figure, ax: Axes) -> None:
+    """One legend for the whole figure, below its panels, where it covers nothing."""
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 5), fontsize=8, frameon=False)

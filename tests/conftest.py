@@ -1,0 +1,26 @@
+"""Session set-up: JAX as spherejax configures it, a compilation cache, and one thread for each parallel worker."""
+
+import os
+from pathlib import Path
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Workers are the parallelism: threads inside them would only get in each other's way.
+    for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(_name, "1")
+    os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import spherejax  # noqa: F401 - before any other use of JAX, so that its compiler flags take effect
+
+# isort: split
+import jax
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def pytest_configure(config):
+    cache = os.environ.get("SPHEREJAX_TEST_CACHE", str(ROOT / ".jax_cache"))
+    jax.config.update("jax_compilation_cache_dir", cache)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    # Two workers may write the same entry at the same time; JAX then compiles again, which is all that matters.
+    config.addinivalue_line("filterwarnings", "ignore:.*persistent compilation cache.*:UserWarning")
