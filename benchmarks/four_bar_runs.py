@@ -31,9 +31,7 @@ def compiled(model, duration: float, rtol: float, scalar: bool = True):
 
     @jax.jit
     def run(tolerance):
-        motion = sj.simulate(
-            sj.gallery.four_bar(model), ts, rtol=tolerance, atol=tolerance * 1e-3, scalar=scalar
-        )
+        motion = sj.simulate(sj.gallery.four_bar(model), ts, rtol=tolerance, atol=tolerance * 1e-3, scalar=scalar)
         return motion.position("rocker")[-1, 2], motion.stats.n_steps
 
     return lambda: jax.block_until_ready(run(rtol))

@@ -39,7 +39,9 @@ def described(packages: Sequence[str] = ("spherejax", "jax", "diffrax", "numpy")
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        names = [line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        names = [
+            line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
+        ]
         model = names[0] if names else model
     versions = {name: importlib.metadata.version(name) for name in packages}
     return {"processor": model, "python": platform.python_version(), **versions}

@@ -1,6 +1,6 @@
 """Microseconds per right-hand side, array code against scalar program, one trajectory and a batch of 64.
 
-    python benchmarks/right_hand_side.py
+python benchmarks/right_hand_side.py
 """
 
 from machine import median_seconds, use_one_core, write

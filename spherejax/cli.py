@@ -13,8 +13,8 @@ BAD_REQUEST, FAILED_RUN, INTERRUPTED = 2, 3, 130
 
 DESCRIPTION = """Multibody simulation with ideal, dry, lubricated and bushing spherical joints.
 
-Each command has its own help, e.g. `spherejax run --help`. Exit code 0: done; 2: the request makes no sense; 3: a run
-did not reach its end; 130: interrupted.
+Each command has its own help, e.g. `spherejax run --help`. Exit code 0: done; 2: the request makes no sense;
+3: a run did not reach its end; 130: interrupted.
 """
 
 EPILOG = """examples:
@@ -22,8 +22,8 @@ EPILOG = """examples:
   spherejax run four-bar --joint friction --t1 0.2 --out run.nc
   spherejax compare four-bar --quick --out results/
 
-Compiled programs are kept in $XDG_CACHE_HOME/spherejax/jax (~/.cache without XDG_CACHE_HOME), so that a command starts
-faster the second time; SPHEREJAX_CACHE=0 switches that off.
+Compiled programs are kept in $XDG_CACHE_HOME/spherejax/jax (~/.cache without XDG_CACHE_HOME), so that a
+command starts faster the second time; SPHEREJAX_CACHE=0 switches that off.
 """
 
 
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     import spherejax as sj
 
     try:
-        options = _parser().parse_args(argv)
+        options = parser().parse_args(argv)
     except SystemExit as stop:  # argparse has printed the help or the error
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     _use_cache()
@@ -56,14 +56,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
     from spherejax.command_line.catalog import add_list
     from spherejax.command_line.compare import add_compare
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.run import add_run
 
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
+    parser = argparse.ArgumentParser(
+        "spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter
+    )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for add in (add_run, add_compare, add_effects, add_list):
         add(commands)
@@ -74,7 +77,7 @@ def _use_cache() -> None:
     """Keep compiled programs between processes, unless told otherwise or already done."""
     import jax
 
-    if os.environ.get("SPHEREJAX_CACHE", "1") == "0" or jax.config.read("jax_compilation_cache_dir"):
+    if os.environ.get("SPHEREJAX_CACHE", "1") == "0" or jax.config.values["jax_compilation_cache_dir"]:
         return
     folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     runtime.configure(cache=Path(folder) / "spherejax" / "jax")

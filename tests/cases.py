@@ -127,7 +127,7 @@ def displaced_state(system: sj.System, assembly: sj.Assembly, seed: int, distanc
     y[: layout.memory_start] = np.asarray(assembly.y)
     q = y[: layout.n_position].reshape(-1, 7)
     q[:, :3] += distance * random.standard_normal((layout.n_bodies, 3))
-    q[:, 3:] += 1e-3 * random.standard_normal((layout.n_bodies, 4))
+    q[:, 3:] += 5 * distance * random.standard_normal((layout.n_bodies, 4))  # arms are a few centimeters
     q[:, 3:] /= np.linalg.norm(q[:, 3:], axis=1, keepdims=True)
     y[layout.n_position : layout.memory_start] = random.standard_normal(layout.n_velocity)
     for slot in system.memory_slots:

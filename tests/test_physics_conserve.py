@@ -68,9 +68,9 @@ def test_elastic_energy_of_the_hybrid_integrates_the_blended_force():
     # A film without viscosity to speak of, over Hertz's contact: all the work that goes in is stored.
     stiffness, wide = 1e10, 1e-5
     model = sj.Lubricated(
-        clearance=cases.C, viscosity=1e-12, e_h0=wide, e_h1=1e-6, normal=sj.Hertz(stiffness=stiffness)
+        clearance=cases.C, viscosity=1e-12, e_h0=wide, e_h1=2 * wide, normal=sj.Hertz(stiffness=stiffness)
     )
-    scene = cases.ball_in_socket(model, 0.2, (0.0, 0.0, -2.0))
+    scene = cases.ball_in_socket(model, 0.2, (0.0, 0.0, -4.0))
     run = sj.simulate(scene, cases.times(1.5e-4, 61), rtol=1e-10, atol=1e-14, solver=sj.Rodas5P(), track_work=True)
     depth, elastic = np.asarray(run.penetration("joint")), np.asarray(run.elastic_energy)
     assert depth.max() > 1.5 * wide

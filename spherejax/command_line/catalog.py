@@ -48,10 +48,16 @@ SOLVERS = {
 }
 
 UNITS = {
-    "mu": "-", "mu_kinetic": "-", "mu_static": "-", "v0": "m/s", "v1": "m/s", "kappa": "s/m", "restitution": "-",
+    "mu": "-", "mu_kinetic": "-", "mu_static": "-", "v0": "m/s", "v1": "m/s", "kappa": "s/m",
+    "restitution": "-",
     "stribeck_velocity": "m/s", "bristle_stiffness": "1/m", "bristle_damping": "s/m", "viscous": "s/m",
     "stiffness": "N/m", "damping": "s", "exponent": "-",
 }  # fmt: skip
+
+DESCRIPTION = """\
+Name everything that can be asked for: scenes, joint models, force laws with their parameters and
+defaults, and solvers.
+"""
 
 EPILOG = """example:
   spherejax list
@@ -63,8 +69,7 @@ def add_list(commands) -> None:
     parser = commands.add_parser(
         "list",
         help="name the scenes, joint models, laws and solvers",
-        description="Name everything that can be asked for: scenes, joint models, force laws with their parameters and "
-        "defaults, and solvers.",
+        description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -98,7 +103,11 @@ def parameters_of(law: type) -> str:
 
     words = []
     for parameter in dataclasses.fields(law):
-        unit = "N/m^n" if "exponent" in law.__dataclass_fields__ and parameter.name == "stiffness" else UNITS[parameter.name]
+        unit = (
+            "N/m^n"
+            if "exponent" in law.__dataclass_fields__ and parameter.name == "stiffness"
+            else UNITS[parameter.name]
+        )
         if parameter.default is dataclasses.MISSING:
             words.append(f"{parameter.name} [{unit}]")
         elif parameter.default is None:

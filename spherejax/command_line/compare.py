@@ -13,6 +13,14 @@ from spherejax.studies.compare import Comparison, Row, compare
 SAVED_SAMPLES = 2000
 """Samples of the netCDF files, about; the study itself uses a hundred times more."""
 
+DESCRIPTION = """\
+Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction,
+lubricated, bushing), vary their parameters, and print a table: energy lost, peak acceleration,
+largest eccentricity, steps, and computing time against the ideal joint. Writes table.csv, one
+netCDF file for each model, and figures that follow the numbering of the paper (figNN_*.png). About
+three minutes on two cores; later runs are faster, because compiled programs are kept.
+"""
+
 EPILOG = """examples:
   spherejax compare four-bar --out results/
   spherejax compare four-bar --quick --out results/
@@ -29,11 +37,7 @@ def add_compare(commands) -> None:
     parser = commands.add_parser(
         "compare",
         help="compare all joint models on a mechanism: table, figures, files",
-        description="Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction, "
-        "lubricated, bushing), vary their parameters, and print a table: energy lost, peak acceleration, largest "
-        "eccentricity, steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each "
-        "model, and figures that follow the numbering of the paper (figNN_*.png). About three minutes on two cores; "
-        "later runs are faster, because compiled programs are kept.",
+        description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -53,11 +57,15 @@ def compare_models(options: argparse.Namespace) -> int:
     make_folder(folder)
     start = time.perf_counter()
     with progress("comparing") as report:
-        comparison = compare(SCENES[options.scene], quick=options.quick, report=lambda what, share: report(what, 0.9 * share))
+        comparison = compare(
+            SCENES[options.scene], quick=options.quick, report=lambda what, share: report(what, 0.9 * share)
+        )
         names = _write(comparison, folder, report)
     print_comparison(comparison)
     seconds = time.perf_counter() - start
-    print(f"wrote table.csv, {len(comparison.runs)} netCDF files and {len(names)} figures to {folder} in {seconds:.0f} s")
+    print(
+        f"wrote table.csv, {len(comparison.runs)} netCDF files and {len(names)} figures to {folder} in {seconds:.0f} s"
+    )
     return 0
 
 
@@ -110,7 +118,8 @@ def _write_table(rows: list[Row], path: Path) -> None:
     heads = {
         "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",
         "eccentricity_ratio": "eccentricity_ratio [-]", "n_onsets": "n_onsets", "n_steps": "n_steps",
-        "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "horizon": "repeatable_until [s]", "method": "method",
+        "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "horizon": "repeatable_until [s]",
+        "method": "method",
     }  # fmt: skip
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -5,6 +5,12 @@ import argparse
 from spherejax.command_line.catalog import SCENES
 from spherejax.command_line.models import add_joint_options, model_from
 
+DESCRIPTION = """\
+Compile a mechanism and print, effect by effect, the states and constraint rows that it adds and its
+scalar operations and microseconds per evaluation of the equations of motion, beside the same
+mechanism with ideal joints. What a scene does not call for costs nothing.
+"""
+
 EPILOG = """example:
   spherejax effects four-bar --joint friction
 """
@@ -15,9 +21,7 @@ def add_effects(commands) -> None:
     parser = commands.add_parser(
         "effects",
         help="show which effects a scene calls for and what each costs",
-        description="Compile a mechanism and print, effect by effect, the states and constraint rows that it adds and "
-        "its scalar operations and microseconds per evaluation of the equations of motion, beside the same mechanism "
-        "with ideal joints. What a scene does not call for costs nothing.",
+        description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -26,7 +26,9 @@ def figures_of(comparison: Comparison) -> dict[str, Callable]:
     colors = [MODEL_COLORS[name] for name in models if name != "ideal"]
     found["fig18_models"] = lambda: histories.four_histories(others, ideal, f"Joint models: {FIVE}", colors=colors)
     found["fig19_phase_portraits"] = lambda: phase.phase_portraits(models, f"Phase portraits; grey: ideal\n{FIVE}")
-    found["fig20_eccentricity"] = lambda: eccentricity_paths(models, f"Ball's center in the socket; orange: in contact\n{FIVE}")
+    found["fig20_eccentricity"] = lambda: eccentricity_paths(
+        models, f"Ball's center in the socket; orange: in contact\n{FIVE}"
+    )
     found["fig21_time_ratio"] = lambda: ratios.time_ratios(
         [row.name for row in comparison.rows],
         [row.time_ratio for row in comparison.rows],
@@ -71,7 +73,8 @@ def study_figure(result: StudyResult, comparison: Comparison):
 
 def _file_name(result: StudyResult) -> str:
     subjects = {
-        "fig10": "dry_clearance", "fig11": "dry_normal_law", "fig12": "friction_clearance", "fig13": "friction_normal_law",
-        "fig14": "friction_law", "fig15": "lubricated_clearance", "fig16": "bushing_stiffness", "fig17": "bushing_damping",
+        "fig10": "dry_clearance", "fig11": "dry_normal_law", "fig12": "friction_clearance",
+        "fig13": "friction_normal_law", "fig14": "friction_law", "fig15": "lubricated_clearance",
+        "fig16": "bushing_stiffness", "fig17": "bushing_damping",
     }  # fmt: skip
     return f"{result.study.name}_{subjects[result.study.name]}"

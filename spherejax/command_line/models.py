@@ -18,16 +18,28 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     gap.add_argument("--youngs-modulus", type=float, metavar="PA", help="of ball and socket [Pa] (default: 207e9)")
     gap.add_argument("--normal", choices=NORMAL_LAWS, help="normal contact law (default: lankarani-nikravesh)")
     gap.add_argument("--restitution", type=float, metavar="CR", help="coefficient of restitution (default: 0.9)")
-    gap.add_argument("--friction", choices=[*FRICTION_LAWS, "none"], help="friction law (default: none; threlfall with --joint friction)")
+    gap.add_argument(
+        "--friction",
+        choices=[*FRICTION_LAWS, "none"],
+        help="friction law (default: none; threlfall with --joint friction)",
+    )
     gap.add_argument("--mu", type=float, help="kinetic friction coefficient (default: 0.1)")
-    gap.add_argument("--mu-static", type=float, help="static friction coefficient, where the law has one (default: 0.15)")
+    gap.add_argument(
+        "--mu-static", type=float, help="static friction coefficient, where the law has one (default: 0.15)"
+    )
     film = parser.add_argument_group("film (lubricated)")
     film.add_argument("--viscosity", type=float, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
     bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6)")
-    bushing.add_argument("--damping", type=float, metavar="B", help="stiffness-proportional damping [s] (default: 1e-2)")
-    bushing.add_argument("--elastomer", choices=ELASTOMERS, help="damping of the radial rate alone, or of all (default: radial)")
+    bushing.add_argument(
+        "--damping", type=float, metavar="B", help="stiffness-proportional damping [s] (default: 1e-2)"
+    )
+    bushing.add_argument(
+        "--elastomer",
+        choices=ELASTOMERS,
+        help="damping of the radial rate alone, or of all (default: radial)",
+    )
 
 
 def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
@@ -59,7 +71,17 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
 
 _USED_BY = {
     **dict.fromkeys(
-        ("clearance", "socket_radius", "youngs_modulus", "normal", "restitution", "friction", "mu", "mu_static"), CONTACT
+        (
+            "clearance",
+            "socket_radius",
+            "youngs_modulus",
+            "normal",
+            "restitution",
+            "friction",
+            "mu",
+            "mu_static",
+        ),
+        CONTACT,
     ),
     **dict.fromkeys(("viscosity", "boundary"), ("lubricated",)),
     **dict.fromkeys(("stiffness", "damping", "elastomer"), ("bushing",)),
@@ -88,7 +110,9 @@ def _friction_from(options: argparse.Namespace) -> sj.AbstractFrictionLaw | None
         if options.joint == "friction":
             raise sj.SceneError("--joint friction with --friction none is --joint dry; say that")
         if options.mu is not None or options.mu_static is not None:
-            raise sj.SceneError("--mu means nothing without friction; add --friction threlfall or take --joint friction")
+            raise sj.SceneError(
+                "--mu means nothing without friction; add --friction threlfall or take --joint friction"
+            )
         return None
     law = FRICTION_LAWS[name]
     fields = {field.name for field in dataclasses.fields(law)}

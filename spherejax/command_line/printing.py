@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 Report = Callable[[str, float], None]
 
@@ -23,23 +24,28 @@ def console(*, errors: bool = False) -> Console:
 
 def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: bool = False) -> None:
     """A titled table; with `numeric`, all columns but the first are aligned to the right."""
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=Text(title), title_justify="left", title_style="bold")
     for position, head in enumerate(heads):
-        table.add_column(head, justify="right" if numeric and position else "left", overflow="fold")
+        table.add_column(Text(head), justify="right" if numeric and position else "left", overflow="fold")
     for row in rows:
-        # Text from docstrings may hold brackets, which are no markup here.
-        table.add_row(*(cell.replace("[", "\\[") for cell in row))
+        # Text, for a unit in brackets is no markup.
+        table.add_row(*(Text(cell) for cell in row))
     console().print(table)
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Report]:
-    """A function that reports what has been done and the share of the work: a bar, or plain lines without a terminal."""
+    """A function that reports what is done and the share of the work: a bar, or lines without a terminal."""
     out = console(errors=True)
     if not out.is_terminal:
         yield lambda what, share: print(f"[{100 * share:3.0f} %] {what}", file=sys.stderr, flush=True)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=out, transient=True) as bar:
         task = bar.add_task(title, total=1.0)
         yield lambda what, share: bar.update(task, completed=share, description=what)

@@ -12,6 +12,12 @@ from spherejax.command_line.catalog import SCENES, SOLVERS
 from spherejax.command_line.models import add_joint_options, model_from
 from spherejax.command_line.printing import print_table
 
+DESCRIPTION = """\
+Simulate a mechanism from rest with one joint model, print how the run went, and write the sampled
+motion: positions, velocities, accelerations, reactions, eccentricities and energies. Options that
+are not given take the defaults named below; all numbers are in SI units.
+"""
+
 EPILOG = """examples:
   spherejax run four-bar --joint friction --out run.nc
   spherejax run four-bar --joint dry --clearance 1e-4 --normal lankarani-nikravesh --friction threlfall \\
@@ -25,9 +31,7 @@ def add_run(commands) -> None:
     parser = commands.add_parser(
         "run",
         help="simulate one scene and write its motion to a file",
-        description="Simulate a mechanism from rest with one joint model, print how the run went, and write the sampled "
-        "motion: positions, velocities, accelerations, reactions, eccentricities and energies. Options that are not "
-        "given take the defaults named below; all numbers are in SI units.",
+        description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -40,7 +44,9 @@ def add_run(commands) -> None:
     sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
     times.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=float, default=1e-10, help="absolute tolerance of a step (default: 1e-10)")
-    times.add_argument("--max-steps", type=int, default=20_000_000, metavar="N", help="give up beyond (default: 20000000)")
+    times.add_argument(
+        "--max-steps", type=int, default=20_000_000, metavar="N", help="give up beyond (default: 20000000)"
+    )
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
@@ -59,11 +65,21 @@ def run_scene(options: argparse.Namespace) -> int:
     solver = SOLVERS[options.solver][0]() if options.solver else None
     start = time.perf_counter()
     run = sj.simulate(
-        scene, ts, rtol=options.rtol, atol=options.atol, max_steps=options.max_steps, solver=solver, throw=True
+        scene,
+        ts,
+        rtol=options.rtol,
+        atol=options.atol,
+        max_steps=options.max_steps,
+        solver=solver,
+        throw=True,
     )
     jax.block_until_ready(run.ys)
     seconds = time.perf_counter() - start
-    print_table(f"{options.scene}, {options.joint} joint, {options.t1:g} s", ("quantity", "value"), _summary(run, seconds))
+    print_table(
+        f"{options.scene}, {options.joint} joint, {options.t1:g} s",
+        ("quantity", "value"),
+        _summary(run, seconds),
+    )
     if options.out is not None:
         print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
     return 0
@@ -90,7 +106,9 @@ def sample_times(options: argparse.Namespace):
 
 def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
     energy = np.asarray(run.mechanical_energy)
-    peaks = {body: float(np.max(np.linalg.norm(np.asarray(run.acceleration(body)), axis=1))) for body in run.system.bodies}
+    peaks = {
+        body: float(np.max(np.linalg.norm(np.asarray(run.acceleration(body)), axis=1))) for body in run.system.bodies
+    }
     body = max(peaks, key=lambda name: peaks[name])
     rows = [
         ("method", run.choice),

@@ -1,0 +1,1 @@
+"""Names for arrays, guarded numerics, rotations, and the scalar program."""

@@ -96,5 +96,3 @@ def skew(a: Vector3) -> Matrix3:
     """The matrix a~ with a~ b = a x b."""
     zero = jnp.zeros_like(a[0])
     return jnp.array([[zero, -a[2], a[1]], [a[2], zero, -a[0]], [-a[1], a[0], zero]])
-
-

@@ -9,6 +9,7 @@ no zeros.
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,7 +29,7 @@ class Graph:
     """
 
     def __init__(self):
-        self.operations: list = []
+        self.operations: list[Any] = []
         self.arguments: list[tuple[int, ...]] = []
         self.parameters: list = []
         self.dtypes: list[np.dtype] = []
@@ -244,7 +245,6 @@ class Graph:
                     values[index] = operation.bind(*arguments, **dict(self.parameters[index]))
         return values
 
-
     # Evaluation -------------------------------------------------------------------------------------------------
 
     def compute(self, outputs: Sequence[int], read: Callable[[tuple[int, int]], float]) -> dict[int, float]:
@@ -261,14 +261,15 @@ class Graph:
                 values[index] = self._computed(operation, arguments, index)
         return values
 
-    def _computed(self, operation, arguments: list, index: int):
-        name = operation if isinstance(operation, str) else operation.name
-        if name in COMPUTE:
-            return COMPUTE[name](*arguments)
+    def _computed(self, operation: Any, arguments: list, index: int):
+        known = COMPUTE.get(operation if isinstance(operation, str) else operation.name)
+        if known is not None:
+            return known(*arguments)
         dtypes = [self.dtypes[a] for a in self.arguments[index]]
         operands = [np.asarray(a, dtype) for a, dtype in zip(arguments, dtypes, strict=True)]
         with jax.ensure_compile_time_eval():
-            return np.asarray(operation.bind(*operands, **dict(self.parameters[index]))).item()
+            primitive: Any = operation
+            return np.asarray(primitive.bind(*operands, **dict(self.parameters[index]))).item()
 
 
 _COMMUTATIVE = frozenset({"add", "mul"})

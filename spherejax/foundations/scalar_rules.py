@@ -18,14 +18,75 @@ class NotScalarizable(Exception):  # noqa: N818 - it says what it is
 
 
 STRUCTURAL = frozenset(
-    "reshape squeeze expand_dims transpose rev slice concatenate broadcast_in_dim stack split copy copy_p "
-    "gather dynamic_slice dynamic_update_slice scatter tile".split()
+    [
+        "reshape",
+        "squeeze",
+        "expand_dims",
+        "transpose",
+        "rev",
+        "slice",
+        "concatenate",
+        "broadcast_in_dim",
+        "stack",
+        "split",
+        "copy",
+        "copy_p",
+        "gather",
+        "dynamic_slice",
+        "dynamic_update_slice",
+        "scatter",
+        "tile",
+    ]
 )
 
 ELEMENTWISE = frozenset(
-    "max min exp exp2 log log1p expm1 tanh sin cos tan asin acos atan atan2 sinh cosh asinh acosh atanh abs sign "
-    "rsqrt cbrt logistic floor ceil round is_finite rem erf erfc lt le gt ge eq ne and or not xor clamp nextafter "
-    "stop_gradient".split()
+    [
+        "max",
+        "min",
+        "exp",
+        "exp2",
+        "log",
+        "log1p",
+        "expm1",
+        "tanh",
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "abs",
+        "sign",
+        "rsqrt",
+        "cbrt",
+        "logistic",
+        "floor",
+        "ceil",
+        "round",
+        "is_finite",
+        "rem",
+        "erf",
+        "erfc",
+        "lt",
+        "le",
+        "gt",
+        "ge",
+        "eq",
+        "ne",
+        "and",
+        "or",
+        "not",
+        "xor",
+        "clamp",
+        "nextafter",
+        "stop_gradient",
+    ]
 )
 
 
@@ -44,7 +105,9 @@ def move_names(graph: Graph, primitive, parameters, inputs, shapes) -> list[np.n
             continue
         if not all(graph.is_constant(int(node)) for node in array.ravel()):
             raise NotScalarizable(f"{name!r} with an index that is computed")
-        operands.append(np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape))
+        operands.append(
+            np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape)
+        )
     with jax.ensure_compile_time_eval():
         return [np.asarray(primitive.bind(*operands, **_without_fill(name, parameters)))]
 
@@ -146,7 +209,9 @@ def _convert(graph, inputs, parameters, shapes, dtypes):
 def _iota(graph, inputs, parameters, shapes, dtypes):
     del inputs
     shape, dimension = shapes[0], parameters["dimension"]
-    counts = np.broadcast_to(np.arange(shape[dimension]).reshape([-1 if d == dimension else 1 for d in range(len(shape))]), shape)
+    counts = np.broadcast_to(
+        np.arange(shape[dimension]).reshape([-1 if d == dimension else 1 for d in range(len(shape))]), shape
+    )
     return [_entrywise(lambda count: graph.constant(count, dtypes[0]), counts, shape=shape)]
 
 

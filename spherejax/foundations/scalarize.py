@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -53,7 +54,7 @@ class ScalarProgram:
         return self._run(*self._flat(arguments))
 
     def compute(self, *arguments) -> Any:
-        """Evaluate concrete arguments with Python numbers, as NumPy: slower than a compiled call, but nothing is compiled.
+        """Evaluate concrete arguments with Python numbers, as NumPy: slower than a compiled call, but at once.
 
         For what is done once: a compilation takes a second, this a few milliseconds.
         """
@@ -200,7 +201,9 @@ class _Interpreter:
     def elementwise(self, primitive, inputs, parameters, shape, dtype) -> np.ndarray:
         frozen = tuple(sorted(parameters.items()))
         flat = [np.broadcast_to(array, shape).ravel() for array in inputs]
-        names = [self.graph.apply(primitive, tuple(map(int, entry)), dtype, frozen) for entry in zip(*flat, strict=True)]
+        names = [
+            self.graph.apply(primitive, tuple(map(int, entry)), dtype, frozen) for entry in zip(*flat, strict=True)
+        ]
         return np.array(names, np.int64).reshape(shape)
 
     def scan(self, parameters, inputs) -> list[np.ndarray]:
@@ -212,7 +215,9 @@ class _Interpreter:
         turns = range(length - 1, -1, -1) if parameters["reverse"] else range(length)
         stacked: list[list] = []
         for turn in turns:
-            outputs = self.run(closed.jaxpr, closed.consts, [*constants, *carried, *(column[turn] for column in columns)])
+            outputs = self.run(
+                closed.jaxpr, closed.consts, [*constants, *carried, *(column[turn] for column in columns)]
+            )
             carried = outputs[:n_carried]
             stacked.append(outputs[n_carried:])
         if parameters["reverse"]:
@@ -235,7 +240,13 @@ class _Interpreter:
         ]
 
 
-_INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr"}
+_INLINED = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+}
 
 
 def _graph_dtype(dtype) -> np.dtype:

@@ -51,7 +51,7 @@ def _jvp(primals, tangents):
         product = matrix_tangent @ solution
         residual = -product if residual is None else residual - product
     if residual is None:
-        return solution, ad.Zero.from_primal_value(solution)
+        return solution, jnp.zeros_like(solution)
     return solution, symmetric_solve_p.bind(matrix, residual)
 
 

@@ -1,0 +1,1 @@
+"""Scenes as users describe them, and the systems compiled from them."""

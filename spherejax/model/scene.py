@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, SceneError, enforce
-from spherejax.foundations.types import Number
+from spherejax.foundations.types import Number, Numeric
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractJoint, Revolute, Spherical
@@ -28,8 +28,13 @@ class Baumgarte(eqx.Module):
     def requirements(self) -> list[Requirement]:
         """Non-negative rates."""
         return [
-            Requirement(name, value, (value >= 0) & (value < np.inf), "be finite and not negative [1/s]",
-                        "Give zero to switch the feedback off.")
+            Requirement(
+                name,
+                value,
+                (value >= 0) & (value < np.inf),
+                "be finite and not negative [1/s]",
+                "Give zero to switch the feedback off.",
+            )
             for name, value in (("alpha", self.alpha), ("beta", self.beta))
         ]
 
@@ -51,8 +56,8 @@ class Scene(eqx.Module):
     bodies: Mapping[str, Body]
     joints: Mapping[str, AbstractJoint]
     forces: Mapping[str, AbstractForce]
-    gravity: object
-    ground_points: Mapping[str, object]
+    gravity: Numeric
+    ground_points: Mapping[str, Numeric]
     drift: Baumgarte
 
     def __init__(
@@ -62,7 +67,7 @@ class Scene(eqx.Module):
         forces: Mapping[str, AbstractForce] | None = None,
         *,
         gravity: Sequence[float] = (0.0, 0.0, -9.81),
-        ground_points: Mapping[str, object] | None = None,
+        ground_points: Mapping[str, Numeric] | None = None,
         drift: Baumgarte | None = None,
     ):
         self.bodies = dict(bodies)
@@ -72,7 +77,7 @@ class Scene(eqx.Module):
         self.ground_points = {name: numbers(place) for name, place in (ground_points or {}).items()}
         self.drift = Baumgarte() if drift is None else drift
 
-    def find(self, name: str) -> tuple[str, object]:
+    def find(self, name: str) -> tuple[str, Numeric]:
         """Resolve `"body.point"` to the body's name and the point in its axes [m].
 
         Raises:
@@ -84,7 +89,9 @@ class Scene(eqx.Module):
         self.require_body(body, f"point {name!r}")
         places = self.ground_points if body == GROUND else self.bodies[body].points
         if point not in places:
-            raise SceneError(f"body {body!r} has no point {point!r}; it has {_listed(places)}. Add it to the body's points.")
+            raise SceneError(
+                f"body {body!r} has no point {point!r}; it has {_listed(places)}. Add it to the body's points."
+            )
         return body, places[point]
 
     def require_body(self, body: str, where: str) -> None:
@@ -108,7 +115,9 @@ def check_scene(scene: Scene) -> list:
 
 
 def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
-    gravity = Requirement("gravity", scene.gravity, abs(scene.gravity) < np.inf, "be finite [m/s^2]", "Give three numbers.")
+    gravity = Requirement(
+        "gravity", scene.gravity, abs(scene.gravity) < np.inf, "be finite [m/s^2]", "Give three numbers."
+    )
     yield "scene", [gravity]
     yield "drift control", scene.drift.requirements()
     for name, body in scene.bodies.items():
@@ -170,8 +179,8 @@ def _check_connected(scene: Scene) -> None:
     apart = [name for name in jointed if name not in reached]
     if apart:
         raise SceneError(
-            f"body {apart[0]!r} is not connected to body {jointed[0]!r}; add a joint between the two groups, or simulate "
-            "them in scenes of their own"
+            f"body {apart[0]!r} is not connected to body {jointed[0]!r}; add a joint between the two groups, or "
+            "simulate them in scenes of their own"
         )
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,13 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Baumgarte, Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
+from spherejax.physics.joints import AbstractPlacedJoint, PlacedRevolute, PlacedSpherical
 from spherejax.physics.state import Layout
-
-PlacedJoint = PlacedSpherical | PlacedRevolute
 
 
 class MemorySlot(NamedTuple):
@@ -52,9 +51,9 @@ class System(eqx.Module):
     """
 
     bodies: dict[str, Body]
-    joints: dict[str, PlacedJoint]
+    joints: dict[str, AbstractPlacedJoint]
     forces: dict[str, AbstractForce]
-    gravity: object
+    gravity: Numeric
     drift: Baumgarte
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
@@ -69,13 +68,21 @@ class System(eqx.Module):
     def force_joints(self) -> tuple[str, ...]:
         """Names of the joints that answer with a force."""
         return tuple(
-            name for name, joint in self.joints.items() if isinstance(joint, PlacedSpherical) and not joint.model.is_ideal
+            name
+            for name, joint in self.joints.items()
+            if isinstance(joint, PlacedSpherical) and not joint.model.is_ideal
         )
 
     @property
     def contact_joints(self) -> tuple[str, ...]:
         """Names of the joints whose contact onsets must be located."""
-        return tuple(name for name in self.force_joints if self.joints[name].model.detects_onsets)
+        return tuple(name for name in self.force_joints if self.spherical(name).model.detects_onsets)
+
+    def spherical(self, name: str) -> PlacedSpherical:
+        """A joint that is known to be spherical."""
+        joint = self.joints[name]
+        assert isinstance(joint, PlacedSpherical), name
+        return joint
 
     @property
     def n_constraints(self) -> int:
@@ -133,10 +140,10 @@ def _with_array_fields(body: Body) -> Body:
     return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
 
 
-def _n_rows(joint: PlacedJoint) -> int:
+def _n_rows(joint: AbstractPlacedJoint) -> int:
     if isinstance(joint, PlacedRevolute):
         return 5
-    return 3 if joint.model.is_ideal else 0
+    return 3 if isinstance(joint, PlacedSpherical) and joint.model.is_ideal else 0
 
 
 SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)
@@ -153,7 +160,7 @@ class Structure:
         special: entries that are known to be one of `SPECIAL_VALUES`, as (flat index, value).
     """
 
-    tree: object
+    tree: Any
     shapes: tuple[tuple[int, ...], ...]
     special: tuple[tuple[int, float], ...]
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import SceneError, concretely, is_concrete
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.symmetric_solve import symmetric_solve
-from spherejax.foundations.types import Scalar
+from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.constraints import assembly_set, constraint_mobility, inverse_masses
 from spherejax.motion.dynamics import body_motions
@@ -63,7 +63,7 @@ class Assembly(NamedTuple):
         )
 
 
-def assemble(structure: Structure, theta: Float[Array, " p"]) -> Assembly:
+def assemble(structure: Structure, theta: Numeric) -> Assembly:
     """Move bodies and velocities to a consistent start; for traced numbers, and differentiable."""
     step, project, residual = _programs(structure)
     described = described_state(structure.system(theta))
@@ -74,7 +74,7 @@ def assemble(structure: Structure, theta: Float[Array, " p"]) -> Assembly:
     return _report(described, moved, before, after)
 
 
-def assemble_now(structure: Structure, theta: np.ndarray) -> Assembly:
+def assemble_now(structure: Structure, theta: Numeric) -> Assembly:
     """`assemble` for concrete numbers, computed at once, with a check of the result.
 
     Raises:
@@ -98,15 +98,20 @@ def _assembled(structure: Structure, numbers: bytes) -> Assembly:
     moved = project.compute(theta, 0.0, moved)
     before, gaps = residual.compute(theta, 0.0, described), residual.compute(theta, 0.0, moved)
     assembly = concretely(
-        lambda *values: _report(values[0], values[1], _largest(values[2]), _largest(values[3])), described, moved, before, gaps
+        lambda *values: _report(values[0], values[1], _largest(values[2]), _largest(values[3])),
+        described,
+        moved,
+        before,
+        gaps,
     )
     if not assembly.residual_after < CLOSING_TOLERANCE:
         size_of = {name: float(np.nan_to_num(np.max(np.abs(gap)), nan=np.inf)) for name, gap in gaps.items()}
         worst = max(size_of, key=lambda name: size_of[name])
         raise SceneError(
             f"joint {worst!r} cannot be closed: from the start as described, with a residual of "
-            f"{float(assembly.residual_before):.3g}, the bodies cannot be moved so that all joints hold (remaining residual "
-            f"{size_of[worst]:.3g} m or rad). Check the joint's points and the bodies' positions and quaternions."
+            f"{float(assembly.residual_before):.3g}, the bodies cannot be moved so that all joints hold (remaining "
+            f"residual {size_of[worst]:.3g} m or rad). Check the joint's points and the bodies' positions and "
+            "quaternions."
         )
     return assembly
 
@@ -117,7 +122,8 @@ _ROUNDING = 1e-16
 
 def _programs(structure: Structure) -> tuple[Program, Program, Program]:
     functions = (newton_step, consistent_velocities, assembly_residuals)
-    return tuple(program_for(function, structure) for function in functions)
+    step, project, residual = (program_for(function, structure) for function in functions)
+    return step, project, residual
 
 
 def _report(described, moved, before, after) -> Assembly:

@@ -144,16 +144,12 @@ def constrained_accelerations(
 ) -> Solution:
     """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with Baumgarte's feedback."""
     masses = inverse_masses(system, motions)
-    free = {
-        name: masses[name].times(jnp.concatenate([applied[name].force, applied[name].moment])) for name in masses
-    }
+    free = {name: masses[name].times(jnp.concatenate([applied[name].force, applied[name].moment])) for name in masses}
     if not constraints.rows:
         return Solution(free, {})
     velocities = {name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in masses}
     alpha, beta = system.drift.alpha, system.drift.beta
-    desired = (
-        constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
-    )
+    desired = constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
     mobility = constraint_mobility(constraints, masses)
     multipliers = symmetric_solve(mobility, constraints.times(free) - desired)
     accelerations = {

@@ -1,5 +1,7 @@
 """Contacts of a system as functions of the flat state: where contact begins and ends, and what is remembered then."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,13 +17,13 @@ from spherejax.physics.state import unpack
 def relative_motions(system: System, y: Float[Array, " size"]) -> dict[str, RelativeMotion]:
     """Motion of ball in socket for each joint whose contact onsets are located."""
     motions = body_motions(system, unpack(system.layout, y))
-    return {name: system.joints[name].relative_motion(motions) for name in system.contact_joints}
+    return {name: system.spherical(name).relative_motion(motions) for name in system.contact_joints}
 
 
 def crossings(system: System, t: Scalar, y: Float[Array, " size"]) -> Crossing:
     """Crossing functions of all contacts and their rates, each of shape (n_contacts,)."""
     del t
-    each = [system.joints[name].model.crossing(m) for name, m in relative_motions(system, y).items()]
+    each = [system.spherical(name).model.crossing(m) for name, m in relative_motions(system, y).items()]
     return Crossing(jnp.stack([c.value for c in each]), jnp.stack([c.rate for c in each]))
 
 
@@ -53,7 +55,8 @@ def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> 
     for slot in system.memory_slots:
         now = memory_end[slot.entries]
         if slot.joint in motions:
-            model, motion = system.joints[slot.joint].model, motions[slot.joint]
+            model: Any = system.spherical(slot.joint).model
+            motion = motions[slot.joint]
             was_touching = memory_start[slot.start] > 0
             is_beyond = model.crossing(motion).value > 0
             rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
@@ -95,7 +98,7 @@ def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n
     for slot in system.memory_slots:
         start = jnp.zeros(len(slot.names))
         if slot.joint in motions:
-            model, motion = system.joints[slot.joint].model, motions[slot.joint]
+            model, motion = system.spherical(slot.joint).model, motions[slot.joint]
             rate = penetration_rate(motion)
             start = jnp.where(model.crossing(motion).value > 0, model.memory_at_onset(rate), start)
         parts.append(start)

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     import xarray
 
 AXES = ("x", "y", "z")
+Column = tuple[tuple[str, ...], object, str, str]
+"""Dimensions, values, unit, long name."""
+
 COMPONENTS = ("w", "x", "y", "z")
 
 
@@ -28,8 +31,8 @@ def to_dataset(run: Trajectory, *, every: int = 1) -> "xarray.Dataset":
         every: keep every so many samples.
 
     Returns:
-        The data set; a quantity that no joint of the scene has is left out. Units and names are in the variables'
-        attributes; statistics, status, method and versions in the data set's.
+        The data set; a quantity that no joint of the scene has is left out. Units and names are in the
+        variables' attributes; statistics, status, method and versions in the data set's.
 
     Raises:
         SceneError: for a batch of runs.
@@ -37,7 +40,9 @@ def to_dataset(run: Trajectory, *, every: int = 1) -> "xarray.Dataset":
     import xarray
 
     if np.ndim(run.ts) != 1 or np.ndim(run.status) != 0:
-        raise SceneError("to_dataset takes a single run; take one lane of the batch first, e.g. jax.tree.map(lambda x: x[0], runs)")
+        raise SceneError(
+            "to_dataset takes a single run; take one lane of the batch first, e.g. jax.tree.map(lambda x: x[0], runs)"
+        )
     columns = {**_of_bodies(run), **_of_joints(run), **_of_the_whole(run)}
     variables = {
         name: (
@@ -59,7 +64,8 @@ def to_dataset(run: Trajectory, *, every: int = 1) -> "xarray.Dataset":
 
 
 def _spherical(run: Trajectory) -> list[str]:
-    return list(run.observation.eccentricity)
+    # The order of the scene: dictionaries come out of a compiled program sorted by name.
+    return [name for name in run.system.joints if name in run.observation.eccentricity]
 
 
 def _with_clearance(run: Trajectory) -> list[str]:
@@ -78,35 +84,50 @@ def _joint_coordinates(run: Trajectory) -> dict:
     return {name: values for name, values in candidates.items() if values}
 
 
-def _of_bodies(run: Trajectory) -> dict:
-    state, seen = run.state, run.observation
+def _of_bodies(run: Trajectory) -> dict[str, Column]:
+    # By name, never by place: the order of the state is the core's own business.
+    def of_all(quantity):
+        return _stack(quantity(body) for body in run.system.bodies)
+
     vector, turned = ("time", "body", "axis"), ("time", "body", "component")
     return {
-        "position": (vector, state.position, "m", "center of mass, world axes"),
-        "quaternion": (turned, state.quaternion, "1", "orientation, unit quaternion, scalar first"),
-        "velocity": (vector, state.velocity, "m/s", "velocity of the center of mass, world axes"),
-        "angular_velocity": (vector, state.angular_velocity, "rad/s", "angular velocity, world axes"),
-        "acceleration": (vector, seen.acceleration, "m/s^2", "acceleration of the center of mass, world axes"),
-        "angular_acceleration": (vector, seen.angular_acceleration, "rad/s^2", "angular acceleration, world axes"),
+        "position": (vector, of_all(run.position), "m", "center of mass, world axes"),
+        "quaternion": (turned, of_all(run.quaternion), "1", "orientation, unit quaternion, scalar first"),
+        "velocity": (vector, of_all(run.velocity), "m/s", "velocity of the center of mass, world axes"),
+        "angular_velocity": (vector, of_all(run.angular_velocity), "rad/s", "angular velocity, world axes"),
+        "acceleration": (
+            vector,
+            of_all(run.acceleration),
+            "m/s^2",
+            "acceleration of the center of mass, world axes",
+        ),
+        "angular_acceleration": (
+            vector,
+            of_all(run.angular_acceleration),
+            "rad/s^2",
+            "angular acceleration, world axes",
+        ),
     }
 
 
-def _of_joints(run: Trajectory) -> dict:
+def _of_joints(run: Trajectory) -> dict[str, Column]:
     seen, system = run.observation, run.system
     joints, spherical = ("time", "joint", "axis"), ("time", "spherical_joint", "axis")
     gap = ("time", "clearance_joint")
-    columns = {
-        "reaction": (joints, _stack(r.force for r in seen.reactions.values()), "N",
+    columns: dict[str, Column] = {
+        "reaction": (joints, _stack(run.reaction(name) for name in system.joints), "N",
                      "force on the joint's second body, of a spherical joint the ball's, world axes"),
-        "reaction_moment": (joints, _stack(r.moment for r in seen.reactions.values()), "N m",
+        "reaction_moment": (joints, _stack(run.reaction_moment(name) for name in system.joints), "N m",
                             "moment on the joint's second body about the joint's point, world axes"),
     }  # fmt: skip
     if seen.eccentricity:
         columns["eccentricity"] = (
-            spherical, _stack(seen.eccentricity.values()), "m", "from the socket's center to the ball's, world axes"
+            spherical, _stack(run.eccentricity(name) for name in _spherical(run)), "m",
+            "from the socket's center to the ball's, world axes"
         )  # fmt: skip
         columns["eccentricity_rate"] = (
-            spherical, _stack(seen.eccentricity_rate.values()), "m/s", "time derivative of the eccentricity, world axes"
+            spherical, _stack(run.eccentricity_rate(name) for name in _spherical(run)), "m/s",
+            "time derivative of the eccentricity, world axes"
         )  # fmt: skip
     if names := _with_clearance(run):
         columns["penetration"] = (
@@ -117,20 +138,31 @@ def _of_joints(run: Trajectory) -> dict:
         )  # fmt: skip
     if seen.elastic_energy:
         columns["elastic_energy"] = (
-            ("time", "force_joint"), _stack(seen.elastic_energy.values()), "J", "energy stored in the joint"
+            ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.force_joints), "J",
+            "energy stored in the joint"
         )  # fmt: skip
     if system.tracks_work:
         dims = ("time", "force_joint")
-        columns["absorbed_work"] = (dims, run.state.work, "J", "work that the joint has taken from the bodies")
+        columns["absorbed_work"] = (
+            dims,
+            run.state.work,
+            "J",
+            "work that the joint has taken from the bodies",
+        )
         dissipated = _stack(run.dissipated_energy(name) for name in system.force_joints)
         columns["dissipated_energy"] = (dims, dissipated, "J", "energy that the joint has dissipated")
     if run.system.layout.n_memory:
-        columns["joint_memory"] = (("time", "memory"), run.state.memory, "m/s or m", "what the contact laws remember")
+        columns["joint_memory"] = (
+            ("time", "memory"),
+            run.state.memory,
+            "m/s or m",
+            "what the contact laws remember",
+        )
     return columns
 
 
-def _of_the_whole(run: Trajectory) -> dict:
-    columns = {
+def _of_the_whole(run: Trajectory) -> dict[str, Column]:
+    columns: dict[str, Column] = {
         "kinetic_energy": (("time",), run.kinetic_energy, "J", "kinetic energy of all bodies"),
         "potential_energy": (("time",), run.potential_energy, "J", "energy of weight and force elements"),
         "mechanical_energy": (("time",), run.mechanical_energy, "J", "kinetic, potential and elastic energy"),

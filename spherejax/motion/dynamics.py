@@ -36,9 +36,7 @@ class Evaluation(NamedTuple):
 def body_motions(system: System, state: State) -> dict[str, BodyMotion]:
     """Motion of each body by name, the ground included."""
     motions = {
-        name: body_motion(
-            state.position[i], state.quaternion[i], state.velocity[i], state.angular_velocity[i]
-        )
+        name: body_motion(state.position[i], state.quaternion[i], state.velocity[i], state.angular_velocity[i])
         for i, name in enumerate(system.bodies)
     }
     return {GROUND: ground_motion(), **motions}

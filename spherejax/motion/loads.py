@@ -35,9 +35,7 @@ def joint_load(joint: PlacedSpherical, motions: dict[str, BodyMotion], memory) -
     socket_center, ball_center = joint.centers(motions)
     socket_name, ball_name = joint.bodies
     wrenches = {
-        socket_name: Wrench(
-            -response.force, response.socket_moment - jnp.cross(socket_center.arm, response.force)
-        ),
+        socket_name: Wrench(-response.force, response.socket_moment - jnp.cross(socket_center.arm, response.force)),
         ball_name: Wrench(response.force, response.ball_moment + jnp.cross(ball_center.arm, response.force)),
     }
     absorbed_power = -(
@@ -51,7 +49,7 @@ def joint_load(joint: PlacedSpherical, motions: dict[str, BodyMotion], memory) -
 def joint_loads(system: System, motions: dict[str, BodyMotion], memory) -> dict[str, JointLoad]:
     """Loads of the joints that answer with a force, by name."""
     return {
-        name: joint_load(system.joints[name], motions, memory[system.memory_of(name)])
+        name: joint_load(system.spherical(name), motions, memory[system.memory_of(name)])
         for name in system.force_joints
     }
 
@@ -74,5 +72,3 @@ def _weight_and_gyroscopic(system: System, name: str, motion: BodyMotion) -> Wre
     body = system.bodies[name]
     angular_momentum = inertia_in_world(body.inertia, motion.rotation) @ motion.angular_velocity
     return Wrench(body.mass * system.gravity, -jnp.cross(motion.angular_velocity, angular_momentum))
-
-

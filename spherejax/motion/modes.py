@@ -2,6 +2,8 @@
 
 import enum
 from functools import lru_cache
+from itertools import pairwise
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +39,8 @@ def modes(system: System, ts, ys, penetration, joint: str) -> np.ndarray:
 
     Flight: the ball does not touch. Impact: from an onset to the release that follows it. Contact (the following
     mode): an onset whose release does not come within `CONTACT_DURATIONS` durations of a free elastic impact of the
-    same depth, 2.943 delta_max / v with v^2 = 2 delta_max^(n+1) K / ((n+1) m) and m the effective mass along the normal.
+    same depth, 2.943 delta_max / v with v^2 = 2 delta_max^(n+1) K / ((n+1) m) and m the effective mass
+    along the normal.
 
     Episodes are recognized from the samples (and, where the joint remembers its onsets, from a change of the
     remembered rate): the samples must be finer than a contact lasts, about 50 us for steel parts of 0.1 kg.
@@ -67,11 +70,11 @@ def _episodes(is_touching: np.ndarray, onset_rate: np.ndarray | None) -> list[tu
     """Half-open ranges of samples that belong to one onset."""
     label = is_touching.astype(float) if onset_rate is None else np.where(is_touching, onset_rate, 0.0)
     borders = [0, *(np.flatnonzero(np.diff(label)) + 1).tolist(), label.size]
-    return [(a, b) for a, b in zip(borders[:-1], borders[1:], strict=True) if is_touching[a]]
+    return [(a, b) for a, b in pairwise(borders) if is_touching[a]]
 
 
 def _impact_duration(system: System, joint: str, depth: float, inverse_mass: float) -> float:
-    model = system.joints[joint].model
+    model: Any = system.spherical(joint).model
     n, stiffness = float(model.normal.exponent), float(stiffness_of(model.normal, model.surfaces))
     if depth <= 0:
         return 0.0
@@ -109,7 +112,7 @@ def _mobility_function(joint: str):
 def _normal_mobility(system: System, joint: str, y):
     """Acceleration along n of ball against socket per unit of a pair of opposite forces along n [1/kg]."""
     motions = body_motions(system, unpack(system.layout, y))
-    placed = system.joints[joint]
+    placed = system.spherical(joint)
     rows = placed.coincidence(motions)
     n = direction_of(placed.relative_motion(motions).eccentricity)
     pair = {body: block.T @ n for body, block in zip(placed.bodies, rows.jacobians, strict=True)}

@@ -85,7 +85,7 @@ def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
     body = joint.bodies[1]
     jacobian = evaluation.constraints.rows[name].jacobians[1]
     wrench = -jacobian.T @ evaluation.solution.multipliers[name]
-    place = joint.places[1] if isinstance(joint, PlacedRevolute) else joint.ball_place
+    place = joint.places[1] if isinstance(joint, PlacedRevolute) else system.spherical(name).ball_place
     arm = point_motion(evaluation.motions[body], jnp.asarray(place)).arm
     return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
 

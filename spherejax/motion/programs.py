@@ -8,6 +8,7 @@ no scalar program can be made it falls back to the array code, with a warning.
 import warnings
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -53,19 +54,19 @@ class Program:
         """What depends on the parameters alone, evaluated once; pass it to `inside`."""
         return () if self.scalar is None else self.scalar.ahead(theta)
 
-    def inside(self, theta, ahead, t, y):
+    def inside(self, theta, ahead, t, y) -> Any:
         """As a call, inside a loop over which the parameters are constant."""
         if self.scalar is None:
             return self(theta, t, y)
         return self.scalar.inside(ahead, theta, jnp.asarray(t, jnp.float64), y)
 
-    def compute(self, theta, t, y):
+    def compute(self, theta, t, y) -> Any:
         """Evaluate concrete numbers now, as NumPy, without compiling anything where there is a scalar program."""
         if self.scalar is not None:
             return self.scalar.compute(theta, t, y)
         return concretely(lambda *numbers: self.function(self.structure.system(numbers[0]), *numbers[1:]), theta, t, y)
 
-    def __call__(self, theta, t, y):
+    def __call__(self, theta, t, y) -> Any:
         """Evaluate at parameters theta, time t [s] and flat state y."""
         if self.scalar is not None:
             return self.scalar(theta, jnp.asarray(t, jnp.float64), y)

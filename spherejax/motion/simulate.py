@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError, is_concrete
-from spherejax.foundations.types import Flag
+from spherejax.foundations.types import Flag, Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble, assemble_now
@@ -29,10 +29,6 @@ from spherejax.runtime import require_float64
 
 SMALLEST_TOLERANCE = 1e-14
 """Relative tolerances below this ask for digits that float64 does not carry (its resolution is 2.2e-16)."""
-
-MANY_PARAMETERS = 24
-"""Up to this many traced numbers, derivatives are computed by forward sensitivities, which serve forward and reverse
-mode alike; beyond, reverse mode by checkpointing is cheaper."""
 
 
 def simulate(
@@ -61,9 +57,10 @@ def simulate(
         solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why).
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
             are landed on whichever controller judges the errors.
-        adjoint: a diffrax adjoint. When None, derivatives come from forward sensitivities for up to
-            `MANY_PARAMETERS` traced numbers, in forward and in reverse mode; beyond that from
-            `diffrax.RecursiveCheckpointAdjoint`, in reverse mode only.
+        adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
+            traced numbers, which serve forward and reverse mode alike and cost about one run for each number. For
+            hundreds of numbers `diffrax.RecursiveCheckpointAdjoint()` is cheaper; it serves reverse mode only, and
+            takes minutes to compile for a stiff scene.
         max_steps: largest number of steps.
         track_work: integrate the work that each non-ideal joint absorbs.
         scalar: run on the scalar program; False runs on the array code, which is slower.
@@ -87,19 +84,24 @@ def simulate(
         stepsize_controller = diffrax.PIDController(rtol=jnp.asarray(rtol), atol=jnp.asarray(atol))
     structure, theta = flatten_system(system)
     start = _start_now(system)
-    known, unknown = _split(system, theta)
+    known, unknown = _split(system)
     plan = Plan(structure, unknown, scalar)
-    if adjoint is None:
-        # The loop that forward mode differentiates; a checkpointing loop when there is much to differentiate by.
-        by_sensitivities = len(unknown) <= MANY_PARAMETERS
-        adjoint = diffrax.ForwardMode() if by_sensitivities else diffrax.RecursiveCheckpointAdjoint()
-        integrate = _integrate_with_sensitivities if by_sensitivities and unknown else _integrate
-    else:
-        integrate = _integrate
+    # diffrax differentiates this loop in forward mode only; the sensitivities make reverse mode of it as well.
+    by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
+    adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
+    integrate = _integrate_with_sensitivities if by_sensitivities and unknown else _integrate
     options = Options(choice.solver, stepsize_controller, adjoint, max_steps)
     values_are_legal = jnp.all(jnp.stack(compiled.conditions)) if compiled.conditions else jnp.asarray(True)
-    values = theta[np.array(unknown, int)] if unknown else jnp.zeros(0)
-    outcome = integrate(plan, options, values, known, ts, start, values_are_legal)
+    values = jnp.asarray(theta)[np.array(unknown, int)] if unknown else jnp.zeros(0)
+    try:
+        outcome = integrate(plan, options, values, known, ts, start, values_are_legal)
+    except TypeError as error:
+        if "forward-mode" not in str(error):
+            raise
+        raise TypeError(
+            f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
+            "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
+        ) from error
     run = Trajectory(
         ts=ts,
         ys=outcome.ys,
@@ -212,15 +214,17 @@ def _integrate(
         saveat=diffrax.SaveAt(
             subs=[diffrax.SubSaveAt(ts=jnp.minimum(ts, t1)), diffrax.SubSaveAt(t1=True)], solver_state=True
         ),
-        stepsize_controller=LandingController(options.controller, contacts),
+        stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
         adjoint=options.adjoint,
         max_steps=options.max_steps,
         throw=False,
     )
     status = status_of(solution.result, values_are_legal, is_closed)
-    reached = solution.ts[1][0]
+    sampled: Any = solution.ys
+    times: Any = solution.ts
+    reached = times[1][0]
     is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
-    ys = jnp.where(is_sampled[:, None], solution.ys[0], jnp.nan)
+    ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
     return Outcome(ys, reached, status, _statistics(solution, options.solver, contacts), assembly)
 
 
@@ -292,7 +296,7 @@ def _n_numbers(structure: Structure) -> int:
 
 
 def as_ideal(system: System) -> System:
-    """The system for assembly: geometry and inertia without models and forces, so that one program serves all models."""
+    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
     joints = {
         name: eqx.tree_at(lambda j: j.model, joint, Ideal())
         if isinstance(joint, PlacedSpherical) and joint.starts_concentric
@@ -317,7 +321,7 @@ def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
     return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])
 
 
-def _split(system: System, theta) -> tuple[Float[Array, " p"], tuple[int, ...]]:
+def _split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
     known, unknown, start = [], [], 0
     for leaf in jax.tree.leaves(system):
@@ -363,8 +367,8 @@ def _checked_times(ts) -> Float[Array, " n"]:
         if np.any(steps <= 0):
             at = int(np.argmax(steps <= 0))
             raise SceneError(
-                f"ts must increase; ts[{at + 1}] = {times[at + 1]:.9g} follows ts[{at}] = {times[at]:.9g}. Sort the times and "
-                "remove repeated ones"
+                f"ts must increase; ts[{at + 1}] = {times[at + 1]:.9g} follows ts[{at}] = {times[at]:.9g}. Sort the "
+                "times and remove repeated ones"
             )
         return jnp.asarray(times)
     return jnp.asarray(ts, jnp.float64)
@@ -373,7 +377,8 @@ def _checked_times(ts) -> Float[Array, " n"]:
 def _check_tolerances(rtol, atol) -> None:
     if is_concrete(rtol) and not float(rtol) >= SMALLEST_TOLERANCE:
         raise SceneError(
-            f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use {SMALLEST_TOLERANCE:.0e} or more"
+            f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
+            f"{SMALLEST_TOLERANCE:.0e}"
         )
     if is_concrete(atol) and not float(atol) > 0:
         raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")

@@ -31,20 +31,20 @@ class Status(enum.IntEnum):
 
 REMEDIES = {
     Status.TOO_MANY_STEPS: (
-        "the number of steps reached max_steps. Raise max_steps, loosen rtol, or, when the steps are tiny, choose a stiff "
-        "solver (solver=spherejax.Rodas5P())"
+        "the number of steps reached max_steps. Raise max_steps, loosen rtol, or, when the steps are tiny, choose a "
+        "stiff solver (solver=spherejax.Rodas5P())"
     ),
     Status.STEP_TOO_SMALL: (
         "the step size shrank to the rounding of time: the accelerations are not finite or grow without bound there. "
         "Check the forces at that instant, loosen rtol, or soften the contact or film"
     ),
     Status.BAD_VALUE: (
-        "a physical number is not legal (for instance a clearance that is not positive). Simulate this lane alone, outside "
-        "jit and vmap, to get the error that names the joint and the value"
+        "a physical number is not legal (for instance a clearance that is not positive). Simulate this lane alone, "
+        "outside jit and vmap, to get the error that names the joint and the value"
     ),
     Status.START_NOT_CLOSED: (
-        "the joints cannot be closed at the start. Simulate this lane alone, outside jit and vmap, to get the error that "
-        "names the joint"
+        "the joints cannot be closed at the start. Simulate this lane alone, outside jit and vmap, to get the error "
+        "that names the joint"
     ),
     Status.SOLVER_FAILED: (
         "the solver could not make a step (a linear or nonlinear solve failed). Choose another solver or loosen rtol"
@@ -76,6 +76,7 @@ def diagnosis(status, t_reached, t_end) -> str:
         index = tuple(lane)
         which = "" if status.size == 1 else f"lane {', '.join(map(str, index))}: "
         sentences.append(
-            f"{which}stopped at t = {t_reached[index]:.9g} s of {t_end[index]:.9g} s: {REMEDIES[Status(status[index])]}."
+            f"{which}stopped at t = {t_reached[index]:.9g} s of {t_end[index]:.9g} s: "
+            f"{REMEDIES[Status(status[index])]}."
         )
     return "\n".join(sentences)

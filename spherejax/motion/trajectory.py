@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import SceneError, is_concrete
@@ -21,9 +22,6 @@ from spherejax.physics.state import State, unpack
 
 if TYPE_CHECKING:
     import xarray
-
-_BLOCK = 256
-"""Samples observed at once: enough for vector instructions, few enough to stay in the cache."""
 
 
 class Statistics(NamedTuple):
@@ -164,9 +162,10 @@ class Trajectory(eqx.Module):
     def clearance(self, joint: str):
         """Radial clearance of a joint [m]."""
         model = getattr(self.system.joints[self._joint(joint)], "model", None)
-        if not hasattr(model, "clearance"):
+        clearance = getattr(model, "clearance", None)
+        if clearance is None:
             raise SceneError(f"joint {joint!r} has no clearance: its model is {type(model).__name__}")
-        return model.clearance
+        return clearance
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
         """A named contribution of a joint that answers with a force, e.g. `"normal_force"`, `"film_force"` [N]."""
@@ -264,5 +263,16 @@ class Trajectory(eqx.Module):
 
 @eqx.filter_jit
 def _observed(structure, use_scalars: bool, theta, ts, ys) -> Observation:
+    """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
     program = program_for(observe, structure, use_scalars)
-    return jax.lax.map(lambda sample: program(theta, *sample), (ts, ys), batch_size=_BLOCK)
+    ahead = program.ahead(theta)
+
+    def flat(t, y):
+        return ravel_pytree(program.inside(theta, ahead, t, y))[0]
+
+    rows = jax.lax.map(lambda sample: flat(*sample), (ts, ys))
+    example = jax.eval_shape(program, theta, ts[0], ys[0])
+    leaves, tree = jax.tree.flatten(example)
+    sizes = [int(np.prod(leaf.shape)) for leaf in leaves]
+    columns = jnp.split(rows, np.cumsum(sizes)[:-1].tolist(), axis=1)
+    return jax.tree.unflatten(tree, [c.reshape(-1, *leaf.shape) for c, leaf in zip(columns, leaves, strict=True)])

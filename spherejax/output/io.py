@@ -21,8 +21,8 @@ SUFFIXES = (".nc", ".csv")
 def save(result: "Trajectory | xarray.Dataset", path: str | os.PathLike, *, overwrite: bool = False) -> Path:
     """Write a run or a data set; the suffix of the path decides the format.
 
-    `.nc` is netCDF 4 with all attributes. `.csv` is a table with one row for each sample and one column for each
-    number, named with its unit, e.g. `position rocker z [m]`. Missing folders are made.
+    `.nc` is netCDF 4 with all attributes. `.csv` is a table with one row for each sample and one column for
+    each number, named with its unit, e.g. `position rocker z [m]`. Missing folders are made.
 
     Args:
         result: a run, or a data set.
@@ -33,7 +33,8 @@ def save(result: "Trajectory | xarray.Dataset", path: str | os.PathLike, *, over
         The path.
 
     Raises:
-        SceneError: for another suffix, for an existing file without `overwrite`, or where nothing can be written.
+        SceneError: for another suffix, for an existing file without `overwrite`, or where nothing can be
+        written.
     """
     path = writable(path, overwrite=overwrite)
     dataset = to_dataset(result) if isinstance(result, Trajectory) else result
@@ -42,6 +43,8 @@ def save(result: "Trajectory | xarray.Dataset", path: str | os.PathLike, *, over
             dataset.to_netcdf(path, engine="h5netcdf")
         else:
             _write_csv(dataset, path)
+    except ImportError as error:
+        raise SceneError(f"cannot write netCDF: {error}; or write a table (.csv)") from error
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     return path
@@ -59,7 +62,9 @@ def load(path: str | os.PathLike) -> "xarray.Dataset":
     if not path.is_file():
         raise SceneError(f"there is no file {str(path)!r}")
     if path.suffix != ".nc":
-        raise SceneError(f"load reads netCDF files (.nc), and {str(path)!r} is none; read a CSV file with any table reader")
+        raise SceneError(
+            f"load reads netCDF files (.nc), and {str(path)!r} is none; read a CSV file with any table reader"
+        )
     try:
         return xarray.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError) as error:
@@ -85,7 +90,9 @@ def writable(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
 def require_free(path: Path, *, overwrite: bool) -> None:
     """Raise `SceneError` when a file exists and must not be replaced."""
     if path.exists() and not overwrite:
-        raise SceneError(f"{str(path)!r} exists; choose another name, or ask to overwrite it (overwrite=True, --overwrite)")
+        raise SceneError(
+            f"{str(path)!r} exists; choose another name, or ask to overwrite it (overwrite=True, --overwrite)"
+        )
 
 
 def make_folder(folder: Path) -> None:

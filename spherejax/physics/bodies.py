@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, concretely
-from spherejax.foundations.types import Matrix3, Number
+from spherejax.foundations.types import Matrix3, Number, Numeric
 
 GROUND = "ground"
 """The name of the body that does not move; its axes are the world axes."""
@@ -30,12 +30,12 @@ class Body(eqx.Module):
     """
 
     mass: Number
-    inertia: object
-    position: object = (0.0, 0.0, 0.0)
-    quaternion: object = (1.0, 0.0, 0.0, 0.0)
-    velocity: object = (0.0, 0.0, 0.0)
-    angular_velocity: object = (0.0, 0.0, 0.0)
-    points: Mapping[str, object] = eqx.field(default_factory=dict)
+    inertia: Numeric
+    position: Numeric = (0.0, 0.0, 0.0)
+    quaternion: Numeric = (1.0, 0.0, 0.0, 0.0)
+    velocity: Numeric = (0.0, 0.0, 0.0)
+    angular_velocity: Numeric = (0.0, 0.0, 0.0)
+    points: Mapping[str, Numeric] = eqx.field(default_factory=dict)
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Body(eqx.Module):
         quaternion=(1.0, 0.0, 0.0, 0.0),
         velocity=(0.0, 0.0, 0.0),
         angular_velocity=(0.0, 0.0, 0.0),
-        points: Mapping[str, object] | None = None,
+        points: Mapping[str, Numeric] | None = None,
     ):
         self.mass = mass
         self.inertia = numbers(inertia)
@@ -64,12 +64,27 @@ class Body(eqx.Module):
         )
         norm_error = abs((self.quaternion**2).sum() ** 0.5 - 1)
         rows = [
-            Requirement("mass", self.mass, (self.mass > 0) & (self.mass < np.inf), "be positive [kg]",
-                        "A massless part is modeled with a small mass or as a force element."),
-            Requirement("inertia", self.inertia, inertia_positive, "be positive (definite) [kg m^2]",
-                        "Give three principal moments, or a symmetric 3 x 3 matrix."),
-            Requirement("quaternion", self.quaternion, norm_error < UNIT_NORM_TOLERANCE, "have unit norm",
-                        "Divide it by its norm; the scalar part comes first."),
+            Requirement(
+                "mass",
+                self.mass,
+                (self.mass > 0) & (self.mass < np.inf),
+                "be positive [kg]",
+                "A massless part is modeled with a small mass or as a force element.",
+            ),
+            Requirement(
+                "inertia",
+                self.inertia,
+                inertia_positive,
+                "be positive (definite) [kg m^2]",
+                "Give three principal moments, or a symmetric 3 x 3 matrix.",
+            ),
+            Requirement(
+                "quaternion",
+                self.quaternion,
+                norm_error < UNIT_NORM_TOLERANCE,
+                "have unit norm",
+                "Divide it by its norm; the scalar part comes first.",
+            ),
         ]
         for field in ("position", "velocity", "angular_velocity"):
             value = getattr(self, field)
@@ -113,5 +128,3 @@ def _inverse(matrix: Matrix3) -> Matrix3:
     a, b, c = matrix
     cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)])
     return cofactors.T / (a @ cofactors[0])
-
-

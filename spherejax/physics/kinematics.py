@@ -64,9 +64,7 @@ class RelativeMotion(NamedTuple):
     ball_angular_velocity: Vector3
 
 
-def body_motion(
-    position: Vector3, quaternion: Quaternion, velocity: Vector3, angular_velocity: Vector3
-) -> BodyMotion:
+def body_motion(position: Vector3, quaternion: Quaternion, velocity: Vector3, angular_velocity: Vector3) -> BodyMotion:
     """Motion of one body, with its rotation matrix."""
     return BodyMotion(position, quaternion, rotation_matrix(quaternion), velocity, angular_velocity)
 

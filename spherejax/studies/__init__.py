@@ -1,0 +1,1 @@
+"""What an effect costs, and comparisons."""

@@ -1,8 +1,8 @@
 """The cases of the comparison: five joint models, the parameter studies of Figs 10 to 17, and the limits.
 
-Parameters as printed in the paper (Tables 3 and 4) where they are legible. Chosen here: restitution 0.9, the largest
-clearance 0.20 mm, the clearance 0.10 mm of the law studies, and the bushings (k = 1e6 N/m with b = 1e-2 s; k = 1e5 and
-1e7 N/m; b = 1e-4 and 1e-3 s).
+Parameters as printed in the paper (Tables 3 and 4) where they are legible. Chosen here: restitution 0.9, the
+largest clearance 0.20 mm, the clearance 0.10 mm of the law studies, and the bushings (k = 1e6 N/m with b =
+1e-2 s; k = 1e5 and 1e7 N/m; b = 1e-4 and 1e-3 s).
 """
 
 from collections.abc import Callable
@@ -152,12 +152,22 @@ def five_models() -> dict[str, Case]:
 
 
 def _normal_laws() -> dict[str, AbstractNormalLaw]:
-    laws = {"Hunt-Crossley": HuntCrossley, "Lankarani-Nikravesh": LankaraniNikravesh, "Gonthier": Gonthier, "Flores": Flores}
+    laws = {
+        "Hunt-Crossley": HuntCrossley,
+        "Lankarani-Nikravesh": LankaraniNikravesh,
+        "Gonthier": Gonthier,
+        "Flores": Flores,
+    }
     return {name: law(restitution=RESTITUTION) for name, law in laws.items()}
 
 
 def _friction_laws() -> dict[str, AbstractFrictionLaw]:
-    return {"Threlfall": Threlfall(), "Bengisu-Akay": BengisuAkay(), "Ambrosio": Ambrosio(), "Brown-McPhee": BrownMcPhee()}
+    return {
+        "Threlfall": Threlfall(),
+        "Bengisu-Akay": BengisuAkay(),
+        "Ambrosio": Ambrosio(),
+        "Brown-McPhee": BrownMcPhee(),
+    }
 
 
 def _gap(clearance: float) -> str:
@@ -178,25 +188,33 @@ def parameter_studies() -> list[Study]:
         Study("fig13", f"Dry joint with friction: normal law\n(c = 0.10 mm, restitution 0.9; {friction})",
               tuple(friction_case(name, normal=one) for name, one in _normal_laws().items())),
         Study("fig14", f"Dry joint with friction: friction law (c = 0.10 mm; {law})",
-              tuple(friction_case(name, friction=one) for name, one in _friction_laws().items()), close_up=True),
+              tuple(friction_case(name, friction=one) for name, one in _friction_laws().items()),
+              close_up=True),
         Study("fig15", "Lubricated joint: clearance (0.4 Pa s, Guembel's condition)",
               tuple(lubricated_case(_gap(c), c) for c in CLEARANCES), histories=True, ordered=True),
         Study("fig16", "Bushing: stiffness k (b = 1e-2 s)",
-              tuple(bushing_case(f"k = {k:.0e} N/m", stiffness=k) for k in (1e5, 1e6, 1e7)), histories=True, ordered=True),
+              tuple(bushing_case(f"k = {k:.0e} N/m", stiffness=k) for k in (1e5, 1e6, 1e7)),
+              histories=True, ordered=True),
         Study("fig17", "Bushing: damping b (k = 1e6 N/m)",
               tuple(bushing_case(f"b = {b:.0e} s", damping=b) for b in (1e-4, 1e-3, 1e-2)), ordered=True),
     ]  # fmt: skip
 
 
 def limit_studies() -> list[LimitStudy]:
-    """The limits in which each model becomes the ideal joint."""
+    """The limits in which each model becomes the ideal joint.
+
+    Friction does not vanish with the clearance: the ball is as large as before, and so is the friction
+    moment.
+    """
+    gap, clearances = "clearance [mm]", (0.4, 0.2, 0.1, 0.05, 0.025)
     threlfall = Threlfall()
     return [
-        LimitStudy("dry with friction", "clearance [m]", (4e-4, 2e-4, 1e-4, 5e-5, 2.5e-5),
-                   lambda c: Dry(c, friction=threlfall), 1),
-        LimitStudy("dry without friction", "clearance [m]", (4e-4, 2e-4, 1e-4, 5e-5, 2.5e-5), lambda c: Dry(c), 1),
-        LimitStudy("lubricated, 0.4 Pa s", "clearance [m]", (4e-4, 2e-4, 1e-4), lambda c: Lubricated(c, viscosity=VISCOSITY), 1),
-        LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 3e4, 1e5, 3e5, 1e6),
+        LimitStudy("dry with friction: its moment stays", gap, clearances,
+                   lambda c: Dry(1e-3 * c, friction=threlfall), None),
+        LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1),
+        LimitStudy("lubricated, 0.4 Pa s", gap, clearances[:3],
+                   lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY), None),
+        LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 1e5, 1e6, 1e7),
                    lambda k: Bushing(k, 1e-4), -1),
         LimitStudy("lubricated, c = 0.10 mm", "viscosity [Pa s]", (0.1, 0.4, 1.6, 6.4),
                    lambda nu: Lubricated(CLEARANCE, viscosity=nu), -1),

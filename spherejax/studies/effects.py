@@ -57,7 +57,7 @@ class Effects(NamedTuple):
     def __str__(self) -> str:
         head = ("joint", "effect", "states", "rows", "memory", "operations", "ahead", "us/rhs", "x ideal")
         base = self.rows[0].microseconds
-        lines = [head]
+        lines: list[tuple[str, ...]] = [head]
         for row in self.rows:
             timed = np.isfinite(row.microseconds)
             lines.append(

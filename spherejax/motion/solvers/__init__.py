@@ -1,0 +1,1 @@
+"""What diffrax lacks, as diffrax classes: Rosenbrock methods, landing on contacts, automatic choice."""

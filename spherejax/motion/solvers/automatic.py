@@ -36,18 +36,18 @@ def choose_solver(system: System) -> Choice:
     not looked at: the choice then rests on the models alone.
     """
     for name in system.force_joints:
-        model = system.joints[name].model
+        model = system.spherical(name).model
         if isinstance(model, Lubricated):
             return Choice(Rodas5P(), f"Rodas5P: the film of joint {name!r} is stiff")
-        rate = _bushing_rate(system, name) if isinstance(model, Bushing) else 0.0
+        rate = _bushing_rate(system, name, model) if isinstance(model, Bushing) else 0.0
         if rate > STIFF_RATE:
             return Choice(Rodas5P(), f"Rodas5P: the bushing of joint {name!r} relaxes at about {rate:.0e} per second")
     return Choice(diffrax.Dopri8(), "Dopri8: no effect of the scene is stiff")
 
 
-def _bushing_rate(system: System, name: str) -> float:
-    joint = system.joints[name]
-    law = joint.model.law
+def _bushing_rate(system: System, name: str, model: Bushing) -> float:
+    joint = system.spherical(name)
+    law = model.law
     masses = [system.bodies[body].mass for body in joint.bodies if body in system.bodies]
     if not isinstance(law, RadialElastomer | VectorElastomer):
         return 0.0

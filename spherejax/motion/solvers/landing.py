@@ -7,7 +7,7 @@ crossing function; the step is then taken again to end just behind it.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -70,12 +70,14 @@ class MemorySolver(diffrax.AbstractWrappedSolver):
     @property
     def root_finder(self):
         """As the wrapped solver's, if it is implicit."""
-        return self.solver.root_finder
+        solver: Any = self.solver
+        return solver.root_finder
 
     @property
     def root_find_max_steps(self):
         """As the wrapped solver's, if it is implicit."""
-        return self.solver.root_find_max_steps
+        solver: Any = self.solver
+        return solver.root_find_max_steps
 
     @property
     def scan_kind(self):
@@ -106,9 +108,7 @@ class MemorySolver(diffrax.AbstractWrappedSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """A step of the wrapped solver, then the events at its end."""
         inner_state, n_onsets = solver_state
-        y1, error, dense_info, inner_state, result = self.solver.step(
-            terms, t0, t1, y0, args, inner_state, made_jump
-        )
+        y1, error, dense_info, inner_state, result = self.solver.step(terms, t0, t1, y0, args, inner_state, made_jump)
         updated = self.contacts.update(args, t1, y0, y1)
         began = ~self.contacts.is_touching(y0) & self.contacts.is_touching(updated)
         return updated, error, dense_info, (inner_state, n_onsets + began), result
@@ -142,7 +142,7 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
         contacts: the system's contacts, or None for a system without.
     """
 
-    controller: diffrax.AbstractAdaptiveStepSizeController
+    controller: Any  # diffrax.AbstractAdaptiveStepSizeController
     contacts: Contacts | None = eqx.field(static=True)
 
     @property
@@ -162,7 +162,7 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""
-        return LandingController(self.controller.wrap(direction), self.contacts)
+        return LandingController(self.controller.wrap(direction), self.contacts)  # pyright: ignore[reportCallIssue]
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """The wrapped controller's first step."""
@@ -175,9 +175,7 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state.inner
         )
         size = t1 - t0
-        has_stalled = ~keep & (
-            jnp.abs(size) <= 4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
-        )
+        has_stalled = ~keep & (jnp.abs(size) <= 4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1)))
         result = diffrax.RESULTS.where(
             has_stalled & (result == diffrax.RESULTS.successful), diffrax.RESULTS.dt_min_reached, result
         )
@@ -185,7 +183,7 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
             state = controller_state._replace(inner=inner)
             return keep, next_t0, next_t1, made_jump, state, result
         was_touching = self.contacts.is_touching(y0)
-        fraction = self._fraction_to_crossing(t0, t1, y0, y1_candidate, args, was_touching)
+        fraction = _fraction_to_crossing(self.contacts, t0, t1, y0, y1_candidate, args, was_touching)
         must_land = keep & (fraction < 1)
         keep = keep & ~must_land
         is_touching = self.contacts.is_touching(y1_candidate)
@@ -205,18 +203,19 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
             inner,
             first_steps,
             is_first=has_landed | (state.is_first & ~records),
-            is_landing=must_land,
+            is_landing=jnp.asarray(must_land),
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
 
-    def _fraction_to_crossing(self, t0, t1, y0, y1, args, was_touching) -> Float[Array, ""]:
-        """The fraction of the step at which the first contact changes mode; 1 when none does, or when it has landed."""
-        start, end = self.contacts.crossings(args, t0, y0), self.contacts.crossings(args, t1, y1)
-        sign = jnp.where(was_touching, -1.0, 1.0)
-        fractions = crossing_fraction(
-            sign * start.value, sign * start.rate * (t1 - t0), sign * end.value, sign * end.rate * (t1 - t0)
-        )
-        return jax.lax.stop_gradient(jnp.min(fractions))
+
+def _fraction_to_crossing(contacts: Contacts, t0, t1, y0, y1, args, was_touching) -> Float[Array, ""]:
+    """The fraction of the step at which the first contact changes mode; 1 when none does, or when it has landed."""
+    start, end = contacts.crossings(args, t0, y0), contacts.crossings(args, t1, y1)
+    sign = jnp.where(was_touching, -1.0, 1.0)
+    fractions = crossing_fraction(
+        sign * start.value, sign * start.rate * (t1 - t0), sign * end.value, sign * end.rate * (t1 - t0)
+    )
+    return jax.lax.stop_gradient(jnp.min(fractions))
 
 
 def crossing_fraction(g0, slope0, g1, slope1):

@@ -1,7 +1,7 @@
 """What the figures of one mechanism draw: the histories of a body and of a joint, as plain host arrays.
 
-A trajectory observes everything; a figure needs a few curves of it. Drawing code sees only `Curves`, so it can be
-used with results that come from elsewhere, and a long study does not hold on to whole trajectories.
+A trajectory observes everything; a figure needs a few curves of it. Drawing code sees only `Curves`, so it
+can be used with results that come from elsewhere, and a long study does not hold on to whole trajectories.
 """
 
 from dataclasses import dataclass
@@ -85,6 +85,7 @@ def thinned(ts: np.ndarray, values: np.ndarray, n_bins: int = 1500) -> tuple[np.
     size = len(ts) // n_bins
     if size <= 2:
         return ts, values
+    n_bins = len(ts) // size
     n_full = size * n_bins
     blocks = values[:n_full].reshape(n_bins, size)
     # argmin of a block with NaN is the NaN's place: a failed run stays visible as a gap.

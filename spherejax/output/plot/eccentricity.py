@@ -1,9 +1,10 @@
 """The path of the ball's center inside the clearance, joint by joint (Fig. 20).
 
-The path is spatial: in world axes no plane holds more than nine tenths of it. Each circle shows the plane in which the
-rocker swings, x-z, because it is the same for all models and holds gravity and most of the reaction. The angle
-is that of the projection, but the distance from the middle is the true |e|: a projected distance would draw contact
-beside the plane as if the ball were in flight, whereas here contact is on the circle, and only there.
+The path is spatial: in world axes no plane holds more than nine tenths of it. Each circle shows the plane in
+which the rocker swings, x-z, because it is the same for all models and holds gravity and most of the
+reaction. The angle is that of the projection, but the distance from the middle is the true |e|: a projected
+distance would draw contact beside the plane as if the ball were in flight, whereas here contact is on the
+circle, and only there.
 """
 
 from collections.abc import Mapping
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from spherejax.output.plot.curves import Curves, thinned
-from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, new_figure, note
+from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, new_figure
 
 _CONTACT = "#D55E00"
 _FLIGHT = "#56B4E9"
@@ -33,7 +34,6 @@ def eccentricity_paths(models: Mapping[str, Curves], title: str, *, every: int =
     for (upper, lower), (name, one) in zip(axes.T, shown.items(), strict=True):
         unit, scale = (1e6, "µm") if one.clearance is None else (1e3, "mm")
         _draw_path(upper, one, unit, scale, every)
-        upper.set_title(one.label, loc="left", fontsize=9)
         lower.plot(*thinned(one.ts, unit * one.distance), color=MODEL_COLORS.get(name, "0.3"), lw=0.9)
         if one.clearance is not None:
             lower.axhline(unit * one.clearance, color="black", lw=1.0)
@@ -58,15 +58,15 @@ def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, every: int) -> No
         ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.4, zorder=2)
         chosen = np.flatnonzero(touching)
         chosen = chosen[:: max(1, len(chosen) // 6000)]
-        ax.scatter(x[chosen], z[chosen], s=3, color=_CONTACT, lw=0, zorder=3)
-        note(ax, f"in contact {100 * touching.mean():.3g} % of the time", place=(0.01, 0.0))
+        ax.scatter(x[chosen], z[chosen], s=6, color=_CONTACT, lw=0, zorder=4)
+        remark = f"in contact {100 * touching.mean():.3g} % of the time"
     else:
         ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.7, zorder=2)
-        text = "no contact" if one.clearance is not None else "no clearance: the circle is the largest |e|"
-        note(ax, text, place=(0.01, 0.0))
+        remark = "never in contact" if one.clearance is not None else "circle: largest |e|"
+    ax.set_title(f"{one.label}\n{remark}", loc="left", fontsize=9)
     radius = np.nanmax(distance) if one.clearance is None else unit * one.clearance
     style = {"ls": "--", "color": "0.4"} if one.clearance is None else {"ls": "-", "color": "black"}
-    ax.add_patch(Circle((0.0, 0.0), radius, fill=False, lw=1.0, zorder=4, **style))
+    ax.add_patch(Circle((0.0, 0.0), radius, fill=False, lw=1.0, zorder=3, **style))
     reach = 1.22 * max(radius, 1e-12)
     ax.set_xlim(-reach, reach)
     ax.set_ylim(-reach, reach)

@@ -7,7 +7,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spherejax.output.plot.curves import Curves, thinned
-from spherejax.output.plot.style import LABELS, LAW_COLORS, legend_below, letter, limit_by_bulk, new_figure, note
+from spherejax.output.plot.style import (
+    LABELS,
+    LAW_COLORS,
+    legend_below,
+    letter,
+    limit_by_bulk,
+    new_figure,
+    note,
+)
 
 QUANTITIES = {
     "z": ("position", 1e3),
@@ -17,11 +25,25 @@ QUANTITIES = {
 }
 """What a panel can show: the field of `Curves`, and the factor to the unit of the label."""
 
-TITLES = {"z": "position", "z_rate": "velocity", "z_acceleration": "acceleration", "energy": "mechanical energy"}
+TITLES = {
+    "z": "position",
+    "z_rate": "velocity",
+    "z_acceleration": "acceleration",
+    "energy": "mechanical energy",
+}
+
+
+WIDTHS = (2.8, 2.0, 1.4, 0.8)
+"""Line widths of up to four curves that coincide, from the back to the front."""
 
 
 def four_histories(
-    curves: Sequence[Curves], ideal: Curves, title: str, *, colors: Sequence = LAW_COLORS, horizon: float | None = None
+    curves: Sequence[Curves],
+    ideal: Curves,
+    title: str,
+    *,
+    colors: Sequence = LAW_COLORS,
+    horizon: float | None = None,
 ) -> Figure:
     """Position, velocity, acceleration and energy in four panels, against the ideal joint.
 
@@ -35,7 +57,7 @@ def four_histories(
     figure, axes = new_figure(2, 2, 9.0, 6.4, title)
     for ax, quantity in zip(axes.flat, QUANTITIES, strict=True):
         draw(ax, quantity, curves, ideal, colors)
-        mark_horizon(ax, horizon, speaks=quantity == "z")
+        mark_horizon(ax, horizon, speaks=quantity == "energy")
     letter(list(axes.flat))
     legend_below(figure, axes[0, 0])
     return figure
@@ -63,8 +85,9 @@ def acceleration_and_energy(
     n_panels = 2 if close_up is None else 3
     figure, axes = new_figure(n_panels, 1, 8.0, 2.9 * n_panels + 0.4, title)
     for ax, quantity in zip(axes[:, 0], ("z_acceleration", "energy"), strict=False):
-        draw(ax, quantity, curves, ideal, colors)
-        mark_horizon(ax, horizon, speaks=quantity == "z_acceleration")
+        # Chaotic histories do not coincide.
+        draw(ax, quantity, curves, ideal, colors, coinciding=horizon is None and len(curves) == len(WIDTHS))
+        mark_horizon(ax, horizon, speaks=quantity == "energy")
     if close_up is not None:
         _draw_close_up(axes[2, 0], curves, ideal, colors, close_up)
     letter(list(axes.flat))
@@ -72,12 +95,30 @@ def acceleration_and_energy(
     return figure
 
 
-def draw(ax: Axes, quantity: str, curves: Sequence[Curves], ideal: Curves, colors: Sequence) -> None:
-    """One quantity of several runs in one panel."""
+def draw(
+    ax: Axes,
+    quantity: str,
+    curves: Sequence[Curves],
+    ideal: Curves,
+    colors: Sequence,
+    coinciding: bool = False,
+) -> None:
+    """One quantity of several runs in one panel; those that coincide are told apart by their widths."""
     field, factor = QUANTITIES[quantity]
-    for one, color in zip(curves, colors, strict=False):
-        ax.plot(*thinned(one.ts, factor * getattr(one, field)), color=color, lw=1.0, alpha=0.85, label=one.label)
-    ax.plot(*thinned(ideal.ts, factor * getattr(ideal, field)), color="black", lw=0.9, dashes=(5, 2), label=ideal.label)
+    unrest = [-np.nanstd(one.acceleration) for one in curves]
+    for place, (one, color) in enumerate(zip(curves, colors, strict=False)):
+        rank = sorted(unrest).index(unrest[place])  # the calmer a curve, the further in front
+        width = WIDTHS[rank] if coinciding else 1.0
+        x, y = thinned(one.ts, factor * getattr(one, field))
+        ax.plot(x, y, color=color, lw=width, alpha=0.9, label=one.label, zorder=2 + rank / 100)
+    ax.plot(
+        *thinned(ideal.ts, factor * getattr(ideal, field)),
+        color="black",
+        lw=0.9,
+        dashes=(5, 2),
+        label=ideal.label,
+        zorder=3,
+    )
     ax.set_xlabel(LABELS["t"])
     ax.set_ylabel(LABELS[quantity])
     ax.set_title(TITLES[quantity], loc="left", fontsize=9)
@@ -92,18 +133,22 @@ def mark_horizon(ax: Axes, horizon: float | None, *, speaks: bool) -> None:
         return
     ax.axvspan(horizon, ax.get_xlim()[1], color="0.5", alpha=0.10, lw=0, zorder=0)
     if speaks:
-        note(ax, f"shaded: chaotic, one history of many (from {horizon:.2f} s)")
+        note(ax, f"shaded: chaotic, one history of many (from {horizon:.2f} s)", place=(0.01, 0.02))
 
 
 def _draw_close_up(ax: Axes, curves: Sequence[Curves], ideal: Curves, colors: Sequence, interval) -> None:
     for one, color in zip((*curves, ideal), (*colors[: len(curves)], "black"), strict=True):
         inside = (one.ts >= interval[0]) & (one.ts <= interval[1])
-        dashes = {"dashes": (5, 2)} if one is ideal else {}
-        ax.plot(*thinned(one.ts[inside], one.acceleration[inside]), color=color, lw=1.1, **dashes)
+        style = (0, (5, 2)) if one is ideal else "-"
+        ax.plot(*thinned(one.ts[inside], one.acceleration[inside]), color=color, lw=1.1, ls=style)
     ax.set_xlim(*interval)
     ax.set_xlabel(LABELS["t"])
     ax.set_ylabel(LABELS["z_acceleration"])
-    ax.set_title("acceleration where sliding nearly stops (smallest sliding speed in the middle)", loc="left", fontsize=9)
+    ax.set_title(
+        "acceleration where sliding nearly stops (smallest sliding speed in the middle)",
+        loc="left",
+        fontsize=9,
+    )
 
 
 def slowest_sliding(one: Curves, *, after: float, half_width: float) -> tuple[float, float] | None:

@@ -1,5 +1,6 @@
 """What the force laws look like by themselves (Figs 6, 7 and 8)."""
 
+import re
 from collections.abc import Mapping, Sequence
 
 import jax
@@ -13,19 +14,28 @@ from spherejax.physics.joints import Lubricated
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.laws import (
     AbstractFrictionLaw,
-    AbstractNormalLaw,
+    AbstractHysteresisLaw,
+    ExactRestitution,
+    Hertz,
     film_force,
     hybrid_weight,
     maximum_penetration,
     realized_restitution,
 )
 
+ImpactLaw = Hertz | AbstractHysteresisLaw
+"""A law whose free impact is known in closed form."""
+
 _IMPACT_STEPS = 4000
 """Runge-Kutta steps over one impact; its error is then far below a line's width."""
 
 
 def impact_loops(
-    families: Mapping[float, Sequence[AbstractNormalLaw]], *, mass: float = 0.03, rate: float = 0.1, stiffness: float
+    families: Mapping[float, Sequence[ImpactLaw]],
+    *,
+    mass: float = 0.03,
+    rate: float = 0.1,
+    stiffness: float,
 ) -> Figure:
     """Force against penetration during one free impact, a panel for each prescribed restitution (Fig. 6).
 
@@ -36,24 +46,24 @@ def impact_loops(
         stiffness: K [N/m^1.5].
     """
     title = f"Free impact: {mass * 1e3:g} g (effective) at {rate:g} m/s, K = {stiffness:.4g} N/m$^{{1.5}}$"
-    figure, axes = new_figure(1, len(families), 4.6 * len(families), 4.2, title)
+    figure, axes = new_figure(1, len(families), 4.6 * len(families), 4.8, title)
     for ax, (restitution, laws) in zip(axes.flat, families.items(), strict=True):
         for law, color, dashes in zip(laws, LAW_COLORS, LAW_DASHES, strict=False):
             penetration, force = _free_impact(law, mass, rate, stiffness)
             realized = realized_restitution(float(law.hysteresis_factor()))
-            label = f"{_spaced(law)} (realizes {realized:.3f})"
+            label = f"{_name(law)} (realizes {realized:.3f})"
             ax.plot(1e6 * penetration, force, color=color, ls=dashes, lw=1.4, label=label)
         ax.set_xlabel("penetration [µm]")
         ax.set_ylabel("contact force [N]")
         ax.set_xlim(left=0)
         ax.set_ylim(bottom=0)
         ax.set_title(f"prescribed restitution {restitution:g}", loc="left", fontsize=9)
-        ax.legend(fontsize=7, loc="upper left")
+        ax.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, frameon=False)
     letter(list(axes.flat))
     return figure
 
 
-def _free_impact(law: AbstractNormalLaw, mass: float, rate: float, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+def _free_impact(law: ImpactLaw, mass: float, rate: float, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
     """Penetration [m] and force [N] from onset to separation."""
     deepest = float(maximum_penetration(mass, rate, law.hysteresis_factor(), stiffness))
     # Compression takes 1.47 deepest / rate without damping; restitution takes longer by the lost speed.
@@ -81,9 +91,9 @@ def friction_curves(laws: Sequence[AbstractFrictionLaw], *, fastest: float = 4e-
     """Friction coefficient against sliding velocity, and its close-up near zero (Fig. 7).
 
     Args:
-        laws: the laws to draw; one that cannot be simulated (Coulomb's) is drawn as the reference, grey and wide.
-        fastest: largest sliding velocity of the left panel [m/s].
-        close_up: largest sliding velocity of the right panel [m/s].
+        laws: the laws to draw; one that cannot be simulated (Coulomb's) is drawn as the reference, grey and
+        wide. fastest: largest sliding velocity of the left panel [m/s]. close_up: largest sliding velocity of
+        the right panel [m/s].
     """
     figure, axes = new_figure(1, 2, 9.2, 4.2, "Friction laws in steady sliding, parameters of Table 3")
     for ax, limit, name in zip(axes.flat, (fastest, close_up), ("all velocities", "near zero sliding"), strict=True):
@@ -101,9 +111,9 @@ def _draw_friction(ax: Axes, laws: Sequence[AbstractFrictionLaw], limit: float) 
         coefficients = np.asarray(jax.vmap(law.coefficient)(jnp.abs(velocities))) * np.sign(velocities)
         if law.simulable:
             color, dashes = next(styles)
-            ax.plot(1e3 * velocities, coefficients, color=color, ls=dashes, lw=1.4, label=_spaced(law))
+            ax.plot(1e3 * velocities, coefficients, color=color, ls=dashes, lw=1.4, label=_name(law))
         else:
-            ax.plot(1e3 * velocities, coefficients, color="0.75", lw=4, label=f"{_spaced(law)} (reference)")
+            ax.plot(1e3 * velocities, coefficients, color="0.75", lw=4, label=f"{_name(law)} (reference)")
     ax.set_xlabel("sliding velocity [mm/s]")
     ax.set_ylabel("friction force / normal force [-]")
     ax.set_xlim(-1e3 * limit, 1e3 * limit)
@@ -127,10 +137,9 @@ def hybrid_force(joint: Lubricated, *, rate: float = 1e-4) -> Figure:
         ax.set_ylabel("resisting force [N]")
         ax.set_title(name, loc="left", fontsize=9)
     axes[0, 0].set_yscale("log")
-    axes[0, 0].set_ylim(1.0, None)
-    axes[0, 1].set_ylim(0.0, None)
+    axes[0, 0].set_ylim(1.0, 1e4)
     axes[0, 0].legend(fontsize=7.5, loc="upper left")
-    note(axes[0, 1], "dotted lines: e = c and e = c + e_h0", place=(0.99, 0.98))
+    note(axes[0, 1], "dotted lines: e = c and e = c + e_h0", place=(0.02, 0.9))
     letter(list(axes.flat))
     return figure
 
@@ -141,7 +150,12 @@ def _draw_hybrid(ax: Axes, joint: Lubricated, eccentricities: np.ndarray, rate: 
     def forces(e):
         direction = jnp.array([1.0, 0.0, 0.0])
         film = -film_force(
-            e * direction, rate * direction, joint.clearance, joint.socket_radius, joint.viscosity, joint.boundary,
+            e * direction,
+            rate * direction,
+            joint.clearance,
+            joint.socket_radius,
+            joint.viscosity,
+            joint.boundary,
             joint.e_h1,
         )[0]
         contact = joint.normal.force(e - joint.clearance, rate, rate, stiffness)
@@ -150,14 +164,24 @@ def _draw_hybrid(ax: Axes, joint: Lubricated, eccentricities: np.ndarray, rate: 
 
     film, contact, blend = (np.asarray(values) for values in jax.vmap(forces)(jnp.asarray(eccentricities)))
     x = 1e3 * eccentricities
+    # By itself the film would grow beyond all bounds at e = c + e_h1, where contact has taken over long ago.
+    ax.set_ylim(0.0, 1.6 * np.max(blend[eccentricities < joint.clearance + 2 * joint.e_h0]))
     ax.plot(x, blend, color="0.7", lw=5, label="blend: the joint's force")
     ax.plot(x, film, color=LAW_COLORS[2], lw=1.4, label="squeeze film alone")
-    ax.plot(x, np.where(contact > 0, contact, np.nan), color=LAW_COLORS[1], lw=1.4, dashes=(5, 2), label="dry contact alone")
+    ax.plot(
+        x,
+        np.where(contact > 0, contact, np.nan),
+        color=LAW_COLORS[1],
+        lw=1.4,
+        dashes=(5, 2),
+        label="dry contact alone",
+    )
     for place in (joint.clearance, joint.clearance + joint.e_h0):
         ax.axvline(1e3 * float(place), color="0.3", lw=0.8, ls=":")
 
 
-def _spaced(law) -> str:
-    """`"Hunt Crossley"` from the class name of a law."""
-    name = type(law).__name__
-    return "".join(f" {c}" if c.isupper() and i and name[i - 1].islower() else c for i, c in enumerate(name))
+def _name(law) -> str:
+    """`"Hunt-Crossley"` from the class name of a law."""
+    if isinstance(law, ExactRestitution):
+        return "exact"
+    return re.sub(r"(?<=[a-z])(?=[A-Z])(?<!Mc)", "-", type(law).__name__)

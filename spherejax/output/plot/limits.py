@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from spherejax.output.plot.style import LAW_COLORS, letter, new_figure, note
+from spherejax.output.plot.style import LAW_COLORS, letter, new_figure
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,24 @@ def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
     figure, axes = new_figure(1, len(parameters), 3.3 * len(parameters) + 0.3, 3.8, title)
     for ax, parameter in zip(axes.flat, parameters, strict=True):
         for limit, color in zip((one for one in limits if one.parameter == parameter), LAW_COLORS, strict=False):
-            ax.plot(limit.values, 1e3 * np.asarray(limit.deviations), "o-", color=color, ms=4, lw=1.2, label=limit.label)
+            ax.plot(
+                limit.values,
+                1e3 * np.asarray(limit.deviations),
+                "o-",
+                color=color,
+                ms=4,
+                lw=1.2,
+                label=limit.label,
+            )
             if limit.order is not None:
                 _draw_slope(ax, limit)
         ax.set_xscale("log")
         ax.set_yscale("log")
+        ax.xaxis.set_major_locator(
+            FixedLocator(sorted({v for one in limits if one.parameter == parameter for v in one.values}))
+        )
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlabel(parameter)
         ax.set_title(parameter.split(" [")[0], loc="left", fontsize=9)
         ax.legend(fontsize=7, loc="best", framealpha=0.9)
@@ -57,5 +71,4 @@ def _draw_slope(ax: Axes, limit: Limit) -> None:
     values = np.asarray(limit.values, float)
     middle = len(values) // 2
     line = 1e3 * limit.deviations[middle] * (values / values[middle]) ** limit.order
-    ax.plot(values, line, ":", color="0.4", lw=1.0)
-    note(ax, f"dotted: power {limit.order:+d}")
+    ax.plot(values, line, ":", color="0.4", lw=1.0, label=f"power {limit.order:+d}")

@@ -19,7 +19,7 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20
 
     The ideal motion lies behind every portrait in grey, so that each one can be judged by itself.
     """
-    figure, axes = new_figure(len(models), 2, 8.2, 2.2 * len(models) + 0.5, title)
+    figure, axes = new_figure(len(models), 2, 8.2, 2.3 * len(models) + 0.5, title)
     ideal = models.get("ideal")
     for (left, right), (name, one) in zip(axes, models.items(), strict=True):
         color = MODEL_COLORS.get(name, "#000000")
@@ -28,8 +28,8 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20
                 continue
             left.plot(1e3 * curves.position[::every], curves.velocity[::every], **style)
             right.plot(curves.velocity[::every], curves.acceleration[::every], **style)
-        left.set_ylabel(LABELS["z_rate"])
-        right.set_ylabel(LABELS["z_acceleration"])
+        left.set_ylabel("velocity [m/s]")
+        right.set_ylabel("acceleration [m/s$^2$]")
         left.set_title(one.label, loc="left", fontsize=9)
         right.set_title(one.label, loc="left", fontsize=9)
     axes[-1, 0].set_xlabel(LABELS["z"])
@@ -40,7 +40,7 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20
 
 
 def _share_limits(axes: np.ndarray, models: Mapping[str, Curves]) -> None:
-    """The same horizontal limits in a column; vertical ones of the velocity too, accelerations each by their bulk."""
+    """Common limits of positions and velocities; accelerations each by their bulk."""
     positions = [1e3 * one.position for one in models.values()]
     velocities = [one.velocity for one in models.values()]
     for left, right in axes:
@@ -48,7 +48,7 @@ def _share_limits(axes: np.ndarray, models: Mapping[str, Curves]) -> None:
         _set_range(left.set_ylim, velocities)
         _set_range(right.set_xlim, velocities)
     for (_, right), one in zip(axes, models.values(), strict=True):
-        limit_by_bulk(right, [one.acceleration], keep=98.0)
+        limit_by_bulk(right, [one.acceleration], keep=97.0)
 
 
 def _set_range(setter, values: list[np.ndarray]) -> None:

@@ -62,8 +62,8 @@ def dress(ax: Axes) -> None:
     ax.grid(True, color="0.88", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.tick_params(labelsize=8)
-    ax.xaxis.label.set_size(9)
-    ax.yaxis.label.set_size(9)
+    ax.xaxis.label.set_fontsize(9)
+    ax.yaxis.label.set_fontsize(9)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
 
@@ -80,7 +80,7 @@ def letter(axes: Sequence[Axes]) -> None:
         ax.set_title(f"({character}) {title}".rstrip(), loc="left", fontsize=9)
 
 
-def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 99.0, margin: float = 0.35) -> None:
+def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 97.0, margin: float = 0.35) -> None:
     """Limit the vertical axis to the bulk of the curves, and say in the panel how far the peaks reach.
 
     Args:
@@ -107,8 +107,15 @@ def note(ax: Axes, text: str, *, place: tuple[float, float] = (0.99, 0.02)) -> N
     """A small remark in a corner of a panel, on white so that curves do not run through it."""
     horizontal, vertical = ("right" if place[0] > 0.5 else "left"), ("top" if place[1] > 0.5 else "bottom")
     ax.text(
-        *place, text, transform=ax.transAxes, ha=horizontal, va=vertical, fontsize=7, color="0.25",
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0}, zorder=10,
+        *place,
+        text,
+        transform=ax.transAxes,
+        ha=horizontal,
+        va=vertical,
+        fontsize=7,
+        color="0.25",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
+        zorder=10,
     )
 
 

@@ -1,12 +1,11 @@
 """A force and a moment applied to a body."""
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import AbstractForce, Wrench
 from spherejax.physics.kinematics import point_motion
@@ -24,9 +23,9 @@ class AppliedWrench(AbstractForce):
     """
 
     body: str = eqx.field(static=True)
-    force: object
-    moment: object
-    place: object
+    force: Numeric
+    moment: Numeric
+    place: Numeric
     in_body_axes: bool = eqx.field(static=True)
 
     def __init__(
@@ -67,5 +66,5 @@ class AppliedWrench(AbstractForce):
         return {self.body: Wrench(force, moment + jnp.cross(arm, force))}
 
 
-def _at(value: Callable | object, t):
+def _at(value: Numeric, t):
     return jnp.asarray(value(t) if callable(value) else value)

@@ -5,10 +5,18 @@ from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.joints.ideal import ConstraintRows, Ideal
 from spherejax.physics.joints.lubricated import Lubricated
-from spherejax.physics.joints.places import AbstractJoint, PlacedRevolute, PlacedSpherical, Revolute, Spherical
+from spherejax.physics.joints.places import (
+    AbstractJoint,
+    AbstractPlacedJoint,
+    PlacedRevolute,
+    PlacedSpherical,
+    Revolute,
+    Spherical,
+)
 
 __all__ = [
     "AbstractJoint",
+    "AbstractPlacedJoint",
     "AbstractSphericalModel",
     "Bushing",
     "ConstraintRows",

@@ -34,10 +34,13 @@ class Bushing(AbstractSphericalModel):
             raise TypeError("give either stiffness= (and damping=) or law=, not both and not neither")
         if law is not None and damping is not None:
             raise TypeError("damping= belongs to stiffness=; a law= brings its own")
-        self.law = RadialElastomer(stiffness, 0.0 if damping is None else damping) if law is None else law
+        if law is None:
+            assert stiffness is not None
+            law = RadialElastomer(stiffness, 0.0 if damping is None else damping)
+        self.law = law
 
     @property
-    def effects(self) -> tuple[str, ...]:
+    def effects(self) -> tuple[Effect, ...]:
         """The elastomer."""
         kind = "translation and rotation" if self.law.resists_rotation else "translation"
         return (Effect(f"elastomer, {kind} ({type(self.law).__name__})", self),)

@@ -6,7 +6,7 @@ literally (R_k n_dot instead of w_k x R_k n), makes the sliding velocity (|e| - 
 socket's surface, so that friction would do nothing.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Vector3
-from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Effect
+from spherejax.physics.joints.base import Crossing, Effect
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material, generalized_stiffness
 
@@ -50,17 +50,30 @@ class Surfaces(NamedTuple):
         remedy = "Give the radial clearance in meters, e.g. clearance=1e-4."
         if ball_radius_given:
             fits = Requirement(
-                "ball_radius", self.ball_radius, self.ball_radius < radius, "be smaller than the socket's radius",
+                "ball_radius",
+                self.ball_radius,
+                self.ball_radius < radius,
+                "be smaller than the socket's radius",
                 "The ball is larger than its socket: exchange the two radii or check their units.",
             )
         else:
             fits = Requirement("clearance", c, (c > 0) & (c < np.inf), "be positive [m]", remedy)
         return [
-            Requirement("socket_radius", radius, (radius > 0) & (radius < np.inf), "be positive [m]",
-                        "Give the socket's inner radius in meters, e.g. socket_radius=0.010."),
+            Requirement(
+                "socket_radius",
+                radius,
+                (radius > 0) & (radius < np.inf),
+                "be positive [m]",
+                "Give the socket's inner radius in meters, e.g. socket_radius=0.010.",
+            ),
             fits,
-            Requirement("clearance", c, c < radius, "be smaller than the socket's radius",
-                        "No ball is left inside the socket: reduce the clearance or check its unit."),
+            Requirement(
+                "clearance",
+                c,
+                c < radius,
+                "be smaller than the socket's radius",
+                "No ball is left inside the socket: reduce the clearance or check its unit.",
+            ),
             *self.socket_material.requirements(),
             *self.ball_material.requirements(),
         ]
@@ -114,7 +127,7 @@ def contact_forces(
     memory: Float[Array, " n_memory"],
     surfaces: Surfaces,
     normal: AbstractNormalLaw,
-    friction: AbstractFrictionLaw | None,
+    friction: Any,
     share: Number = 1.0,
 ) -> ContactForces:
     """Normal and friction force of one contact.
@@ -195,9 +208,7 @@ def contact_crossing(motion: RelativeMotion, clearance: Number) -> Crossing:
     return Crossing((e @ e / square - 1) / 2, e @ motion.eccentricity_rate / square)
 
 
-def contact_effects(
-    model: AbstractSphericalModel, first: str, elastic: AbstractNormalLaw
-) -> tuple[Effect, ...]:
+def contact_effects(model: Any, first: str, elastic: AbstractNormalLaw) -> tuple[Effect, ...]:
     """The effects of a model with contact, one upon the other: elastic contact, its damping, friction.
 
     Args:
@@ -205,9 +216,7 @@ def contact_effects(
         first: name of the effects that come with elastic contact.
         elastic: the elastic law that stands for the normal law without its damping.
     """
-    plain = eqx.tree_at(
-        lambda m: (m.normal, m.friction), model, (elastic, None), is_leaf=lambda leaf: leaf is None
-    )
+    plain = eqx.tree_at(lambda m: (m.normal, m.friction), model, (elastic, None), is_leaf=lambda leaf: leaf is None)
     effects = [Effect(first, plain)]
     frictionless = eqx.tree_at(lambda m: m.friction, model, None, is_leaf=lambda leaf: leaf is None)
     if type(model.normal) is not type(elastic):
@@ -219,9 +228,7 @@ def contact_effects(
     return tuple(effects)
 
 
-def contact_law_requirements(
-    normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None
-) -> list[Requirement]:
+def contact_law_requirements(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> list[Requirement]:
     """What the laws of a contact require, with the law's name in front of each field."""
     laws = [normal, *([] if friction is None else [friction])]
     return [r._replace(field=f"{type(law).__name__}.{r.field}") for law in laws for r in law.requirements()]

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm
-from spherejax.foundations.types import Number
+from spherejax.foundations.types import Number, Numeric
 from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.contact import (
     Surfaces,
@@ -22,11 +22,11 @@ from spherejax.physics.joints.contact import (
 from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Hertz, LankaraniNikravesh, Material
 
 
-def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Number:
+def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Numeric:
     """The clearance c = R_i - R_j [m] from whichever of clearance and ball radius is given."""
     if (clearance is None) == (ball_radius is None):
         raise TypeError("give either clearance= or ball_radius=, not both and not neither")
-    return socket_radius - ball_radius if clearance is None else clearance
+    return clearance if ball_radius is None else socket_radius - ball_radius
 
 
 class Dry(AbstractSphericalModel):

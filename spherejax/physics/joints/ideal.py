@@ -36,9 +36,7 @@ class ConstraintRows(NamedTuple):
     bias: Float[Array, " n"]
 
 
-def coincidence_rows(
-    body_i: BodyMotion, body_j: BodyMotion, place_i: Vector3, place_j: Vector3
-) -> ConstraintRows:
+def coincidence_rows(body_i: BodyMotion, body_j: BodyMotion, place_i: Vector3, place_j: Vector3) -> ConstraintRows:
     """Two points coincide: Phi = r_j + s_j - r_i - s_i, D = [-I, s_i~, I, -s_j~].
 
     gamma = w_i x (w_i x s_i) - w_j x (w_j x s_j).

@@ -113,7 +113,9 @@ class Lubricated(AbstractSphericalModel):
     def effects(self):
         """Elastic contact, then what the normal law adds to it, then friction."""
         elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
-        return contact_effects(self, f"squeeze film ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic)
+        return contact_effects(
+            self, f"squeeze film ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic
+        )
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, lubricant, materials and laws."""

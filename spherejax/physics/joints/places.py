@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.rotation import conjugate, normalized, quaternion_product, rotation_matrix
-from spherejax.foundations.types import Quaternion, Vector3
+from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.ideal import (
@@ -29,7 +29,7 @@ from spherejax.physics.kinematics import BodyMotion, PointMotion, RelativeMotion
 Motions = Mapping[str, BodyMotion]
 """The motion of every body by name, the ground included."""
 
-FindPlace = Callable[[str], tuple[str, Vector3]]
+FindPlace = Callable[[str], tuple[str, Numeric]]
 """Resolves `"body.point"` to the body's name and the point in body axes [m]."""
 
 
@@ -105,9 +105,9 @@ class PlacedSpherical(AbstractPlacedJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    socket_place: Vector3
-    ball_place: Vector3
-    start_quaternion: Quaternion
+    socket_place: Numeric
+    ball_place: Numeric
+    start_quaternion: Numeric
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
 
@@ -160,8 +160,8 @@ class Revolute(AbstractJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    point: object
-    axis: object
+    point: Numeric
+    axis: Numeric
 
     def __init__(self, bodies: tuple[str, str], point, axis):
         self.bodies = (bodies[0], bodies[1])
@@ -173,7 +173,9 @@ class Revolute(AbstractJoint):
         length = (self.axis**2).sum()
         return [
             Requirement("point", self.point, abs(self.point) < np.inf, "be finite [m]", "Give three numbers."),
-            Requirement("axis", self.axis, (length > 0) & (length < np.inf), "be a direction", "Give a non-zero vector."),
+            Requirement(
+                "axis", self.axis, (length > 0) & (length < np.inf), "be a direction", "Give a non-zero vector."
+            ),
         ]
 
     def placed(self, bodies, find):
@@ -202,9 +204,9 @@ class PlacedRevolute(AbstractPlacedJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    places: tuple[Vector3, Vector3]
-    perpendiculars: tuple[Vector3, Vector3]
-    axis: Vector3
+    places: tuple[Numeric, Numeric]
+    perpendiculars: tuple[Numeric, Numeric]
+    axis: Numeric
 
     def constraint_rows(self, motions):
         """The points coincide and the axis stays perpendicular to two directions."""

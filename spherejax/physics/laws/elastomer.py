@@ -218,9 +218,7 @@ class MatrixElastomer(AbstractElastomer):
         """-(J^-T K_r theta + D_r omega) [N m]."""
         moment = jnp.zeros(3)
         if self.rotational_stiffness is not None:
-            moment = moment - _inverse_transposed_jacobian(
-                rotation, jnp.asarray(self.rotational_stiffness) @ rotation
-            )
+            moment = moment - _inverse_transposed_jacobian(rotation, jnp.asarray(self.rotational_stiffness) @ rotation)
         if self.rotational_damping is not None:
             moment = moment - jnp.asarray(self.rotational_damping) @ rotation_rate
         return moment
@@ -343,9 +341,7 @@ class CurveElastomer(AbstractPivotElastomer):
         # Each piece is chosen by a sum in which all others are replaced by zero: no dynamic index.
         inside = length >= x
         inside = inside & jnp.concatenate([~inside[1:], np.ones(1, bool)])
-        x0, y0, c1, c2, c3, energy0 = (
-            jnp.sum(jnp.where(inside, c, 0.0)) for c in (x, y, m, quadratic, cubic, stored)
-        )
+        x0, y0, c1, c2, c3, energy0 = (jnp.sum(jnp.where(inside, c, 0.0)) for c in (x, y, m, quadratic, cubic, stored))
         u = length - x0
         energy = energy0 + u * (y0 + u * (c1 / 2.0 + u * (c2 / 3.0 + u * c3 / 4.0)))
         slope_sum = c1 + u * (c2 + u * c3)

@@ -162,9 +162,7 @@ def film_force(
     """
     ratio = safe_norm(e) / (clearance + transition_offset)
     eps = jnp.where(ratio < MAXIMUM_ECCENTRICITY_RATIO, ratio, MAXIMUM_ECCENTRICITY_RATIO)
-    load = squeeze_coefficient(viscosity, socket_radius, clearance) * boundary.load_factor(
-        eps, e @ e_rate < 0
-    )
+    load = squeeze_coefficient(viscosity, socket_radius, clearance) * boundary.load_factor(eps, e @ e_rate < 0)
     return -load * radial_projection(e, e_rate)
 
 

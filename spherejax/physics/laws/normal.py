@@ -46,9 +46,7 @@ class AbstractNormalLaw(AbstractLaw):
     exponent: eqx.AbstractVar[Number]
 
     @abc.abstractmethod
-    def force(
-        self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number
-    ) -> Scalar:
+    def force(self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number) -> Scalar:
         """Magnitude of the contact force, never negative [N].
 
         Args:
@@ -105,9 +103,7 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
     def hysteresis_factor(self) -> Number:
         """chi [-], not negative, a function of the restitution alone."""
 
-    def force(
-        self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number
-    ) -> Scalar:
+    def force(self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number) -> Scalar:
         """f_n = max(0, K delta**n (1 + chi delta_rate/delta_rate_onset)) [N].
 
         A free impact never turns the bracket negative; a pair that is pulled apart does, and surfaces without
@@ -116,9 +112,7 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
         Limits: value and derivatives 0 for delta <= 0. A grazing onset counts as `MINIMUM_ONSET_RATE`, so
         value and derivatives stay finite at an onset rate of zero.
         """
-        damping = 1.0 + self.hysteresis_factor() * penetration_rate / jnp.maximum(
-            onset_rate, MINIMUM_ONSET_RATE
-        )
+        damping = 1.0 + self.hysteresis_factor() * penetration_rate / jnp.maximum(onset_rate, MINIMUM_ONSET_RATE)
         return self.elastic_force(penetration, stiffness) * jnp.where(damping > 0, damping, 0.0)
 
     def requirements(self) -> list[Requirement]:
@@ -157,9 +151,7 @@ class Hertz(AbstractNormalLaw):
         """Zero: no hysteresis."""
         return 0.0
 
-    def force(
-        self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number
-    ) -> Scalar:
+    def force(self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number) -> Scalar:
         """K delta**n [N]; both rates are ignored.
 
         Limits: value and derivative 0 for delta <= 0.

@@ -1,0 +1,98 @@
+"""The house: folders import downwards only, files within a folder too, one importer of matplotlib, short files."""
+
+import ast
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import spherejax
+
+PACKAGE = Path(spherejax.__file__).parent
+ORDER = ["foundations", "physics", "model", "gallery", "motion", "output", "studies", "command_line", "top"]
+LONGEST = 450
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def folder_of(path: Path) -> str:
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else "top"
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(path): path for path in FILES}
+
+
+def _executed(tree: ast.AST):
+    """All nodes but those under `if TYPE_CHECKING:`, which only type checkers see."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        yield node
+        yield from _executed(node)
+
+
+def imported(path: Path) -> set[str]:
+    """Full names that a file imports, `from` imports resolved to the module where there is one."""
+    names = set()
+    for node in _executed(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                names.add(full if full in MODULES else node.module)
+    return names
+
+
+def test_the_folders_are_the_known_ones():
+    assert {folder_of(path) for path in FILES} <= set(ORDER)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_go_down(path):
+    own = folder_of(path)
+    for name in imported(path):
+        if name.split(".")[0] != "spherejax":
+            continue
+        assert name in MODULES, f"{path.name} imports {name}, which is no module"
+        other = folder_of(MODULES[name])
+        if own == "command_line" and name == "spherejax":
+            continue  # the command line is a user of the public names
+        is_runtime = MODULES[name] == PACKAGE / "runtime.py"  # sets up the process; imports nothing of the package
+        assert is_runtime or ORDER.index(other) <= ORDER.index(own), f"{path.name} imports upwards: {name}"
+
+
+def test_runtime_imports_nothing_of_the_package():
+    assert not [name for name in imported(PACKAGE / "runtime.py") if name.startswith("spherejax")]
+
+
+def test_imports_have_no_cycle():
+    graph = {
+        module: {name for name in imported(path) if name in MODULES and name != module} for module, path in MODULES.items()
+    }
+    try:
+        list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        pytest.fail(f"files import each other: {' -> '.join(error.args[1])}")
+
+
+def test_matplotlib_only_in_plot():
+    users = {path for path in FILES if any(name.split(".")[0] == "matplotlib" for name in imported(path))}
+    assert {path.relative_to(PACKAGE).parts[:2] for path in users} <= {("output", "plot")}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_files_are_short(path):
+    assert len(path.read_text().splitlines()) <= LONGEST
+
+
+def test_checks_can_fail(tmp_path):
+    bad = tmp_path / "bad.py"
+    bad.write_text("from spherejax.motion import simulate\nimport matplotlib.pyplot as plt\n")
+    assert {"spherejax.motion.simulate", "matplotlib.pyplot"} <= imported(bad)

@@ -1,0 +1,220 @@
+"""The command line as a user meets it: exit codes, messages, files."""
+
+import csv
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray
+
+import spherejax as sj
+from spherejax import cli
+from spherejax.command_line.catalog import FRICTION_LAWS, NORMAL_LAWS, SOLVERS
+from spherejax.command_line.models import model_from
+from spherejax.output.plot.curves import curves_of
+from spherejax.studies.compare import Comparison, Row, compare
+
+QUICK = ["--t1", "0.01", "--samples", "5"]
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch):
+    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
+
+
+def parsed(*words):
+    return cli.parser().parse_args(["run", "four-bar", *words])
+
+
+@pytest.mark.parametrize("words", [(), ("run",), ("compare",), ("effects",), ("list",)])
+def test_help_says_what_the_command_does_and_gives_an_example(words, capsys):
+    assert cli.main([*words, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "example" in out
+    assert f"spherejax {words[0] if words else 'run'}" in out
+    assert max(map(len, out.splitlines())) <= 110
+
+
+def test_help_of_run_names_defaults_with_units(capsys):
+    cli.main(["run", "--help"])
+    out = " ".join(capsys.readouterr().out.split())
+    assert "radial clearance [m] (default: 1e-4)" in out
+    assert "dynamic viscosity [Pa s] (default: 0.4)" in out
+    assert "length of the motion [s] (default: 2)" in out
+
+
+def test_run_writes_what_simulate_gives(tmp_path, capsys):
+    path = tmp_path / "run.nc"
+    assert cli.main(["run", "four-bar", "--joint", "dry", *QUICK, "--rtol", "1e-9", "--out", str(path)]) == 0
+    expected = sj.simulate(sj.gallery.four_bar(sj.Dry(1e-4)), np.linspace(0.0, 0.01, 5), rtol=1e-9)
+    with xarray.open_dataset(path) as ds:
+        np.testing.assert_array_equal(ds.position.sel(body="rocker"), expected.position("rocker"))
+        assert ds.attrs["status"] == "succeeded"
+    out = capsys.readouterr().out
+    assert str(path) in out
+    assert "contact onsets of coupler_rocker" in out
+
+
+def test_run_refuses_to_replace_a_file_before_it_simulates(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "run.nc"
+    path.write_text("precious")
+    monkeypatch.setattr(sj, "simulate", lambda *a, **k: pytest.fail("simulated in vain"))
+    assert cli.main(["run", "four-bar", "--out", str(path)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert path.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--joint", "dry", "--clearance=-1e-4"), "clearance = -0.0001 must be positive"),
+        (("--joint", "dry", "--restitution", "1.5"), "restitution = 1.5 must lie in (0, 1]"),
+        (("--clearance", "1e-4"), "--clearance means nothing with --joint ideal"),
+        (("--joint", "dry", "--viscosity", "1"), "--viscosity means nothing with --joint dry"),
+        (("--joint", "dry", "--mu", "0.1"), "--mu means nothing without friction"),
+        (
+            ("--joint", "friction", "--mu-static", "0.2"),
+            "--mu-static means nothing with --friction threlfall",
+        ),
+        (
+            ("--joint", "dry", "--normal", "hertz", "--restitution", "0.9"),
+            "means nothing with --normal hertz",
+        ),
+        (("--t1", "-1"), "--t1 = -1 must be a positive time"),
+        (("--dt", "5"), "--dt = 5 must be positive and not above --t1"),
+        (("--samples", "1"), "--samples = 1 must be at least 2"),
+        (("--rtol", "1e-17"), "float64 does not carry"),
+        (("--out", "run.xlsx"), "'.xlsx' names no format"),
+    ],
+)
+def test_a_bad_request_is_one_readable_line(words, message, capsys):
+    assert cli.main(["run", "four-bar", *words]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert err.startswith("spherejax: ")
+
+
+@pytest.mark.parametrize(
+    "words", [["fly"], ["run", "six-bar"], ["run", "four-bar", "--joint", "gum"], ["run", "four-bar", "--x"]]
+)
+def test_an_unknown_word_exits_with_2(words, capsys):
+    assert cli.main(words) == 2
+    assert "usage: spherejax" in capsys.readouterr().err
+
+
+def test_a_failed_run_exits_with_3_and_says_why(capsys):
+    assert cli.main(["run", "four-bar", "--t1", "0.5", "--samples", "5", "--max-steps", "2"]) == 3
+    err = capsys.readouterr().err
+    assert "the run failed: stopped at t = " in err
+    assert "max_steps" in err
+
+
+def test_an_interrupt_exits_with_130(capsys, monkeypatch):
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sj, "simulate", interrupt)
+    assert cli.main(["run", "four-bar"]) == 130
+    assert capsys.readouterr().err == "spherejax: interrupted\n"
+
+
+def test_joint_words_become_models():
+    assert isinstance(model_from(parsed()), sj.Ideal)
+    dry = model_from(parsed("--joint", "dry"))
+    assert isinstance(dry, sj.Dry)
+    assert dry.friction is None
+    assert dry.normal.restitution == 0.9
+    friction = model_from(parsed("--joint", "friction", "--mu", "0.2", "--clearance", "2e-4"))
+    assert isinstance(friction.friction, sj.Threlfall)
+    assert (friction.friction.mu, friction.clearance) == (0.2, 2e-4)
+    lubricated = model_from(parsed("--joint", "lubricated", "--boundary", "sommerfeld"))
+    assert isinstance(lubricated.boundary, sj.Sommerfeld)
+    assert lubricated.viscosity == 0.4
+    bushing = model_from(parsed("--joint", "bushing", "--elastomer", "vector", "--stiffness", "2e5"))
+    assert isinstance(bushing.law, sj.VectorElastomer)
+    assert (bushing.law.stiffness, bushing.law.damping) == (2e5, 1e-2)
+
+
+@pytest.mark.parametrize("name", NORMAL_LAWS)
+def test_every_normal_law_can_be_named(name):
+    assert isinstance(model_from(parsed("--joint", "dry", "--normal", name)).normal, NORMAL_LAWS[name])
+
+
+@pytest.mark.parametrize("name", FRICTION_LAWS)
+def test_every_friction_law_can_be_named_and_takes_mu(name):
+    law = model_from(parsed("--joint", "dry", "--friction", name, "--mu", "0.05")).friction
+    assert isinstance(law, FRICTION_LAWS[name])
+    assert getattr(law, "mu", None) == 0.05 or law.mu_kinetic == 0.05
+
+
+def test_list_names_everything(capsys):
+    assert cli.main(["list"]) == 0
+    out = capsys.readouterr().out
+    for name in ("four-bar", "lubricated", *NORMAL_LAWS, *FRICTION_LAWS, *SOLVERS, "guembel"):
+        assert name in out
+    assert "mu = 0.1 [-], v1 = 0.001 [m/s]" in out
+
+
+def test_effects_prints_a_table(capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("spherejax.studies.effects.effects", lambda scene: asked.append(scene) or "the table")
+    assert cli.main(["effects", "four-bar", "--joint", "friction"]) == 0
+    assert capsys.readouterr().out == "the table\n"
+    assert isinstance(asked[0].joints["coupler_rocker"].model, sj.Dry)
+
+
+def test_compare_writes_table_files_and_figures(tmp_path, capsys, monkeypatch):
+    run = sj.simulate(sj.gallery.four_bar(), np.linspace(0.0, 0.01, 5))
+    row = Row("ideal", "ideal", 0.0, 9.0, 0.0, None, 5, 0.01, 1.0, None, run.choice)
+    found = Comparison(0.01, [row], {"ideal": curves_of(run, "ideal")}, {"ideal": run})
+    only = {name: draw for name, draw in figures(found).items() if name.startswith(("fig07", "fig21"))}
+    monkeypatch.setattr("spherejax.command_line.compare.compare", lambda *a, report, **k: report("done", 1.0) or found)
+    monkeypatch.setattr("spherejax.command_line.figures.figures_of", lambda comparison: only)
+    folder = tmp_path / "results"
+    assert cli.main(["compare", "four-bar", "--quick", "--out", str(folder)]) == 0
+    seen = capsys.readouterr()
+    assert "energy lost [mJ]" in seen.out
+    assert "[ 90 %] done" in seen.err
+    assert {p.name for p in folder.iterdir()} == {
+        "table.csv", "ideal.nc", "fig07_friction_laws.png", "fig21_time_ratio.png",
+    }  # fmt: skip
+    assert (folder / "fig07_friction_laws.png").read_bytes().startswith(b"\x89PNG")
+    with (folder / "table.csv").open() as file:
+        assert next(csv.DictReader(file))["model"] == "ideal"
+    with xarray.open_dataset(folder / "ideal.nc") as ds:
+        assert ds.position.shape == (5, 3, 3)
+    assert cli.main(["compare", "four-bar", "--out", str(folder)]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_quick_comparison_keeps_the_order_of_the_losses():
+    found = compare(quick=True)
+    lost = {row.name: row.lost_energy for row in found.rows}
+    assert lost["friction"] > lost["dry"] > lost["lubricated"] > lost["bushing"] > abs(lost["ideal"])
+    ratios = {row.name: row.eccentricity_ratio for row in found.rows}
+    assert ratios["dry"] > 1 > ratios["lubricated"]
+    assert all(row.seconds > 0 for row in found.rows)
+    assert [result.study.name for result in found.studies] == ["fig10"]
+    assert len(found.models["dry"].ts) == 20001
+
+
+def figures(comparison):
+    from spherejax.command_line.figures import figures_of
+
+    return figures_of(comparison)
+
+
+def test_the_command_is_installed_and_import_stays_light():
+    code = "import sys, spherejax; print('matplotlib' in sys.modules, 'xarray' in sys.modules)"
+    seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert seen.stdout.split()[0] == "False"
+    seen = subprocess.run(
+        [sys.executable, "-m", "spherejax.cli", "run", "four-bar", "--t1", "0"],
+        capture_output=True,
+        text=True,
+    )
+    assert seen.returncode == 2
+    assert "--t1 = 0 must be a positive time" in seen.stderr

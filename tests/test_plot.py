@@ -1,0 +1,198 @@
+"""Figures: labels with units, the data that were given, peaks that survive, no global canvas."""
+
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import spherejax as sj
+from spherejax.command_line.figures import figures_of, law_figures
+from spherejax.output.plot.curves import Curves, thinned
+from spherejax.output.plot.eccentricity import eccentricity_paths
+from spherejax.output.plot.histories import acceleration_and_energy, four_histories, slowest_sliding
+from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
+from spherejax.output.plot.limits import Limit, limits_to_ideal
+from spherejax.output.plot.phase import phase_portraits
+from spherejax.output.plot.ratios import time_ratios
+from spherejax.studies.cases import five_models, limit_studies, parameter_studies
+from spherejax.studies.compare import Comparison, LimitResult, Row, StudyResult
+
+TS = np.linspace(0.0, 2.0, 20001)
+
+
+def curves(label="one", clearance: float | None = 1e-4, amplitude=1.0):
+    wave = amplitude * np.sin(7 * TS)
+    acceleration = wave.copy()
+    acceleration[7777] = 900.0
+    e = 1.01e-4 * np.stack([np.sin(TS), np.zeros_like(TS), np.cos(TS)], axis=1)
+    e[:100] *= 0.5
+    speed = 1e-3 * (1.1 + np.cos(5 * TS))
+    return Curves(label, TS, 0.03 + 1e-3 * wave, wave, acceleration, -1e-3 * TS, e, speed, clearance)
+
+
+@pytest.fixture(scope="module")
+def models():
+    cases = five_models()
+    return {
+        name: curves(case.label, None if name in ("ideal", "bushing") else 1e-4)
+        for name, case in cases.items()
+    }
+
+
+def drawn(figure: Figure, panel: int):
+    return {line.get_label(): line for line in figure.axes[panel].lines}
+
+
+def check_readable(figure: Figure):
+    """Every panel has labelled axes with units and holds something; the drawing itself gives no warning."""
+    assert isinstance(figure, Figure)
+    assert figure.get_suptitle()
+    for ax in figure.axes:
+        assert ax.lines or ax.patches or ax.collections
+        assert ax.get_title(loc="left") or len(figure.axes) == 1
+    figure.canvas.draw()
+
+
+def test_thinning_keeps_every_peak():
+    values = np.zeros(200_001)
+    values[[17, 123_456]] = 5.0, -7.0
+    ts, kept = thinned(np.arange(200_001.0), values)
+    assert len(kept) < 3200
+    assert kept.max() == 5.0
+    assert kept.min() == -7.0
+    assert np.all(np.diff(ts) > 0) and ts[-1] == 200_000  # noqa: PT018
+
+
+def test_four_histories_show_the_curves_against_the_ideal(models):
+    figure = four_histories([curves("c = 0.05 mm")], models["ideal"], "clearance", horizon=0.5)
+    check_readable(figure)
+    assert [ax.get_ylabel() for ax in figure.axes] == [
+        "rocker z [mm]", "rocker z velocity [m/s]", "rocker z acceleration [m/s$^2$]", "energy change [mJ]",
+    ]  # fmt: skip
+    assert all(ax.get_xlabel() == "time [s]" for ax in figure.axes)
+    energy = drawn(figure, 3)["c = 0.05 mm"]
+    assert energy.get_ydata()[-1] == pytest.approx(-2.0)  # mJ
+    assert "ideal" in drawn(figure, 0)
+    assert "chaotic" in figure.axes[3].texts[0].get_text()
+
+
+def test_a_spike_does_not_flatten_the_acceleration(models):
+    figure = acceleration_and_energy([curves()], models["ideal"], "law")
+    ax = figure.axes[0]
+    assert ax.get_ylim()[1] < 3.0
+    assert "axis clipped; peaks from -1 to 900" in ax.texts[0].get_text()
+    assert len(figure.axes) == 2
+
+
+def test_the_close_up_is_where_sliding_is_slowest(models):
+    one = curves("Threlfall")
+    window = slowest_sliding(one, after=0.3, half_width=0.02)
+    assert window is not None
+    middle = sum(window) / 2
+    assert np.cos(5 * middle) == pytest.approx(-1.0, abs=1e-4)
+    figure = acceleration_and_energy([one], models["ideal"], "friction", close_up=window)
+    assert figure.axes[2].get_xlim() == pytest.approx(window)
+    assert slowest_sliding(one, after=1.99, half_width=0.02) is None
+
+
+def test_phase_portraits_have_a_row_for_each_model(models):
+    figure = phase_portraits(models, "portraits")
+    check_readable(figure)
+    assert len(figure.axes) == 10
+    assert figure.axes[0].get_xlim() == figure.axes[8].get_xlim()
+    assert len(figure.axes[2].lines) == 2  # the ideal motion behind, the model's in front
+    assert len(figure.axes[0].lines) == 1
+
+
+def test_contact_is_drawn_on_the_clearance_circle(models):
+    figure = eccentricity_paths(models, "path")
+    check_readable(figure)
+    dry, bushing = figure.axes[0], figure.axes[3]
+    assert dry.patches[0].get_radius() == pytest.approx(0.1)
+    contact = dry.collections[0].get_offsets()
+    np.testing.assert_allclose(np.linalg.norm(contact, axis=1), 0.101, rtol=1e-12)
+    assert "in contact" in dry.get_title(loc="left")
+    assert "[µm]" in bushing.get_xlabel()
+    assert bushing.patches[0].get_radius() == pytest.approx(101.0)
+
+
+def test_distance_is_true_where_the_path_leaves_the_plane():
+    e = 1e-4 * np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 0.5]])
+    two = np.zeros(2)
+    one = Curves("dry", np.array([0.0, 1.0]), two, two, two, two, e, None, 1e-4)
+    path = eccentricity_paths({"dry": one}, "path", every=1).axes[0].lines[0].get_xydata()
+    np.testing.assert_allclose(path, [[0.1, 0.0], [0.0, 0.05]], atol=1e-15)
+
+
+def test_impact_loops_close_and_reach_the_maximum():
+    laws = [sj.Hertz(), sj.Gonthier(restitution=0.9), sj.ExactRestitution(restitution=0.9)]
+    figure = impact_loops({0.9: laws}, stiffness=1.5e11, mass=0.03, rate=0.1)
+    check_readable(figure)
+    lines = figure.axes[0].lines
+    hertz = (1.25 * 0.03 * 0.1**2 / 1.5e11) ** 0.4
+    assert lines[0].get_xdata().max() == pytest.approx(1e6 * hertz, rel=1e-6)
+    for line in lines:
+        assert line.get_xdata()[-1] == 0.0
+        assert line.get_ydata().min() >= 0.0
+    assert lines[2].get_label() == "exact (realizes 0.900)"
+
+
+def test_friction_curves_are_odd_with_coulomb_as_reference():
+    figure = friction_curves([sj.Coulomb(), sj.Threlfall(mu=0.2, v1=1e-3), sj.BrownMcPhee()])
+    check_readable(figure)
+    lines = drawn(figure, 0)
+    assert set(lines) == {"Coulomb (reference)", "Threlfall", "Brown-McPhee"}
+    x, y = lines["Threlfall"].get_data()
+    np.testing.assert_allclose(y, 0.2 * np.tanh(x), atol=1e-12)
+    assert figure.axes[1].get_xlim()[1] == pytest.approx(0.4)
+
+
+def test_the_blend_is_film_before_contact_and_contact_beyond_the_transition():
+    figure = hybrid_force(sj.Lubricated(1e-4, viscosity=0.4))
+    check_readable(figure)
+    blend, film, contact = figure.axes[1].lines[:3]
+    x = blend.get_xdata()
+    before, beyond = x < 0.1 - 1e-9, x > 0.101 + 1e-9
+    np.testing.assert_allclose(blend.get_ydata()[before], film.get_ydata()[before])
+    np.testing.assert_allclose(blend.get_ydata()[beyond], contact.get_ydata()[beyond])
+
+
+def test_time_ratios_are_annotated():
+    figure = time_ratios(["ideal", "dry"], [1.0, 12.3], [207, 33_000], "time")
+    check_readable(figure)
+    assert figure.axes[0].get_yscale() == "log"
+    assert [bar.get_height() for bar in figure.axes[0].patches] == [1.0, 12.3]
+    assert "33,000 steps" in figure.axes[0].texts[1].get_text()
+
+
+def test_limits_share_a_panel_where_they_share_a_parameter():
+    found = [
+        Limit("dry", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-4], 1),
+        Limit("lubricated", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-5]),
+        Limit("bushing", "stiffness [N/m]", [1e5, 1e6], [1e-4, 1e-5], -1),
+    ]
+    figure = limits_to_ideal(found, "limits")
+    check_readable(figure)
+    assert len(figure.axes) == 2
+    np.testing.assert_allclose(drawn(figure, 0)["dry"].get_ydata(), [0.2, 0.1])
+    assert figure.axes[1].get_xlabel() == "stiffness [N/m]"
+
+
+def test_a_comparison_draws_every_figure_of_the_paper(models):
+    rows = [Row(n, one.label, 1e-3, 9.0, 1.0, 1, 100, 0.1, 10.0, 0.5, "Dopri8") for n, one in models.items()]
+    studies = [StudyResult(s, [curves(c.label) for c in s.cases]) for s in parameter_studies()]
+    limits = [
+        LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order)
+        for s in limit_studies()
+    ]
+    found = figures_of(Comparison(2.0, rows, models, {}, studies, limits, 0.5))
+    numbers = {name[:5] for name in found if name.startswith("fig")}
+    assert numbers == {f"fig{n:02d}" for n in (6, 7, 8, *range(10, 22))}
+    assert set(law_figures()) <= set(found)
+    for name in set(found) - set(law_figures()):
+        check_readable(found[name]())
+
+
+def test_no_figure_needs_pyplot():
+    assert "matplotlib.pyplot" not in sys.modules

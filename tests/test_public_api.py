@@ -1,0 +1,86 @@
+"""The calls that must hold: names and arguments may be added, not lost."""
+
+import inspect
+
+import pytest
+
+import spherejax as sj
+
+ARGUMENTS = {
+    sj.Ideal: (),
+    sj.Dry: ("clearance", "socket_radius", "ball_radius", "normal", "friction"),
+    sj.Lubricated: ("clearance", "viscosity", "socket_radius", "normal", "friction", "e_h0", "e_h1", "boundary"),
+    sj.Bushing: ("stiffness", "damping", "law"),
+    sj.Hertz: ("stiffness", "exponent"),
+    sj.HuntCrossley: ("restitution", "stiffness", "exponent"),
+    sj.LankaraniNikravesh: ("restitution", "stiffness", "exponent"),
+    sj.Gonthier: ("restitution", "stiffness", "exponent"),
+    sj.Flores: ("restitution", "stiffness", "exponent"),
+    sj.ExactRestitution: ("restitution", "stiffness", "exponent"),
+    sj.Coulomb: ("mu",),
+    sj.Threlfall: ("mu", "v1"),
+    sj.BengisuAkay: ("mu_kinetic", "mu_static", "v0", "kappa"),
+    sj.Ambrosio: ("mu", "v0", "v1"),
+    sj.BrownMcPhee: ("mu_kinetic", "mu_static", "stribeck_velocity"),
+    sj.LuGre: ("mu_kinetic", "mu_static", "stribeck_velocity"),
+    sj.Guembel: (),
+    sj.PinkusSternlicht: (),
+    sj.Sommerfeld: (),
+    sj.RadialElastomer: ("stiffness", "damping"),
+    sj.VectorElastomer: ("stiffness", "damping"),
+    sj.MatrixElastomer: ("stiffness", "damping", "rotational_stiffness", "rotational_damping"),
+    sj.CurveElastomer: ("deflections", "forces", "damping"),
+    sj.Material: ("youngs_modulus", "poissons_ratio"),
+    sj.Body: ("mass", "inertia", "position", "quaternion", "velocity", "angular_velocity", "points"),
+    sj.Revolute: ("bodies", "point", "axis"),
+    sj.Spherical: ("socket", "ball", "model"),
+    sj.Scene: ("bodies", "joints", "forces", "gravity", "ground_points", "drift"),
+    sj.Baumgarte: ("alpha", "beta"),
+    sj.AppliedWrench: ("body", "force", "moment"),
+    sj.gallery.four_bar: ("model",),
+    sj.simulate: ("scene", "ts", "rtol", "atol", "solver", "stepsize_controller", "adjoint", "throw"),
+    sj.compile_scene: ("scene",),
+    sj.scalarize: ("function",),
+    sj.runtime.configure: ("cache",),
+}
+
+
+@pytest.mark.parametrize("call", ARGUMENTS, ids=lambda call: call.__name__)
+def test_arguments_exist(call):
+    assert set(ARGUMENTS[call]) <= set(inspect.signature(call).parameters)
+
+
+def test_simulate_takes_scene_and_times_by_position_and_the_rest_by_name():
+    kinds = {name: p.kind for name, p in inspect.signature(sj.simulate).parameters.items()}
+    positional = [name for name, kind in kinds.items() if kind is not inspect.Parameter.KEYWORD_ONLY]
+    assert positional == ["scene", "ts"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ts", "position", "velocity", "acceleration", "angular_velocity", "quaternion", "eccentricity", "eccentricity_ratio",
+        "penetration", "reaction", "mechanical_energy", "kinetic_energy", "potential_energy", "elastic_energy",
+        "dissipated_energy", "constraint_violation", "stats", "succeeded", "status", "diagnosis", "mode", "to_xarray",
+    ],
+)  # fmt: skip
+def test_trajectory_offers(name):
+    assert hasattr(sj.Trajectory, name) or name in sj.Trajectory.__annotations__
+
+
+@pytest.mark.parametrize("name", ["n_steps", "n_rejected", "n_evaluations", "n_onsets"])
+def test_statistics_offer(name):
+    from spherejax.motion.trajectory import Statistics
+
+    assert name in Statistics._fields
+
+
+@pytest.mark.parametrize("name", ["effects", "Rodas5P", "Wrench", "AbstractForce", "AbstractNormalLaw", "AbstractStaticFriction"])
+def test_package_offers(name):
+    assert hasattr(sj, name)
+
+
+def test_every_public_name_has_a_docstring():
+    public = [getattr(sj, name) for name in dir(sj) if not name.startswith("_")]
+    silent = [thing for thing in public if (inspect.isclass(thing) or inspect.isfunction(thing)) and not thing.__doc__]
+    assert not silent

@@ -1,0 +1,429 @@
+"""The scalar program: agreement with the array code for every case, folding, elimination, and falling back."""
+
+import re
+import warnings
+from typing import ClassVar
+
+import cases
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.foundations.scalar_graph import FLOAT, Graph
+from spherejax.foundations.scalar_rules import _minimum_degree_order
+from spherejax.foundations.symmetric_solve import symmetric_solve
+from spherejax.model.system import flatten_system
+from spherejax.motion.contacts import crossings, memory_after_step, onset_slopes
+from spherejax.motion.dynamics import state_rate
+from spherejax.motion.observables import observe
+from spherejax.motion.programs import program_for
+from spherejax.motion.simulate import _start_now
+
+AGREEMENT = 1e-12  # of the largest component
+SCALAR = jax.ShapeDtypeStruct((), jnp.float64)
+VECTOR = jax.ShapeDtypeStruct((3,), jnp.float64)
+
+
+def prepared(scene, track_work=True):
+    """System, structure, numbers and assembled start of a scene."""
+    system = sj.compile_scene(scene, track_work=track_work).system
+    structure, theta = flatten_system(system)
+    return system, structure, theta, _start_now(system)
+
+
+def assert_agree(scalar, array, largest=None):
+    """Leaf by leaf, against the largest component of the leaf."""
+    for ours, theirs in zip(jax.tree.leaves(scalar), jax.tree.leaves(array), strict=True):
+        assert ours.shape == theirs.shape
+        assert ours.dtype == theirs.dtype
+        scale = np.abs(theirs).max(initial=0.0) if largest is None else largest
+        assert np.abs(np.asarray(ours) - np.asarray(theirs)).max(initial=0.0) <= AGREEMENT * scale
+
+
+def compare(function, structure, theta, t, y, y_size=None):
+    y = jnp.asarray(y)
+    program = program_for(function, structure, True, y_size)
+    assert program.scalar is not None
+    expected = function(structure.system(jnp.asarray(theta)), t, y)
+    with jax.disable_jit():  # operation by operation, without compiling each case
+        assert_agree(program.inside(theta, program.ahead(theta), t, y), expected)
+
+
+@pytest.mark.parametrize("case", cases.CASES, ids=lambda case: case.name)
+def test_right_hand_side_agrees(case):
+    system, structure, theta, start = prepared(case.build())
+    # Near the start, in flight or film; and beyond the surface, in contact.
+    for seed, distance in enumerate((0.2 * cases.C, 2 * cases.C)):
+        y = cases.displaced_state(system, start, seed, distance)
+        compare(state_rate, structure, theta, 0.1, y)
+
+
+@pytest.mark.parametrize("name", ["ideal", "friction", "dry_lugre", "lubricated", "bushing_matrix"])
+def test_observables_agree(name):
+    system, structure, theta, start = prepared(sj.gallery.four_bar(cases.MODELS[name]))
+    y = jnp.asarray(cases.displaced_state(system, start, 3, 2 * cases.C))
+    expected = observe(structure.system(jnp.asarray(theta)), 0.1, y)
+    program = program_for(observe, structure)
+    with jax.disable_jit():
+        found = program.inside(theta, program.ahead(theta), 0.1, y)
+    for joint, reaction in expected.reactions.items():
+        # A moment is judged against the force on an arm of a decimeter: that of an ideal pivot is zero.
+        force = np.abs(reaction.force).max()
+        assert_agree(found.reactions[joint].force, reaction.force)
+        assert_agree(found.reactions[joint].moment, reaction.moment, max(0.1 * force, np.abs(reaction.moment).max()))
+    rest = {"reactions": {}}
+    assert_agree(found._replace(**rest), expected._replace(**rest))
+
+
+@pytest.mark.parametrize("name", ["dry", "dry_hertz", "dry_lugre", "lubricated", "lubricated_lugre"])
+def test_events_agree(name):
+    system, structure, theta, start = prepared(sj.gallery.four_bar(cases.MODELS[name]))
+    if not system.contact_joints:
+        assert name == "dry_hertz"
+        return
+    y = cases.displaced_state(system, start, 4, 2 * cases.C)
+    compare(crossings, structure, theta, 0.1, y)
+    flight = y.copy()
+    flight[system.layout.memory_start] = 0.0
+    compare(onset_slopes, structure, theta, 0.1, y)
+    for start, end in ((flight, y), (y, flight), (y, y)):
+        packed = np.concatenate([start, end, np.full(len(system.contact_joints), 3.0)])
+        compare(memory_after_step, structure, theta, 0.1, packed, len(packed))
+
+
+@pytest.mark.parametrize("name", ["ideal", "friction", "lubricated"])
+def test_compiled_program_and_its_derivative_agree(name):
+    system, structure, theta, start = prepared(sj.gallery.four_bar(cases.MODELS[name]))
+    y = jnp.asarray(cases.displaced_state(system, start, 5, 0.2 * cases.C))
+    program = program_for(state_rate, structure)
+    array = jax.jit(lambda theta, t, y: state_rate(structure.system(theta), t, y))
+    assert_agree(jax.jit(program)(theta, 0.1, y), array(theta, 0.1, y))
+    direction = jnp.asarray(np.random.default_rng(1).standard_normal(y.shape))
+    ours = jax.jit(lambda y: jax.jvp(lambda y: program(theta, 0.1, y), (y,), (direction,))[1])(y)
+    theirs = jax.jvp(lambda y: state_rate(structure.system(jnp.asarray(theta)), 0.1, y), (y,), (direction,))[1]
+    assert np.abs(ours - theirs).max() <= 1e-11 * np.abs(theirs).max()
+    batch = jnp.stack([y, y + 1e-5])
+    assert_agree(jax.vmap(program, (None, None, 0))(theta, 0.1, batch)[1], program(theta, 0.1, batch[1]))
+
+
+def test_array_path_gives_the_same_motion():
+    scene = sj.gallery.four_bar()
+    fast = sj.simulate(scene, cases.times(0.05), rtol=1e-10)
+    slow = sj.simulate(scene, cases.times(0.05), rtol=1e-10, scalar=False)
+    assert np.abs(fast.ys - slow.ys)[:, :21].max() < 1e-11
+
+
+# A user's own laws ---------------------------------------------------------------------------------------------------
+
+
+class Spring(sj.AbstractForce):
+    """A spring between the rocker and the world's origin that stiffens with its length, written by a user."""
+
+    stiffness: float
+
+    def wrenches(self, t, motions):
+        r = motions["rocker"].position
+        length = jnp.linalg.norm(r)
+        return {"rocker": sj.Wrench(-self.stiffness * length**2.5 * jnp.cos(t) * r, jnp.cross(r, jnp.ones(3)) * 1e-3)}
+
+
+class PlainHertz(sj.AbstractNormalLaw):
+    """Hertz's law as a user would write it: without any of the package's guards."""
+
+    stiffness: float | None = None
+    exponent: float = 1.5
+    remembers_onset: ClassVar[bool] = False
+
+    def force(self, penetration, penetration_rate, onset_rate, stiffness):
+        return stiffness * jnp.maximum(penetration, 0.0) ** 1.5
+
+    def requirements(self):
+        return []
+
+
+class StiffRubber(sj.AbstractHysteresisLaw):
+    """A hysteresis factor of the user's own."""
+
+    restitution: float
+    stiffness: float | None = None
+    exponent: float = 1.5
+
+    def hysteresis_factor(self):
+        return jnp.exp(1 - self.restitution) - jnp.sum(jnp.array([0.5, 0.5])) * self.restitution ** jnp.pi
+
+
+@pytest.mark.parametrize("law", [PlainHertz(), StiffRubber(restitution=0.8)], ids=["plain", "hysteresis"])
+def test_normal_law_of_the_user_agrees(law):
+    scene = sj.gallery.four_bar(sj.Dry(clearance=cases.C, normal=law))
+    scene = sj.Scene(scene.bodies, scene.joints, {"spring": Spring(10.0)}, gravity=scene.gravity)
+    system, structure, theta, start = prepared(scene)
+    for seed, distance in enumerate((0.2 * cases.C, 2 * cases.C)):
+        compare(state_rate, structure, theta, 0.3, cases.displaced_state(system, start, seed, distance))
+
+
+def test_derivative_of_an_unguarded_law_is_finite_in_flight():
+    # max(delta, 0)**1.5 has the derivative 0 in flight, on the array path and on the scalar one.
+    system, structure, theta, start = prepared(sj.gallery.four_bar(sj.Dry(clearance=cases.C, normal=PlainHertz())))
+    y = jnp.asarray(cases.displaced_state(system, start, 0, 0.01 * cases.C))
+    assert np.linalg.norm(observe(structure.system(jnp.asarray(theta)), 0.0, y).eccentricity["coupler_rocker"]) < cases.C
+    program = program_for(state_rate, structure)
+    direction = jnp.ones_like(y)
+    expected = jax.jvp(lambda y: state_rate(structure.system(jnp.asarray(theta)), 0.0, y), (y,), (direction,))[1]
+    with jax.disable_jit():
+        found = jax.jvp(lambda y: program(theta, 0.0, y), (y,), (direction,))[1]
+    assert np.isfinite(expected).all()
+    assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("exponent", [1.5, 2.5, 3.5])
+def test_powers_keep_their_derivative_at_zero(exponent):
+    def power(x):
+        return jnp.maximum(x, 0.0) ** exponent
+
+    program = sj.scalarize(power, SCALAR)
+    for x in (-1.0, 0.0, 4.0):
+        assert float(program(x)) == pytest.approx(float(power(x)), rel=1e-15)
+        assert float(jax.grad(program)(x)) == pytest.approx(float(jax.grad(power)(x)), rel=1e-14)
+
+
+# Operations without a rule -------------------------------------------------------------------------------------------
+
+
+@jax.custom_jvp
+def _ramp(x):
+    return jnp.maximum(x, 0.0)
+
+
+_ramp.defjvp(lambda primals, tangents: (_ramp(*primals), jnp.where(primals[0] > 0, 1.0, 0.5) * tangents[0]))
+
+UNKNOWN = {
+    "sort": (lambda v: jnp.sort(v), "sort"),
+    "eigh": (lambda v: jnp.linalg.eigh(jnp.outer(v, v) + jnp.eye(3) * v)[0], "eigh"),
+    "custom_jvp": (lambda v: _ramp(v), "custom_jvp"),
+    "while": (lambda v: jax.lax.while_loop(lambda c: c[0] < 3, lambda c: c + 1, v), "while"),
+    "cumsum": (lambda v: jnp.cumsum(v), "cumsum"),
+    "argmax": (lambda v: v * jnp.argmax(v), "argmax"),
+    "computed index": (lambda v: v[jnp.floor(jnp.abs(v[0])).astype(int) % 3], "conver"),
+    "scatter-add": (lambda v: v.at[1].add(2.0), "scatter-add"),
+    "complex": (lambda v: jnp.abs(v + 1j), "complex"),
+    "random": (lambda v: v + jax.random.uniform(jax.random.key(0)), "."),
+    "checkpoint": (lambda v: jax.checkpoint(jnp.sin)(v), "."),
+    "fill outside": (lambda v: jnp.take(v, np.array([7]), mode="fill", fill_value=7.0), "."),
+    "single precision": (lambda v: v.astype(jnp.float32), "."),
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_unknown_operation_is_refused_or_right(name):
+    function, reason = UNKNOWN[name]
+    v = jnp.array([0.3, -1.2, 2.1])
+    try:
+        program = sj.scalarize(function, VECTOR)
+    except sj.NotScalarizable as refusal:
+        assert re.search(reason, str(refusal))
+        return
+    assert_agree(program(v), function(v))
+
+
+class Odd(sj.AbstractForce):
+    """A force with an operation that has no scalar rule."""
+
+    kind: str = eqx.field(static=True)
+
+    def wrenches(self, t, motions):
+        r = UNKNOWN[self.kind][0](motions["rocker"].position)
+        return {"rocker": sj.Wrench(0.01 * r, jnp.zeros(3))}
+
+
+@pytest.mark.parametrize("kind", ["sort", "eigh", "custom_jvp"])
+def test_unknown_operation_falls_back_with_a_warning_and_right_values(kind):
+    scene = sj.gallery.four_bar()
+    scene = sj.Scene(scene.bodies, scene.joints, {"odd": Odd(kind)}, gravity=scene.gravity)
+    system, structure, theta, start = prepared(scene, track_work=False)
+    y = cases.displaced_state(system, start, 1, 1e-3)
+    with pytest.warns(sj.ArrayPathWarning, match=f"state_rate runs as array code.*{UNKNOWN[kind][1]}"):
+        program = program_for(state_rate, structure)
+    assert program.scalar is None
+    assert_agree(program(theta, 0.0, y), state_rate(structure.system(jnp.asarray(theta)), 0.0, y))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        program_for(state_rate, structure, False)  # asked for: no warning
+
+
+def test_fallback_simulates():
+    body = sj.Body(1.0, (1.0, 1.0, 1.0))
+
+    class Sorted(sj.AbstractForce):
+        def wrenches(self, t, motions):
+            return {"body": sj.Wrench(jnp.sort(jnp.array([1.0, 3.0, 2.0]) + 0 * motions["body"].position), jnp.zeros(3))}
+
+    scene = sj.Scene({"body": body}, {}, {"push": Sorted()}, gravity=(0.0, 0.0, 0.0))
+    with pytest.warns(sj.ArrayPathWarning, match="sort"):
+        run = sj.simulate(scene, cases.times(2.0))
+    assert np.asarray(run.position("body")[-1]) == pytest.approx([2.0, 4.0, 6.0], abs=1e-9)
+
+
+def test_force_as_a_function_of_time():
+    body = sj.Body(2.0, (1.0, 1.0, 1.0))
+    push = sj.AppliedWrench("body", force=lambda t: jnp.array([jnp.cos(t), 0.0, 0.0]))
+    run = sj.simulate(sj.Scene({"body": body}, {}, {"push": push}, gravity=(0.0, 0.0, 0.0)), cases.times(1.0))
+    assert float(run.position("body")[-1, 0]) == pytest.approx((1 - np.cos(1.0)) / 2, abs=1e-9)
+
+
+def test_wrong_shapes_are_named():
+    program = sj.scalarize(lambda v: 2 * v, VECTOR)
+    with pytest.raises(ValueError, match=r"made for shapes \[\(3,\)\], got \[\(4,\)\]"):
+        program(jnp.zeros(4))
+    with pytest.raises(ValueError, match="made for shapes"):
+        program(jnp.zeros(3), jnp.zeros(3))
+
+
+def test_programs_that_are_too_long_are_refused():
+    with pytest.raises(sj.NotScalarizable, match="more than 10 scalar operations"):
+        sj.scalarize(lambda v: jnp.sum(jnp.sin(jnp.outer(v, v)) @ jnp.outer(v, jnp.cos(v))), VECTOR, maximum_operations=10)
+
+
+# Folding -------------------------------------------------------------------------------------------------------------
+
+
+def operations(function, *shapes, **options):
+    return dict(sj.scalarize(function, *shapes, **options).operations)
+
+
+def test_structural_zeros_and_ones_fold():
+    assert operations(lambda v: jnp.eye(3) @ v, VECTOR) == {}
+    assert operations(lambda v: v * 0.0 + v - 0.0, VECTOR) == {}
+    assert operations(lambda v: -(-v) * 1.0 / 1.0, VECTOR) == {}
+    assert operations(lambda v: jnp.zeros((3, 3)) @ v, VECTOR) == {}
+    assert operations(lambda v: np.diag([2.0, 0.0, 1.0]) @ v, VECTOR) == {"mul": 1}
+    assert operations(lambda v: v - v, VECTOR) == {}
+
+
+def test_equal_subexpressions_are_computed_once():
+    assert operations(lambda v: jnp.sin(v[0]) + jnp.sin(v[0]) * v[1], VECTOR) == {"sin": 1, "mul": 1, "add": 1}
+    assert operations(lambda v: v[0] * v[1] - v[1] * v[0], VECTOR) == {}
+
+
+def test_powers_become_products():
+    assert operations(lambda x: x**2, SCALAR) == {"mul": 1}
+    assert operations(lambda x: x**3, SCALAR) == {"mul": 2}
+    assert "pow" in operations(lambda x: x**1.3, SCALAR)
+
+
+def test_fixed_entries_are_folded_and_not_read():
+    def function(v):
+        return v[0] * v[1] + v[2]
+
+    assert operations(function, VECTOR, fixed={(0, 0): 0.0}) == {}
+    assert operations(function, VECTOR, fixed={(0, 0): 1.0}) == {"add": 1}
+    program = sj.scalarize(function, VECTOR, fixed={(0, 0): 1.0})
+    assert float(program(jnp.array([np.nan, 2.0, 3.0]))) == 5.0
+
+
+def test_known_branches_are_taken_and_unknown_ones_selected():
+    def function(x):
+        return jax.lax.cond(x > 0, lambda x: 2 * x, lambda x: -x, x)
+
+    for x in (-1.5, 1.5):
+        assert float(function(x)) == abs(x) * (2 if x > 0 else 1)
+    program = sj.scalarize(function, SCALAR)
+    for x in (-1.5, 1.5):
+        assert float(program(x)) == float(function(x))
+    assert operations(lambda x: jax.lax.cond(np.bool_(True), lambda x: 2 * x, lambda x: jnp.sin(x), x), SCALAR) == {"mul": 1}
+
+
+def test_loops_of_known_length_unroll():
+    def function(v):
+        return jax.lax.scan(lambda c, x: (c * x, c + x), 1.0, v, reverse=True)
+
+    v = jnp.array([0.3, -1.2, 2.1])
+    assert_agree(sj.scalarize(function, VECTOR)(v), function(v))
+
+
+def test_what_is_constant_moves_ahead_of_the_loop():
+    program = sj.scalarize(lambda v, x: jnp.sin(v[0]) * jnp.cos(v[1]) * x, VECTOR, SCALAR)
+    assert program.n_operations == 4
+    assert program.n_operations_inside == 1
+    v = jnp.array([0.3, -1.2, 2.1])
+    assert float(program.inside(program.ahead(v), v, 2.0)) == pytest.approx(float(program(v, 2.0)), rel=1e-15)
+
+
+def test_graph_keeps_negation_in_order():
+    graph = Graph()
+    a, b = graph.input((0, 0)), graph.input((0, 1))
+    assert graph.neg(graph.sub(a, b)) == graph.sub(b, a)
+    assert graph.add(a, graph.neg(b)) == graph.sub(a, b)
+    assert graph.mul(graph.neg(a), graph.neg(b)) == graph.mul(a, b)
+    assert graph.value(graph.mul(graph.constant(2, FLOAT), graph.constant(3, FLOAT))) == 6
+
+
+# The symmetric solve -------------------------------------------------------------------------------------------------
+
+
+def spd(seed, n=5):
+    a = np.random.default_rng(seed).standard_normal((n, n))
+    return jnp.asarray(a @ a.T + n * np.eye(n))
+
+
+def test_symmetric_solve_solves_in_every_form():
+    S, b = spd(0), jnp.arange(5.0)
+    B = jnp.stack([b, b**2], 1)
+    assert np.asarray(symmetric_solve(S, b)) == pytest.approx(np.linalg.solve(S, b), rel=1e-12)
+    assert np.asarray(symmetric_solve(S, B)) == pytest.approx(np.linalg.solve(S, B), rel=1e-12)
+    matrix, right = jax.ShapeDtypeStruct((5, 5), jnp.float64), jax.ShapeDtypeStruct((5,), jnp.float64)
+    program = sj.scalarize(symmetric_solve, matrix, right)
+    assert np.asarray(program(S, b)) == pytest.approx(np.linalg.solve(S, b), rel=1e-12)
+    assert symmetric_solve(jnp.zeros((0, 0)), jnp.zeros(0)).shape == (0,)
+    assert not np.isfinite(symmetric_solve(-S, b)).all()
+
+
+def test_symmetric_solve_differentiates():
+    S, T, b, d = spd(0), spd(1), jnp.arange(5.0), jnp.ones(5)
+    x = np.linalg.solve(S, b)
+    tangent = jax.jvp(symmetric_solve, (S, b), (T, d))[1]
+    assert np.asarray(tangent) == pytest.approx(np.linalg.solve(S, d - T @ x), rel=1e-11)
+    S_bar, b_bar = jax.grad(lambda S, b: d @ symmetric_solve(S, b), (0, 1))(S, b)
+    y = np.linalg.solve(S, d)
+    assert np.asarray(b_bar) == pytest.approx(y, rel=1e-11)
+    assert np.asarray(S_bar) == pytest.approx(-np.outer(y, x), rel=1e-11, abs=1e-15)
+    h = 1e-5
+    second = jax.jvp(lambda e: jax.grad(lambda e: d @ symmetric_solve(S + e * T, b))(e), (0.0,), (1.0,))[1]
+    slope = jax.grad(lambda e: d @ symmetric_solve(S + e * T, b))
+    assert float(second) == pytest.approx(float((slope(h) - slope(-h)) / (2 * h)), rel=1e-6)
+
+
+@pytest.mark.parametrize("axes", [(0, 0), (0, None), (None, 0), (None, 1), (2, 1)])
+def test_symmetric_solve_batches(axes):
+    S = jnp.stack([spd(k) for k in range(3)])
+    b = jnp.asarray(np.random.default_rng(5).standard_normal((3, 5)))
+    expected = np.stack(
+        [np.linalg.solve(S[0 if axes[0] is None else k], b[0 if axes[1] is None else k]) for k in range(3)]
+    )
+    matrices = S[0] if axes[0] is None else jnp.moveaxis(S, 0, axes[0])
+    sides = b[0] if axes[1] is None else jnp.moveaxis(b, 0, axes[1])
+    assert np.asarray(jax.vmap(symmetric_solve, axes)(matrices, sides)) == pytest.approx(expected, rel=1e-10)
+    gradient = jax.grad(lambda s: jnp.sum(jax.vmap(symmetric_solve, axes)(matrices, s) ** 2))(sides)
+    assert np.isfinite(gradient).all()
+
+
+def test_elimination_order_keeps_an_arrow_sparse():
+    # An arrow matrix: taken from the tip it fills completely, from the tail not at all.
+    n = 7
+    nonzero = np.eye(n, dtype=bool)
+    nonzero[0] = nonzero[:, 0] = True
+    order = _minimum_degree_order(nonzero)
+    assert sorted(order) == list(range(n))
+    assert 0 in order[-2:]
+
+    def solve(diagonal, edge, b):
+        S = (jnp.eye(n) * diagonal).at[0, 1:].set(edge).at[1:, 0].set(edge)
+        return symmetric_solve(S, b)
+
+    shapes = [jax.ShapeDtypeStruct((k,), jnp.float64) for k in (n, n - 1, n)]
+    program = sj.scalarize(solve, *shapes)
+    assert program.n_operations < 8 * n  # 80 and more when it fills
+    diagonal, edge, b = jnp.full(n, 5.0), jnp.linspace(0.1, 0.6, n - 1), jnp.arange(1.0, n + 1)
+    assert np.asarray(program(diagonal, edge, b)) == pytest.approx(np.asarray(solve(diagonal, edge, b)), rel=1e-13)
