@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -64,12 +65,13 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.run import add_run
 
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
-        "spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter
-    )
+    parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for add in (add_run, add_compare, add_effects, add_list):
         add(commands)
+    for command in {parser, *commands.choices.values()}:
+        # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.
+        command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     return parser
 
 

@@ -87,6 +87,12 @@ def _derivatives(phi):
     return g, center, u, M, half_M1, V1
 
 
+def coupler_center(phi):
+    """Center of mass of the coupler [m]."""
+    g = _geometry(phi)
+    return (g.pin[0] + g.end[0]) / 2
+
+
 def crank_acceleration(phi, phi_rate):
     """M phi_ddot + M'/2 phi_dot^2 + V' = 0."""
     _, _, _, M, half_M1, V1 = _derivatives(phi)

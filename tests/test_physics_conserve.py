@@ -141,3 +141,45 @@ def test_momentum_of_a_free_pair_is_conserved(name):
         # friction forces have a moment: a micrometer beside the arms of 5 cm.
         limit = 1e-4
     assert np.abs(angular - angular[0]).max() < limit * np.abs(angular).max()
+
+
+def test_joints_and_bodies_keep_their_names_whatever_their_order():
+    # Two balls in two sockets of their own, one of them damped, named against the alphabet.
+    balls = {
+        "zeta": sj.Body(0.2, (1e-5,) * 3, velocity=(0.5, 0.0, 0.0), points={"p": (0.0, 0.0, 0.0)}),
+        "alpha": sj.Body(0.4, (1e-5,) * 3, velocity=(0.0, 0.2, 0.0), points={"p": (0.0, 0.0, 0.0)}),
+    }
+    joints = {
+        "y_damped": sj.Spherical("ground.s", "zeta.p", sj.Bushing(1e4, 1e-3), starts_concentric=False),
+        "b_elastic": sj.Spherical("ground.s", "alpha.p", sj.Bushing(1e4, 0.0), starts_concentric=False),
+    }
+    scene = sj.Scene(balls, joints, gravity=(0.0, 0.0, 0.0), ground_points={"s": (0.0, 0.0, 0.0)})
+    run = sj.simulate(scene, cases.times(1e-2, 5), rtol=1e-9, atol=1e-12, track_work=True).require_success()
+    assert np.asarray(run.velocity("zeta"))[0] == pytest.approx([0.5, 0.0, 0.0])
+    assert np.asarray(run.velocity("alpha"))[0] == pytest.approx([0.0, 0.2, 0.0])
+    assert np.abs(np.asarray(run.position("alpha"))[:, 0]).max() < 1e-12
+    assert float(run.dissipated_energy("y_damped")[-1]) > 1e-3
+    assert abs(float(run.dissipated_energy("b_elastic")[-1])) < 1e-9
+    assert np.abs(np.asarray(run.acceleration("alpha"))[:, 0]).max() < 1e-9
+
+
+def test_bristles_of_two_joints_do_not_mix():
+    # The same pair, once named with and once against the alphabet, moves the same.
+    def run(first, second):
+        ball = {"points": {"p": (0.0, 0.0, 0.0)}}
+        bodies = {
+            f"body_{first}": sj.Body(0.2, (1e-5,) * 3, velocity=(0.5, 0.0, 0.1), angular_velocity=(0.0, 20.0, 0.0), **ball),
+            f"body_{second}": sj.Body(0.4, (1e-5,) * 3, velocity=(0.0, 0.2, 0.1), angular_velocity=(30.0, 0.0, 9.0), **ball),
+        }
+        model = sj.Dry(clearance=cases.C, friction=sj.LuGre())
+        joints = {
+            f"joint_{k}": sj.Spherical("ground.s", f"body_{k}.p", model, starts_concentric=False)
+            for k in (first, second)
+        }
+        scene = sj.Scene(bodies, joints, gravity=(0.0, 0.0, 0.0), ground_points={"s": (0.0, 0.0, 0.0)})
+        done = sj.simulate(scene, cases.times(1e-3), rtol=1e-9, atol=1e-12).require_success()
+        return sorted(np.asarray(done.state.position)[-1].tolist()), sorted(np.asarray(done.stats.n_onsets).tolist())
+
+    (ordered, n), (reversed_, m) = run("a", "b"), run("b", "a")
+    assert n == m
+    assert np.array(ordered) == pytest.approx(np.array(reversed_), abs=1e-9)

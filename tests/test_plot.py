@@ -34,10 +34,7 @@ def curves(label="one", clearance: float | None = 1e-4, amplitude=1.0):
 @pytest.fixture(scope="module")
 def models():
     cases = five_models()
-    return {
-        name: curves(case.label, None if name in ("ideal", "bushing") else 1e-4)
-        for name, case in cases.items()
-    }
+    return {name: curves(case.label, None if name in ("ideal", "bushing") else 1e-4) for name, case in cases.items()}
 
 
 def drawn(figure: Figure, panel: int):
@@ -183,8 +180,7 @@ def test_a_comparison_draws_every_figure_of_the_paper(models):
     rows = [Row(n, one.label, 1e-3, 9.0, 1.0, 1, 100, 0.1, 10.0, 0.5, "Dopri8") for n, one in models.items()]
     studies = [StudyResult(s, [curves(c.label) for c in s.cases]) for s in parameter_studies()]
     limits = [
-        LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order)
-        for s in limit_studies()
+        LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order) for s in limit_studies()
     ]
     found = figures_of(Comparison(2.0, rows, models, {}, studies, limits, 0.5))
     numbers = {name[:5] for name in found if name.startswith("fig")}

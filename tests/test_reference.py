@@ -70,6 +70,16 @@ def test_motion_meets_the_reduction(tight, reduced):
     assert z_acceleration == pytest.approx([i.rocker_z_acceleration for i in reduced], abs=11 * 1e-7)
 
 
+def test_every_body_goes_by_its_own_name(tight):
+    phi, phi_rate = reduction.ideal_motion(TIMES)
+    spin = np.stack([phi_rate, 0 * phi_rate, 0 * phi_rate], 1)
+    assert np.asarray(tight.position("crank")) == pytest.approx(np.zeros((5, 3)), abs=1e-8)
+    assert np.asarray(tight.angular_velocity("crank")) == pytest.approx(spin, abs=1e-6 * np.abs(spin).max())
+    centers = np.stack([reduction.coupler_center(angle) for angle in phi])
+    assert np.asarray(tight.position("coupler")) == pytest.approx(centers, abs=1e-8)
+    assert np.asarray(tight.acceleration("crank")) == pytest.approx(np.zeros((5, 3)), abs=11 * 1e-7)
+
+
 def test_reactions_meet_the_reduction(tight, reduced):
     expected = np.stack([i.reaction for i in reduced])
     scale = np.abs(expected).max()

@@ -24,7 +24,7 @@ class Family(NamedTuple):
         t_end: horizon [s].
         rtol: tolerance of the runs.
         agreement: of derivatives with central differences, relative to the largest entry of the row.
-        step: relative step of the differences.
+        step: shorter of two relative steps of the differences.
     """
 
     build: Callable
@@ -66,11 +66,11 @@ STEEL = {"modulus": 207e9, "poisson": 0.3}
 # Behind an onset the sensitivity grows like the root of time, which no tolerance on the motion controls: derivatives
 # of impacting motions are good to about 1e-3 at rtol = 1e-11.
 FAMILIES = {
-    "ideal": Family(four_bar, {"mass": 0.1416, "inertia": 1.0, "length": 0.020, "gravity": 9.81}, 0.05, 1e-10, 1e-6, 1e-3),
+    "ideal": Family(four_bar, {"mass": 0.1416, "inertia": 1.0, "length": 0.020, "gravity": 9.81}, 0.05, 1e-10, 1e-6, 1e-5),
     "dry": Family(dry, {"c": 1e-4, "radius": 0.010, "c_r": 0.9, **STEEL}, 0.02, 1e-11, 3e-3, 1e-5),
     "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 3e-3, 1e-5),
     "lubricated": Family(
-        lubricated, {"c": 1e-4, "radius": 0.010, "viscosity": 0.4, "e_h0": 1e-6, "e_h1": 2e-6}, 0.02, 1e-9, 1e-4, 1e-3
+        lubricated, {"c": 1e-4, "radius": 0.010, "viscosity": 0.4, "e_h0": 1e-6, "e_h1": 2e-6}, 0.02, 1e-10, 1e-4, 1e-4
     ),
     "bushing": Family(
         lambda k, b: four_bar(sj.Bushing(stiffness=k, damping=b)), {"k": 1e6, "b": 1e-4}, 0.02, 1e-10, 1e-4, 1e-4
@@ -83,7 +83,7 @@ def outcome(family, x, **options):
     numbers = {name: value * (1 + x[i]) for i, (name, value) in enumerate(family.values.items())}
     scene = family.build(**numbers) if family.build is four_bar else family.build(*numbers.values())
     run = sj.simulate(scene, cases.times(family.t_end), rtol=family.rtol, atol=family.rtol / 1000, **options)
-    return jnp.concatenate([run.position("rocker")[-1], run.velocity("coupler")[-1]])
+    return jnp.concatenate([run.position("rocker")[-1], run.velocity("rocker")[-1]])
 
 
 @cache
@@ -122,15 +122,18 @@ def test_vmap_equals_loop(name):
 def test_forward_derivative_meets_finite_differences(name):
     family = FAMILIES[name]
     jacobian = forward(name)
-    n = len(family.values)
-    steps = family.step * np.eye(n)
-    differences = np.stack([(compiled(name)(h) - compiled(name)(-h)) / (2 * family.step) for h in steps], 1)
-    # By parameter, against its largest effect; positions and velocities have their own scales.
-    for rows in (slice(0, 3), slice(3, 6)):
-        scale = np.abs(differences[rows]).max(0) + 1e-3 * np.abs(differences[rows]).max()
-        error = np.abs(jacobian[rows] - differences[rows]).max(0) / scale
-        assert (error < family.agreement).all(), dict(zip(family.values, error, strict=True))
-    assert (np.abs(jacobian).max(0) > 0).all()
+    errors = []
+    # Rounding spoils short steps and curvature long ones, for each parameter at its own length: the better one counts.
+    for h in (family.step, 10 * family.step):
+        differences = np.stack(
+            [(compiled(name)(e) - compiled(name)(-e)) / (2 * h) for e in h * np.eye(len(family.values))], 1
+        )
+        # By parameter, against its largest effect; positions and velocities have their own scales.
+        errors.append([np.abs(d).max(0) / np.abs(j).max(0) for j, d in (
+            (jacobian[:3], jacobian[:3] - differences[:3]), (jacobian[3:], jacobian[3:] - differences[3:])
+        )])
+    error = np.min(errors, axis=0).max(0)
+    assert (error < family.agreement).all(), dict(zip(family.values, error, strict=True))
 
 
 @pytest.mark.parametrize("name", FAMILIES)

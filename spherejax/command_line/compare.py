@@ -18,7 +18,7 @@ Simulate a mechanism with five models of one spherical joint (ideal, dry, dry wi
 lubricated, bushing), vary their parameters, and print a table: energy lost, peak acceleration,
 largest eccentricity, steps, and computing time against the ideal joint. Writes table.csv, one
 netCDF file for each model, and figures that follow the numbering of the paper (figNN_*.png). About
-three minutes on two cores; later runs are faster, because compiled programs are kept.
+three minutes on two free cores; later runs are faster, because compiled programs are kept.
 """
 
 EPILOG = """examples:

@@ -41,7 +41,7 @@ class System(eqx.Module):
     """A compiled scene: a pytree whose leaves are the physical numbers and whose structure is static.
 
     Attributes:
-        bodies: moving bodies by name, in the order of the state.
+        bodies: moving bodies by name, sorted: the order of the state.
         joints: placed joints by name.
         forces: force elements by name.
         gravity: world axes [m/s^2].
@@ -123,15 +123,18 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
         SceneError: for a scene that cannot be simulated.
     """
     conditions = check_scene(scene)
-    bodies = {name: _with_array_fields(body) for name, body in scene.bodies.items()}
-    joints = {name: joint.placed(scene.bodies, scene.find) for name, joint in scene.joints.items()}
+    # JAX sorts the keys of a dict when it takes it apart: a system is sorted from the start, so that the order of the
+    # state is the same inside and outside a compiled program.
+    bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
+    joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
+    forces = {name: scene.forces[name] for name in sorted(scene.forces)}
     slots, start = [], 0
     for name, joint in joints.items():
         names = joint.model.memory_names if isinstance(joint, PlacedSpherical) else ()
         if names:
             slots.append(MemorySlot(name, start, names))
             start += len(names)
-    system = System(bodies, joints, dict(scene.forces), scene.gravity, scene.drift, tuple(slots), track_work)
+    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work)
     return Compiled(system, conditions)
 
 

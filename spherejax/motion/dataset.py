@@ -64,7 +64,6 @@ def to_dataset(run: Trajectory, *, every: int = 1) -> "xarray.Dataset":
 
 
 def _spherical(run: Trajectory) -> list[str]:
-    # The order of the scene: dictionaries come out of a compiled program sorted by name.
     return [name for name in run.system.joints if name in run.observation.eccentricity]
 
 

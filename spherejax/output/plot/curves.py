@@ -90,5 +90,5 @@ def thinned(ts: np.ndarray, values: np.ndarray, n_bins: int = 1500) -> tuple[np.
     blocks = values[:n_full].reshape(n_bins, size)
     # argmin of a block with NaN is the NaN's place: a failed run stays visible as a gap.
     chosen = np.sort(np.stack([blocks.argmin(1), blocks.argmax(1)], 1), axis=1) + size * np.arange(n_bins)[:, None]
-    indices = np.concatenate([chosen.ravel(), np.arange(n_full, len(ts))])
+    indices = np.unique(np.concatenate([chosen.ravel(), np.arange(n_full, len(ts))]))
     return ts[indices], values[indices]

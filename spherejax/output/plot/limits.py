@@ -38,7 +38,7 @@ def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
         title: what is shown, with the length of the motion.
     """
     parameters = list(dict.fromkeys(limit.parameter for limit in limits))
-    figure, axes = new_figure(1, len(parameters), 3.3 * len(parameters) + 0.3, 3.8, title)
+    figure, axes = new_figure(1, len(parameters), 3.3 * len(parameters) + 0.3, 4.6, title)
     for ax, parameter in zip(axes.flat, parameters, strict=True):
         for limit, color in zip((one for one in limits if one.parameter == parameter), LAW_COLORS, strict=False):
             ax.plot(
@@ -61,7 +61,7 @@ def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
         ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlabel(parameter)
         ax.set_title(parameter.split(" [")[0], loc="left", fontsize=9)
-        ax.legend(fontsize=7, loc="best", framealpha=0.9)
+        ax.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
     axes[0, 0].set_ylabel("largest deviation of rocker z from ideal [mm]")
     letter(list(axes.flat))
     return figure

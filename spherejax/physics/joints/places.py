@@ -8,6 +8,7 @@ import abc
 from collections.abc import Callable, Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -83,9 +84,7 @@ class Spherical(AbstractJoint):
         """The centers in body axes, and the relative orientation at the start."""
         (socket_body, socket_place), (ball_body, ball_place) = find(self.socket), find(self.ball)
         start = concretely(
-            lambda socket, ball: quaternion_product(conjugate(normalized(socket)), normalized(ball)),
-            _start_quaternion(bodies, socket_body),
-            _start_quaternion(bodies, ball_body),
+            _relative_start, _start_quaternion(bodies, socket_body), _start_quaternion(bodies, ball_body)
         )
         return PlacedSpherical(
             (socket_body, ball_body), socket_place, ball_place, start, self.model, self.starts_concentric
@@ -225,6 +224,17 @@ _ROUNDING = 1e-14
 """Entries of turned unit vectors below this are rounding, not geometry: they are made exact zeros when concrete."""
 
 
+# Compiled once: scenes are built again and again, and a handful of single operations costs milliseconds.
+@jax.jit
+def _relative_start(socket: Numeric, ball: Numeric):
+    return quaternion_product(conjugate(normalized(socket)), normalized(ball))
+
+
+@jax.jit
+def _in_turned_axes(quaternion: Numeric, vector: Numeric):
+    return rotation_matrix(normalized(quaternion)).T @ vector
+
+
 def _start_quaternion(bodies: Mapping[str, Body], name: str):
     return np.array([1.0, 0.0, 0.0, 0.0]) if name == GROUND else bodies[name].quaternion
 
@@ -233,7 +243,7 @@ def _turned(bodies: Mapping[str, Body], name: str, vector):
     """A world vector in the axes that the body has at the start."""
     if name == GROUND:
         return vector
-    turned = concretely(lambda p, a: rotation_matrix(normalized(p)).T @ a, _start_quaternion(bodies, name), vector)
+    turned = concretely(_in_turned_axes, _start_quaternion(bodies, name), vector)
     return _without_rounding(turned)
 
 
