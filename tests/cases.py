@@ -50,7 +50,7 @@ FOUR_BAR_MODELS = {
     "lubricated": sj.Lubricated(clearance=C, viscosity=0.4),
     "bushing": sj.Bushing(stiffness=1e6, damping=1e-4),
 }
-"""The five models that are compared on the four-bar; tests that integrate keep to these, for each costs a compilation."""
+"""The five models that are compared on the four-bar. Tests that integrate keep to these: each costs a compilation."""
 
 MODELS = {
     **FOUR_BAR_MODELS,

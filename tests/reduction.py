@@ -76,12 +76,7 @@ def _derivatives(phi):
     center = [(a + b) / 2 for a, b in zip(g.pin, g.end, strict=True)]
     u = [(b - a) / COUPLER for a, b in zip(g.pin, g.end, strict=True)]
     psi, psi1, psi2 = g.psi
-    M = (
-        CRANK_INERTIA
-        + ROCKER_INERTIA * psi1**2
-        + COUPLER_MASS * center[1] @ center[1]
-        + COUPLER_ACROSS * u[1] @ u[1]
-    )
+    M = CRANK_INERTIA + ROCKER_INERTIA * psi1**2 + COUPLER_MASS * center[1] @ center[1] + COUPLER_ACROSS * u[1] @ u[1]
     half_M1 = ROCKER_INERTIA * psi1 * psi2 + COUPLER_MASS * center[1] @ center[2] + COUPLER_ACROSS * u[1] @ u[2]
     V1 = G * (COUPLER_MASS * center[1][2] - ROCKER_MASS * ROCKER / 2 * math.sin(psi) * psi1)
     return g, center, u, M, half_M1, V1
@@ -102,9 +97,7 @@ def crank_acceleration(phi, phi_rate):
 def ideal_motion(ts):
     """Crank angle and rate at the times `ts`, from rest at phi = 0."""
     ts = np.asarray(ts, float)
-    run = solve_ivp(
-        lambda t, y: [y[1], crank_acceleration(*y)], (0.0, ts[-1]), [0.0, 0.0], t_eval=ts, **TIGHT
-    )
+    run = solve_ivp(lambda t, y: [y[1], crank_acceleration(*y)], (0.0, ts[-1]), [0.0, 0.0], t_eval=ts, **TIGHT)
     assert run.success
     return run.y
 
@@ -115,17 +108,13 @@ def turning_points(t_end=2.0):
     def turns(t, y):
         return y[1] if t > 0 else 1e-3
 
-    run = solve_ivp(
-        lambda t, y: [y[1], crank_acceleration(*y)], (0.0, t_end), [0.0, 0.0], events=turns, **TIGHT
-    )
+    run = solve_ivp(lambda t, y: [y[1], crank_acceleration(*y)], (0.0, t_end), [0.0, 0.0], events=turns, **TIGHT)
     return run.t_events[0], run.y_events[0][:, 0]
 
 
 def largest_acceleration(t_low, t_high):
     """Time and value of the largest rocker z_ddot in an interval."""
-    run = solve_ivp(
-        lambda t, y: [y[1], crank_acceleration(*y)], (0.0, t_high), [0.0, 0.0], dense_output=True, **TIGHT
-    )
+    run = solve_ivp(lambda t, y: [y[1], crank_acceleration(*y)], (0.0, t_high), [0.0, 0.0], dense_output=True, **TIGHT)
 
     def z_ddot(t):
         return instant(*run.sol(t)).rocker_z_acceleration
@@ -227,9 +216,7 @@ def _rates(joint, stiffness, onset_rate, y):
             on_socket = normal * n + friction
             socket_arm = socket_arm + joint.socket_radius * n
             ball_arm = ball_arm + ball_radius * n
-    push = COUPLER_MASS * (
-        np.array([0.0, 0.0, -G]) - A2 * phi_rate**2 - _cross(omega, _cross(omega, rho))
-    )
+    push = COUPLER_MASS * (np.array([0.0, 0.0, -G]) - A2 * phi_rate**2 - _cross(omega, _cross(omega, rho)))
     along = eta @ omega
     gyroscopic = (COUPLER_ALONG - COUPLER_ACROSS) * along * _cross(omega, eta)
     M = np.empty((4, 4))

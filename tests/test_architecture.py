@@ -74,7 +74,8 @@ def test_runtime_imports_nothing_of_the_package():
 
 def test_imports_have_no_cycle():
     graph = {
-        module: {name for name in imported(path) if name in MODULES and name != module} for module, path in MODULES.items()
+        module: {name for name in imported(path) if name in MODULES and name != module}
+        for module, path in MODULES.items()
     }
     try:
         list(TopologicalSorter(graph).static_order())

@@ -48,51 +48,99 @@ def unclosable():
 
 
 SCENES = {
-    "negative clearance": (lambda: FOUR_BAR(sj.Dry(clearance=-1e-4)), "coupler_rocker", "clearance = -0.0001", "positive"),
+    "negative clearance": (
+        lambda: FOUR_BAR(sj.Dry(clearance=-1e-4)),
+        "coupler_rocker",
+        "clearance = -0.0001",
+        "positive",
+    ),
     "zero clearance": (lambda: FOUR_BAR(sj.Lubricated(clearance=0.0)), "coupler_rocker", "clearance = 0", "positive"),
     "clearance beyond the socket": (
-        lambda: FOUR_BAR(sj.Dry(clearance=0.02)), "coupler_rocker", "clearance = 0.02", "socket",
+        lambda: FOUR_BAR(sj.Dry(clearance=0.02)),
+        "coupler_rocker",
+        "clearance = 0.02",
+        "socket",
     ),
     "ball larger than socket": (
         lambda: FOUR_BAR(sj.Dry(ball_radius=0.011, socket_radius=0.010)),
-        "coupler_rocker", "ball_radius = 0.011", "larger than its socket", "exchange",
+        "coupler_rocker",
+        "ball_radius = 0.011",
+        "larger than its socket",
+        "exchange",
     ),
     "ball larger, lubricated": (
-        lambda: FOUR_BAR(sj.Lubricated(ball_radius=0.011)), "coupler_rocker", "ball_radius = 0.011", "exchange",
+        lambda: FOUR_BAR(sj.Lubricated(ball_radius=0.011)),
+        "coupler_rocker",
+        "ball_radius = 0.011",
+        "exchange",
     ),
     **{
         f"restitution {value} in {law.__name__}": (
             lambda law=law, value=value: FOUR_BAR(sj.Dry(clearance=1e-4, normal=law(restitution=value))),
-            "coupler_rocker", law.__name__, f"restitution = {value:g}", "(0, 1]", "small positive number",
+            "coupler_rocker",
+            law.__name__,
+            f"restitution = {value:g}",
+            "(0, 1]",
+            "small positive number",
         )
         for law in (sj.HuntCrossley, sj.LankaraniNikravesh, sj.Gonthier, sj.Flores, sj.ExactRestitution)
         for value in (0.0, 1.01, -0.5)
     },
     "Coulomb": (
         lambda: FOUR_BAR(sj.Dry(clearance=1e-4, friction=sj.Coulomb(mu=0.1))),
-        "coupler_rocker", "Coulomb", "zero sliding", "Threlfall", "BengisuAkay", "Ambrosio", "BrownMcPhee", "LuGre",
+        "coupler_rocker",
+        "Coulomb",
+        "zero sliding",
+        "Threlfall",
+        "BengisuAkay",
+        "Ambrosio",
+        "BrownMcPhee",
+        "LuGre",
     ),
     "unknown body": (
-        lambda: with_joint("extra", sj.Revolute(("ground", "crnk"), (0, 0, 0), (1, 0, 0))), "extra", "'crnk'", "'crank'",
+        lambda: with_joint("extra", sj.Revolute(("ground", "crnk"), (0, 0, 0), (1, 0, 0))),
+        "extra",
+        "'crnk'",
+        "'crank'",
     ),
     "unknown body of a point": (
-        lambda: with_joint("extra", sj.Spherical("crnk.pin", "rocker.pivot")), "crnk.pin", "'crnk'", "'crank'",
+        lambda: with_joint("extra", sj.Spherical("crnk.pin", "rocker.pivot")),
+        "crnk.pin",
+        "'crnk'",
+        "'crank'",
     ),
     "unknown body of a force": (
-        lambda: sj.Scene(FOUR_BAR().bodies, FOUR_BAR().joints, {"push": sj.AppliedWrench("crnk")}), "push", "'crnk'", "'crank'",
+        lambda: sj.Scene(FOUR_BAR().bodies, FOUR_BAR().joints, {"push": sj.AppliedWrench("crnk")}),
+        "push",
+        "'crnk'",
+        "'crank'",
     ),
     "unknown point": (
-        lambda: with_joint("extra", sj.Spherical("crank.pim", "rocker.pivot")), "'crank'", "'pim'", "'pin'", "Add",
+        lambda: with_joint("extra", sj.Spherical("crank.pim", "rocker.pivot")),
+        "'crank'",
+        "'pim'",
+        "'pin'",
+        "Add",
     ),
     "no point": (lambda: with_joint("extra", sj.Spherical("crank", "rocker.pivot")), "'crank'", "body.point"),
     "unknown ground point": (
-        lambda: with_joint("extra", sj.Spherical("ground.nail", "rocker.pivot")), "'ground'", "'nail'", "none",
+        lambda: with_joint("extra", sj.Spherical("ground.nail", "rocker.pivot")),
+        "'ground'",
+        "'nail'",
+        "none",
     ),
     "joint to itself": (
-        lambda: with_joint("extra", sj.Spherical("crank.pin", "crank.pivot")), "extra", "'crank'", "itself", "two different",
+        lambda: with_joint("extra", sj.Spherical("crank.pin", "crank.pivot")),
+        "extra",
+        "'crank'",
+        "itself",
+        "two different",
     ),
     "ground to itself": (
-        lambda: with_joint("extra", sj.Revolute(("ground", "ground"), (0, 0, 0), (1, 0, 0))), "extra", "'ground'", "itself",
+        lambda: with_joint("extra", sj.Revolute(("ground", "ground"), (0, 0, 0), (1, 0, 0))),
+        "extra",
+        "'ground'",
+        "itself",
     ),
     "disconnected groups": (apart, "'three'", "'one'", "add a joint"),
     "loose body": (loose, "'wanderer'", "add a joint", "remove"),
@@ -100,23 +148,45 @@ SCENES = {
     "a body called ground": (lambda: sj.Scene({"ground": sj.Body(1.0, (1.0, 1.0, 1.0))}), "'ground'", "another name"),
     "cannot close": (unclosable, "cannot be closed", "crank_coupler|coupler_rocker", "residual", "Check"),
     "quaternion": (
-        lambda: with_body(quaternion=(1.0, 1.0, 0.0, 0.0)), "'rocker'", "quaternion", "unit norm", "Divide",
+        lambda: with_body(quaternion=(1.0, 1.0, 0.0, 0.0)),
+        "'rocker'",
+        "quaternion",
+        "unit norm",
+        "Divide",
     ),
     "zero mass": (lambda: with_body(mass=0.0), "'rocker'", "mass = 0", "positive", "small mass"),
     "negative inertia": (
-        lambda: with_body(inertia=(1e-4, -1e-6, 1e-4)), "'rocker'", "inertia", "-1.*e-06", "positive", "principal",
+        lambda: with_body(inertia=(1e-4, -1e-6, 1e-4)),
+        "'rocker'",
+        "inertia",
+        "-1.*e-06",
+        "positive",
+        "principal",
     ),
     "indefinite inertia": (
-        lambda: sj.Scene({"plate": sj.Body(1.0, np.diag([1.0, 1.0, -1.0]))}), "'plate'", "inertia", "positive", "symmetric",
+        lambda: sj.Scene({"plate": sj.Body(1.0, np.diag([1.0, 1.0, -1.0]))}),
+        "'plate'",
+        "inertia",
+        "positive",
+        "symmetric",
     ),
     "zero axis": (
-        lambda: with_joint("extra", sj.Revolute(("ground", "crank"), (0, 0, 0), (0, 0, 0))), "extra", "axis", "direction",
+        lambda: with_joint("extra", sj.Revolute(("ground", "crank"), (0, 0, 0), (0, 0, 0))),
+        "extra",
+        "axis",
+        "direction",
     ),
     "negative viscosity": (
-        lambda: FOUR_BAR(sj.Lubricated(clearance=1e-4, viscosity=-1.0)), "coupler_rocker", "viscosity = -1", "positive",
+        lambda: FOUR_BAR(sj.Lubricated(clearance=1e-4, viscosity=-1.0)),
+        "coupler_rocker",
+        "viscosity = -1",
+        "positive",
     ),
     "negative stiffness": (
-        lambda: FOUR_BAR(sj.Bushing(stiffness=-1.0, damping=0.0)), "coupler_rocker", "stiffness = -1", "Give",
+        lambda: FOUR_BAR(sj.Bushing(stiffness=-1.0, damping=0.0)),
+        "coupler_rocker",
+        "stiffness = -1",
+        "Give",
     ),
     "negative Baumgarte": (lambda: FOUR_BAR(drift=sj.Baumgarte(-1.0, 5.0)), "drift", "alpha = -1", "zero"),
     # NaN anywhere
@@ -128,37 +198,54 @@ SCENES = {
     "NaN spin": (lambda: with_body(angular_velocity=(0.0, NAN, 1.0)), "'rocker'", "angular_velocity", "nan"),
     "NaN point": (
         lambda: eqx.tree_at(lambda s: s.bodies["rocker"].points["pivot"], FOUR_BAR(), np.array([NAN, 0, 0])),
-        "'rocker'", "pivot", "nan",
+        "'rocker'",
+        "pivot",
+        "nan",
     ),
     "NaN ground point": (
         lambda: eqx.tree_at(
             lambda s: s.ground_points["socket"], cases.ball_in_socket(sj.Dry(clearance=1e-4)), np.array([NAN, 0, 0])
         ),
-        "ground", "socket", "nan",
+        "ground",
+        "socket",
+        "nan",
     ),
     "NaN gravity": (
-        lambda: sj.Scene(FOUR_BAR().bodies, FOUR_BAR().joints, gravity=(0.0, 0.0, NAN)), "gravity", "nan", "finite",
+        lambda: sj.Scene(FOUR_BAR().bodies, FOUR_BAR().joints, gravity=(0.0, 0.0, NAN)),
+        "gravity",
+        "nan",
+        "finite",
     ),
     "NaN axis": (
-        lambda: with_joint("extra", sj.Revolute(("ground", "crank"), (0, 0, 0), (NAN, 0, 0))), "extra", "axis", "nan",
+        lambda: with_joint("extra", sj.Revolute(("ground", "crank"), (0, 0, 0), (NAN, 0, 0))),
+        "extra",
+        "axis",
+        "nan",
     ),
     "NaN clearance": (lambda: FOUR_BAR(sj.Dry(clearance=NAN)), "coupler_rocker", "clearance = nan"),
     "NaN ball radius": (lambda: FOUR_BAR(sj.Dry(ball_radius=NAN)), "coupler_rocker", "ball_radius = nan"),
     "NaN restitution": (
-        lambda: FOUR_BAR(sj.Dry(clearance=1e-4, normal=sj.Flores(restitution=NAN))), "coupler_rocker", "restitution = nan",
+        lambda: FOUR_BAR(sj.Dry(clearance=1e-4, normal=sj.Flores(restitution=NAN))),
+        "coupler_rocker",
+        "restitution = nan",
     ),
     "NaN friction": (
-        lambda: FOUR_BAR(sj.Dry(clearance=1e-4, friction=sj.Threlfall(mu=NAN))), "coupler_rocker", "mu = nan",
+        lambda: FOUR_BAR(sj.Dry(clearance=1e-4, friction=sj.Threlfall(mu=NAN))),
+        "coupler_rocker",
+        "mu = nan",
     ),
     "NaN film": (lambda: FOUR_BAR(sj.Lubricated(clearance=1e-4, e_h1=NAN)), "coupler_rocker", "e_h1 = nan"),
     "NaN elastomer": (lambda: FOUR_BAR(sj.Bushing(1e6, NAN)), "coupler_rocker", "damping = nan"),
     "NaN material": (
         lambda: FOUR_BAR(sj.Dry(clearance=1e-4, ball_material=sj.Material(youngs_modulus=NAN))),
-        "coupler_rocker", "youngs_modulus = nan",
+        "coupler_rocker",
+        "youngs_modulus = nan",
     ),
     "NaN force": (
         lambda: sj.Scene(FOUR_BAR().bodies, FOUR_BAR().joints, {"push": sj.AppliedWrench("rocker", force=(NAN, 0, 0))}),
-        "push", "force", "nan",
+        "push",
+        "force",
+        "nan",
     ),
     "NaN Baumgarte": (lambda: FOUR_BAR(drift=sj.Baumgarte(5.0, NAN)), "drift", "beta = nan"),
 }
@@ -171,7 +258,10 @@ def test_bad_scene_is_named(name):
         sj.simulate(build(), TS)
     message = str(caught.value)
     for word in words:
-        assert any(part.lower() in message.lower() for part in word.split("|")) or _matches(word, message), (word, message)
+        assert any(part.lower() in message.lower() for part in word.split("|")) or _matches(word, message), (
+            word,
+            message,
+        )
 
 
 def _matches(pattern, message):
@@ -188,7 +278,7 @@ REQUESTS = {
     "times as a matrix": ({"ts": jnp.zeros((2, 2))}, "ts", "shape (2, 2)"),
     "rtol below float64": ({"rtol": 1e-17}, "rtol = 1e-17", "float64", "1e-14"),
     "rtol NaN": ({"rtol": NAN}, "rtol = nan", "float64"),
-    "negative rtol": ({"rtol": -1e-6}, "rtol = -1e-06", "or more"),
+    "negative rtol": ({"rtol": -1e-6}, "rtol = -1e-06", "at least"),
     "atol zero": ({"atol": 0.0}, "atol = 0", "positive"),
     "atol negative": ({"atol": -1.0}, "atol = -1", "positive"),
     "atol NaN": ({"atol": NAN}, "atol = nan", "positive"),
@@ -206,15 +296,15 @@ def test_bad_request_is_named(name):
 
 def test_unknown_names_of_results_are_named():
     run = sj.simulate(FOUR_BAR(), TS)
-    with pytest.raises(sj.SceneError, match="no body 'rockr'.*'rocker'"):
+    with pytest.raises(sj.SceneError, match=r"no body 'rockr'.*'rocker'"):
         run.position("rockr")
-    with pytest.raises(sj.SceneError, match="no joint 'coupler_rockr'.*'coupler_rocker'"):
+    with pytest.raises(sj.SceneError, match=r"no joint 'coupler_rockr'.*'coupler_rocker'"):
         run.reaction("coupler_rockr")
-    with pytest.raises(sj.SceneError, match="'coupler_rocker' has no clearance.*Ideal"):
+    with pytest.raises(sj.SceneError, match=r"'coupler_rocker' has no clearance.*Ideal"):
         run.penetration("coupler_rocker")
     with pytest.raises(sj.SceneError, match="'crank_pivot' is not spherical"):
         run.eccentricity("crank_pivot")
-    with pytest.raises(sj.SceneError, match="'coupler_rocker' is ideal"):
+    with pytest.raises(sj.SceneError, match=r"'coupler_rocker' is ideal"):
         run.absorbed_work("coupler_rocker")
 
 
@@ -228,10 +318,7 @@ def test_two_radii_or_none_are_refused():
 
 
 def test_32_bit_mode_is_refused():
-    code = (
-        "import spherejax as sj, numpy as np\n"
-        "sj.simulate(sj.gallery.four_bar(), np.array([0.0, 1.0]))\n"
-    )
+    code = "import spherejax as sj, numpy as np\nsj.simulate(sj.gallery.four_bar(), np.array([0.0, 1.0]))\n"
     environment = {**os.environ, "SPHEREJAX_CONFIGURE": "0", "JAX_ENABLE_X64": "0"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode != 0
@@ -251,7 +338,10 @@ def test_bad_lane_is_diagnosed_and_spoils_nothing():
 
     lanes, status = positions(jnp.array([1e-4, -1e-4, 2e-4, jnp.nan]))
     assert list(map(sj.Status, status.tolist())) == [
-        sj.Status.SUCCEEDED, sj.Status.BAD_VALUE, sj.Status.SUCCEEDED, sj.Status.BAD_VALUE,
+        sj.Status.SUCCEEDED,
+        sj.Status.BAD_VALUE,
+        sj.Status.SUCCEEDED,
+        sj.Status.BAD_VALUE,
     ]
     good_company, _ = positions(jnp.array([1e-4, 1.5e-4, 2e-4, 3e-4]))
     np.testing.assert_array_equal(lanes[0], good_company[0])
@@ -275,9 +365,7 @@ def test_diagnosis_names_the_lane_and_the_remedy():
 
 def test_start_that_cannot_close_is_a_status_under_trace():
     def run(height):
-        scene = eqx.tree_at(
-            lambda s: s.bodies["crank"].points["pin"], FOUR_BAR(), jnp.array([0.0, 0.0, 1.0]) * height
-        )
+        scene = eqx.tree_at(lambda s: s.bodies["crank"].points["pin"], FOUR_BAR(), jnp.array([0.0, 0.0, 1.0]) * height)
         done = sj.simulate(scene, TS)
         return done.status, done.position("rocker")
 

@@ -71,7 +71,14 @@ def test_hertz_carries_no_contact_memory():
 
 @pytest.mark.parametrize(
     ("name", "n_memory", "n_constraints"),
-    [("ideal", 0, 16), ("dry", 1, 13), ("dry_lugre", 4, 13), ("lubricated", 1, 13), ("lubricated_hertz", 0, 13), ("bushing", 0, 13)],
+    [
+        ("ideal", 0, 16),
+        ("dry", 1, 13),
+        ("dry_lugre", 4, 13),
+        ("lubricated", 1, 13),
+        ("lubricated_hertz", 0, 13),
+        ("bushing", 0, 13),
+    ],
 )
 def test_states_and_rows_are_those_of_the_effects(name, n_memory, n_constraints):
     system, _, _ = of_model(cases.MODELS[name])

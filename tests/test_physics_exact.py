@@ -138,10 +138,14 @@ def test_free_impact_realizes_the_closed_form(law):
     for k, c_r in enumerate(RESTITUTIONS):
         expected = c_r if chi is None else restitution_in_closed_form(chi[k])
         assert -v_end[k] @ direction / SPEED == pytest.approx(expected, abs=1e-6), c_r
-        factor = chi[k] if chi is not None else brentq(
-            lambda x, e=c_r: x * (1 + e) - np.log1p(x) + np.log1p(-x * e), 1e-4, (1 - 1e-15) / c_r, xtol=1e-15
+        factor = (
+            chi[k]
+            if chi is not None
+            else brentq(
+                lambda x, e=c_r: x * (1 + e) - np.log1p(x) + np.log1p(-x * e), 1e-4, (1 - 1e-15) / c_r, xtol=1e-15
+            )
         )
-        # delta_max^(n+1) = m (n+1)/K v^2 (1/chi - ln(1 + chi)/chi^2); the samples bracket it, their Hermite cubic has it.
+        # delta_max^(n+1) = m (n+1)/K v^2 (1/chi - ln(1 + chi)/chi^2). The samples bracket it; a Hermite cubic has it.
         deepest = (2.5 * MASS * SPEED**2 / STIFFNESS * (1 / factor - np.log1p(factor) / factor**2)) ** 0.4
         depth = np.linalg.norm(positions[k], axis=1) - cases.C
         rate = velocities[k] @ direction
@@ -190,8 +194,11 @@ def test_film_under_constant_load_sinks_as_the_integral_says(boundary):
     ts = np.array([0.0, *map(time_to, ratios)])
     scene = cases.ball_in_socket(sj.Lubricated(clearance=c, viscosity=viscosity, boundary=boundary, e_h1=0.0), 1e-3)
     scene = sj.Scene(
-        scene.bodies, scene.joints, {"load": sj.AppliedWrench("ball", force=(0.0, 0.0, -load))},
-        gravity=NO_GRAVITY, ground_points=scene.ground_points,
+        scene.bodies,
+        scene.joints,
+        {"load": sj.AppliedWrench("ball", force=(0.0, 0.0, -load))},
+        gravity=NO_GRAVITY,
+        ground_points=scene.ground_points,
     )
     run = sj.simulate(scene, jnp.asarray(ts), rtol=1e-8, atol=1e-14, solver=sj.Rodas5P()).require_success()
     # The time constant of the inertia, m/(C B), is 1e-8 of the time that is measured.

@@ -54,9 +54,7 @@ def test_viscosity_to_infinity_is_the_ideal_joint(ideal):
 def test_friction_to_zero_is_the_frictionless_joint():
     frictionless = final(sj.gallery.four_bar(cases.FOUR_BAR_MODELS["dry"]))
     mu = np.array([1e-5, 1e-6, 1e-7])
-    errors = distances(
-        lambda m: sj.Dry(clearance=cases.C, friction=sj.Threlfall(mu=m, v1=1e-3)), mu, frictionless
-    )
+    errors = distances(lambda m: sj.Dry(clearance=cases.C, friction=sj.Threlfall(mu=m, v1=1e-3)), mu, frictionless)
     assert errors[0] > 0
     assert orders(errors, mu) == pytest.approx([1.0, 1.0], abs=0.2), errors
 

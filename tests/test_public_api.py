@@ -59,7 +59,8 @@ def test_simulate_takes_scene_and_times_by_position_and_the_rest_by_name():
 @pytest.mark.parametrize(
     "name",
     [
-        "ts", "position", "velocity", "acceleration", "angular_velocity", "quaternion", "eccentricity", "eccentricity_ratio",
+        "ts", "position", "velocity", "acceleration", "angular_velocity", "quaternion", "eccentricity",
+        "eccentricity_ratio",
         "penetration", "reaction", "mechanical_energy", "kinetic_energy", "potential_energy", "elastic_energy",
         "dissipated_energy", "constraint_violation", "stats", "succeeded", "status", "diagnosis", "mode", "to_xarray",
     ],
@@ -75,7 +76,9 @@ def test_statistics_offer(name):
     assert name in Statistics._fields
 
 
-@pytest.mark.parametrize("name", ["effects", "Rodas5P", "Wrench", "AbstractForce", "AbstractNormalLaw", "AbstractStaticFriction"])
+@pytest.mark.parametrize(
+    "name", ["effects", "Rodas5P", "Wrench", "AbstractForce", "AbstractNormalLaw", "AbstractStaticFriction"]
+)
 def test_package_offers(name):
     assert hasattr(sj, name)
 

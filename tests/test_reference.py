@@ -103,8 +103,13 @@ def same_equations():
     rate = program_for(state_rate, structure)
     start = sj.simulate(scene, cases.times(1e-3)).ys[0]
     run = solve_ivp(
-        lambda t, y: np.asarray(rate(theta, t, y)), (0.0, 2.0), np.asarray(start), "DOP853", t_eval=TIMES,
-        rtol=1e-13, atol=1e-15,
+        lambda t, y: np.asarray(rate(theta, t, y)),
+        (0.0, 2.0),
+        np.asarray(start),
+        "DOP853",
+        t_eval=TIMES,
+        rtol=1e-13,
+        atol=1e-15,
     )
     assert run.success
     return run.y.T

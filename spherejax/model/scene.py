@@ -120,6 +120,13 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
     )
     yield "scene", [gravity]
     yield "drift control", scene.drift.requirements()
+    yield (
+        "ground points",
+        [
+            Requirement(name, place, abs(place) < np.inf, "be finite [m]", "Give three numbers.")
+            for name, place in scene.ground_points.items()
+        ],
+    )
     for name, body in scene.bodies.items():
         yield f"body {name!r}", body.requirements()
     for name, joint in scene.joints.items():

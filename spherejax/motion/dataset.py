@@ -7,10 +7,11 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.status import Status
-from spherejax.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import xarray
+
+    from spherejax.motion.trajectory import Trajectory
 
 AXES = ("x", "y", "z")
 Column = tuple[tuple[str, ...], object, str, str]
@@ -19,7 +20,7 @@ Column = tuple[tuple[str, ...], object, str, str]
 COMPONENTS = ("w", "x", "y", "z")
 
 
-def to_dataset(run: Trajectory, *, every: int = 1) -> "xarray.Dataset":
+def to_dataset(run: "Trajectory", *, every: int = 1) -> "xarray.Dataset":
     """A run as a labelled data set.
 
     Dimensions: `time`; `body` (all moving bodies); `joint` (all joints); `spherical_joint` (those with an
@@ -63,15 +64,15 @@ def to_dataset(run: Trajectory, *, every: int = 1) -> "xarray.Dataset":
     return xarray.Dataset(variables, coordinates, _attributes(run))
 
 
-def _spherical(run: Trajectory) -> list[str]:
+def _spherical(run: "Trajectory") -> list[str]:
     return [name for name in run.system.joints if name in run.observation.eccentricity]
 
 
-def _with_clearance(run: Trajectory) -> list[str]:
+def _with_clearance(run: "Trajectory") -> list[str]:
     return [name for name in _spherical(run) if hasattr(getattr(run.system.joints[name], "model", None), "clearance")]
 
 
-def _joint_coordinates(run: Trajectory) -> dict:
+def _joint_coordinates(run: "Trajectory") -> dict:
     memory = [f"{slot.joint}.{name}" for slot in run.system.memory_slots for name in slot.names]
     candidates = {
         "spherical_joint": _spherical(run),
@@ -83,7 +84,7 @@ def _joint_coordinates(run: Trajectory) -> dict:
     return {name: values for name, values in candidates.items() if values}
 
 
-def _of_bodies(run: Trajectory) -> dict[str, Column]:
+def _of_bodies(run: "Trajectory") -> dict[str, Column]:
     # By name, never by place: the order of the state is the core's own business.
     def of_all(quantity):
         return _stack(quantity(body) for body in run.system.bodies)
@@ -109,7 +110,7 @@ def _of_bodies(run: Trajectory) -> dict[str, Column]:
     }
 
 
-def _of_joints(run: Trajectory) -> dict[str, Column]:
+def _of_joints(run: "Trajectory") -> dict[str, Column]:
     seen, system = run.observation, run.system
     joints, spherical = ("time", "joint", "axis"), ("time", "spherical_joint", "axis")
     gap = ("time", "clearance_joint")
@@ -160,7 +161,7 @@ def _of_joints(run: Trajectory) -> dict[str, Column]:
     return columns
 
 
-def _of_the_whole(run: Trajectory) -> dict[str, Column]:
+def _of_the_whole(run: "Trajectory") -> dict[str, Column]:
     columns: dict[str, Column] = {
         "kinetic_energy": (("time",), run.kinetic_energy, "J", "kinetic energy of all bodies"),
         "potential_energy": (("time",), run.potential_energy, "J", "energy of weight and force elements"),
@@ -173,7 +174,7 @@ def _of_the_whole(run: Trajectory) -> dict[str, Column]:
     return columns
 
 
-def _attributes(run: Trajectory) -> dict:
+def _attributes(run: "Trajectory") -> dict:
     """Only strings and numbers: netCDF knows no others."""
     versions = {name: importlib.metadata.version(name) for name in ("spherejax", "jax", "diffrax")}
     return {
