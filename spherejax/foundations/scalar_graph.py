@@ -60,6 +60,14 @@ class Graph:
         """The node of one entry of one argument: `position = (argument, flat index)`."""
         return self.node("input", (), FLOAT, position)
 
+    def predicate_of(self, node: int) -> int:
+        """The boolean node that an integer 0 or 1 was made from, or the node itself."""
+        if self.operations[node] == "select" and self.dtypes[node] == INT:
+            predicate, on_false, on_true = self.arguments[node]
+            if self.is_value(on_false, 0) and self.is_value(on_true, 1):
+                return predicate
+        return node
+
     def is_constant(self, node: int) -> bool:
         """Whether the value of a node is known."""
         return self.operations[node] == "constant"
@@ -160,7 +168,11 @@ class Graph:
             twice = 2 * float(self.value(b))
             if twice == int(twice) and abs(twice) <= 8:
                 whole = self.integer_power(a, math.floor(twice / 2))
-                return self.mul(whole, self.node("sqrt", (a,), FLOAT)) if twice % 2 else whole
+                if twice % 2 == 0:
+                    return whole
+                # a sqrt(a) has the derivative 0 at 0, but its factors have 0 and infinity.
+                root = "root_guarded_at_zero" if twice > 1 else "sqrt"
+                return self.mul(whole, self.node(root, (a,), FLOAT))
         return self._folded("pow", (a, b), np.power)
 
     def apply(self, primitive, arguments: tuple[int, ...], dtype: np.dtype, parameters: tuple) -> int:
@@ -274,7 +286,15 @@ class Graph:
 
 _COMMUTATIVE = frozenset({"add", "mul"})
 
+
+def _root_guarded_at_zero(a):
+    is_zero = lax.eq(a, lax.full_like(a, 0.0))
+    root = lax.sqrt(lax.select_n(is_zero, a, lax.full_like(a, 1.0)))
+    return lax.select_n(is_zero, root, lax.full_like(a, 0.0))
+
+
 EMIT: dict[str, Callable] = {
+    "root_guarded_at_zero": _root_guarded_at_zero,
     "add": lax.add,
     "sub": lax.sub,
     "mul": lax.mul,
@@ -294,6 +314,7 @@ COMPUTE: dict[str, Callable] = {
     "pow": lambda a, b: float(np.power(a, b)),
     "sqrt": lambda a: math.sqrt(a) if a >= 0 else math.nan,
     "select": lambda predicate, on_false, on_true: on_true if predicate else on_false,
+    "root_guarded_at_zero": lambda a: math.sqrt(a) if a >= 0 else math.nan,
     "sin": math.sin,
     "cos": math.cos,
     "atan2": math.atan2,

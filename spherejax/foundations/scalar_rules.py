@@ -109,13 +109,16 @@ def move_names(graph: Graph, primitive, parameters, inputs, shapes) -> list[np.n
             np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape)
         )
     with jax.ensure_compile_time_eval():
-        return [np.asarray(primitive.bind(*operands, **_without_fill(name, parameters)))]
+        moved_names = np.asarray(primitive.bind(*operands, **_filling_with_nothing(name, parameters)))
+    if np.any(moved_names < 0):
+        raise NotScalarizable(f"{name!r} with an index out of range")
+    return [moved_names]
 
 
-def _without_fill(name, parameters):
-    # Names have no fill value: indices are static and were checked in range when the function was traced.
+def _filling_with_nothing(name, parameters):
+    """Out of range, a gather gives the name -1, which no node has."""
     if name == "gather":
-        return {**parameters, "mode": jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS, "fill_value": None}
+        return {**parameters, "mode": jax.lax.GatherScatterMode.FILL_OR_DROP, "fill_value": -1}
     return parameters
 
 

@@ -231,6 +231,7 @@ class _Interpreter:
         if graph.is_constant(index):
             chosen = branches[int(np.clip(int(graph.value(index)), 0, len(branches) - 1))]
             return self.run(chosen.jaxpr, chosen.consts, operands)
+        index = graph.predicate_of(index)
         if len(branches) != 2 or graph.dtypes[index] != BOOL:
             raise NotScalarizable("a switch between more than two branches")
         on_false, on_true = (self.run(branch.jaxpr, branch.consts, operands) for branch in branches)
@@ -250,8 +251,11 @@ _INLINED = {
 
 
 def _graph_dtype(dtype) -> np.dtype:
-    kind = np.dtype(dtype).kind
-    if kind == "f":
+    try:
+        kind = np.dtype(dtype).kind
+    except TypeError:  # a dtype of JAX's own, such as that of random keys
+        raise NotScalarizable(f"values of type {dtype}") from None
+    if dtype == FLOAT:
         return FLOAT
     if kind == "b":
         return BOOL

@@ -31,7 +31,7 @@ from spherejax.physics.laws import (
     film_force,
     hybrid_weight,
 )
-from spherejax.physics.laws.base import non_negative, positive
+from spherejax.physics.laws.base import at_least, non_negative, positive
 
 
 class Lubricated(AbstractSphericalModel):
@@ -123,7 +123,7 @@ class Lubricated(AbstractSphericalModel):
             *self.surfaces.requirements(self._ball_radius_given),
             positive("viscosity", self.viscosity, "Pa s"),
             non_negative("e_h0", self.e_h0, "m"),
-            non_negative("e_h1", self.e_h1, "m"),
+            at_least("e_h1", self.e_h1, "e_h0", self.e_h0),
             *self.boundary.requirements(),
             *contact_law_requirements(self.normal, self.friction),
         ]
