@@ -48,9 +48,7 @@ def test_derivatives_agree(law, length):
     forward = jax.jacfwd(law.force, (0, 1))(e, RATE)
     reverse = jax.jacrev(law.force, (0, 1))(e, RATE)
     step = 1e-5 * length
-    differences = np.array(
-        [(law.force(e + h, RATE) - law.force(e - h, RATE)) / (2 * step) for h in step * np.eye(3)]
-    )
+    differences = np.array([(law.force(e + h, RATE) - law.force(e - h, RATE)) / (2 * step) for h in step * np.eye(3)])
     scale = np.abs(forward[0]).max()
     for a, b in zip(forward, reverse, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-13 * np.abs(a).max())
@@ -98,9 +96,7 @@ def test_linear_laws_agree_for_radial_motion():
     for law in (VectorElastomer(K, B), ISOTROPIC, line):
         np.testing.assert_allclose(law.force(E, radial_rate), expected, rtol=1e-11)
     for rate in (RATE, ZERO):
-        np.testing.assert_allclose(
-            line.force(3 * E, rate), VectorElastomer(K, B).force(3 * E, rate), rtol=1e-11
-        )
+        np.testing.assert_allclose(line.force(3 * E, rate), VectorElastomer(K, B).force(3 * E, rate), rtol=1e-11)
 
 
 def test_matrix_as_written():
@@ -118,16 +114,10 @@ def test_cylinder_has_four_stiffnesses():
     axis = jnp.array([1.0, 2.0, 2.0]) / 3
     across = jnp.array([2.0, -1.0, 0.0]) / np.sqrt(5)
     for direction, k, k_r in ((axis, 3e5, 20.0), (across, 1e6, 80.0)):
-        np.testing.assert_allclose(
-            CYLINDER.force(1e-3 * direction, ZERO), -k * 1e-3 * direction, atol=1e-10 * k
-        )
+        np.testing.assert_allclose(CYLINDER.force(1e-3 * direction, ZERO), -k * 1e-3 * direction, atol=1e-10 * k)
         np.testing.assert_allclose(CYLINDER.force(ZERO, direction), -1e-3 * k * direction, atol=1e-12 * k)
-        np.testing.assert_allclose(
-            CYLINDER.moment(0.1 * direction, ZERO), -k_r * 0.1 * direction, atol=1e-13 * k_r
-        )
-        np.testing.assert_allclose(
-            CYLINDER.moment(ZERO, direction), -1e-3 * k_r * direction, atol=1e-14 * k_r
-        )
+        np.testing.assert_allclose(CYLINDER.moment(0.1 * direction, ZERO), -k_r * 0.1 * direction, atol=1e-13 * k_r)
+        np.testing.assert_allclose(CYLINDER.moment(ZERO, direction), -1e-3 * k_r * direction, atol=1e-14 * k_r)
     assert CYLINDER.resists_rotation
     assert not CYLINDER.isotropic
 
@@ -154,16 +144,13 @@ def test_moment_derives_from_the_energy_at_any_angle(angle):
     theta = angle * jnp.array([2.0, -3.0, 6.0]) / 7
     omega = np.array([0.5, 1.0, -0.7])
     power = CYLINDER.moment(theta, ZERO) @ omega
-    energy_rate = jax.grad(CYLINDER.elastic_energy, 1)(ZERO, theta) @ rotation_vector_rate(
-        np.array(theta), omega
-    )
+    energy_rate = jax.grad(CYLINDER.elastic_energy, 1)(ZERO, theta) @ rotation_vector_rate(np.array(theta), omega)
     np.testing.assert_allclose(power, -energy_rate, atol=1e-9 * 80.0 * angle)
     forward, reverse = (jacobian(CYLINDER.moment)(theta, ZERO) for jacobian in (jax.jacfwd, jax.jacrev))
     np.testing.assert_allclose(forward, reverse, atol=1e-12 * 80.0)
     step = 1e-5
     differences = [
-        (CYLINDER.moment(theta + h, ZERO) - CYLINDER.moment(theta - h, ZERO)) / (2 * step)
-        for h in step * np.eye(3)
+        (CYLINDER.moment(theta + h, ZERO) - CYLINDER.moment(theta - h, ZERO)) / (2 * step) for h in step * np.eye(3)
     ]
     np.testing.assert_allclose(forward, np.array(differences).T, atol=1e-7 * 80.0)
 
@@ -204,9 +191,7 @@ def test_curve_energy_is_its_integral_and_it_is_isotropic():
         work = quad(lambda s: float(radial_force(s)), 0, length, points=knots, epsrel=1e-10)[0]
         direction = jnp.array([2.0, -3.0, 6.0]) / 7
         np.testing.assert_allclose(CURVE.elastic_energy(length * direction, ZERO), work, rtol=1e-9)
-        np.testing.assert_allclose(
-            CURVE.force(length * direction, ZERO), -radial_force(length) * direction, rtol=1e-12
-        )
+        np.testing.assert_allclose(CURVE.force(length * direction, ZERO), -radial_force(length) * direction, rtol=1e-12)
 
 
 def test_curve_damping_is_the_rate_of_the_elastic_force():
@@ -227,9 +212,7 @@ def test_curve_is_differentiable_by_its_points_and_stays_monotone():
         for h in step * np.eye(4):
             moved = [CurveElastomer(**(vars(CURVE) | {field: values + s * h})) for s in (1, -1)]
             differences.append((force(moved[0]) - force(moved[1])) / (2 * step))
-        np.testing.assert_allclose(
-            getattr(gradient, field), differences, atol=1e-6 * np.abs(differences).max()
-        )
+        np.testing.assert_allclose(getattr(gradient, field), differences, atol=1e-6 * np.abs(differences).max())
     flat = CurveElastomer(np.array([1e-3, 2e-3, 3e-3]), np.array([5.0, 5.0, 100.0]), 0.0)
     values = jax.vmap(lambda s: -flat.force(jnp.array([s, 0, 0]), ZERO)[0])(np.linspace(0, 4e-3, 400))
     assert (np.diff(values) >= -1e-12).all()

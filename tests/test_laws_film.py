@@ -21,9 +21,7 @@ from spherejax.physics.laws import (
 
 C, R, NU = 1e-4, 0.01, 0.4  # clearance, socket radius, viscosity: the paper's four-bar
 BOUNDARIES = [Guembel(), PinkusSternlicht(), Sommerfeld()]
-RATIOS = np.concatenate(
-    [-np.geomspace(1e-12, 0.95, 40), np.geomspace(1e-12, 0.95, 40), [0.29999, 0.3, 0.30001]]
-)
+RATIOS = np.concatenate([-np.geomspace(1e-12, 0.95, 40), np.geomspace(1e-12, 0.95, 40), [0.29999, 0.3, 0.30001]])
 
 
 def exact(eps, terms=900):
@@ -104,9 +102,7 @@ def test_force_opposes_radial_motion(boundary):
         scale = np.abs(expected).max()
         np.testing.assert_allclose(force(0.4 * C * n, rate * n, boundary), expected, atol=1e-13 * scale)
         slid = force(0.4 * C * n, rate * n + 0.01 * across, boundary)
-        np.testing.assert_allclose(
-            slid, expected, atol=1e-13 * scale
-        )  # no resistance across the line of centers
+        np.testing.assert_allclose(slid, expected, atol=1e-13 * scale)  # no resistance across the line of centers
     offset = force(0.4 * C * n, rate * n, boundary, 2e-6)
     ratio = 0.4 * C / (C + 2e-6)
     np.testing.assert_allclose(
@@ -167,9 +163,7 @@ def test_every_direction_of_rate_dissipates():
 
 def test_hybrid_weight():
     width = 1e-6
-    weights = jax.vmap(lambda e: hybrid_weight(e, C, width))(
-        C + width * np.array([-50, 0.0, 0.25, 0.5, 1.001, 90])
-    )
+    weights = jax.vmap(lambda e: hybrid_weight(e, C, width))(C + width * np.array([-50, 0.0, 0.25, 0.5, 1.001, 90]))
     np.testing.assert_allclose(weights, [0, 0, 0.25, 0.5, 1, 1], atol=1e-9)
     slope = jax.grad(hybrid_weight)
     np.testing.assert_allclose(slope(C + 0.5 * width, C, width), 1 / width, rtol=1e-12)

@@ -36,9 +36,7 @@ def printed(law, v):
 
 @pairs
 def test_curves_as_printed(law, slope):
-    np.testing.assert_allclose(
-        jax.vmap(law.coefficient)(SPEEDS), printed(law, SPEEDS), rtol=1e-9, atol=1e-14 * MU_K
-    )
+    np.testing.assert_allclose(jax.vmap(law.coefficient)(SPEEDS), printed(law, SPEEDS), rtol=1e-9, atol=1e-14 * MU_K)
     assert law.simulable
     assert law.bristle_size == 0
 

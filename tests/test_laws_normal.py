@@ -92,9 +92,7 @@ def test_force_itself_realizes_the_restitution():
         k3 = f(y + h / 2 * k2)
         return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(y + h * k3))
 
-    y = jax.jit(lambda y: jax.lax.fori_loop(0, steps, lambda _, y: rk4(y, duration / steps), y))(
-        jnp.array([0.0, v])
-    )
+    y = jax.jit(lambda y: jax.lax.fori_loop(0, steps, lambda _, y: rk4(y, duration / steps), y))(jnp.array([0.0, v]))
     assert y[0] < 0  # has separated
     np.testing.assert_allclose(-y[1] / v, 0.7, rtol=1e-6)
 
@@ -155,9 +153,7 @@ def test_realized_restitution_limits():
 
 
 def test_maximum_penetration_series_joins_and_is_elastic_at_zero():
-    np.testing.assert_allclose(
-        K * maximum_penetration(0.1, 0.05, 0.0, K) ** 2.5 / 2.5, 0.1 * 0.05**2 / 2, rtol=1e-13
-    )
+    np.testing.assert_allclose(K * maximum_penetration(0.1, 0.05, 0.0, K) ** 2.5 / 2.5, 0.1 * 0.05**2 / 2, rtol=1e-13)
 
     def absorbed(chi):
         return maximum_penetration(0.4, 1.0, chi, 1.0) ** 2.5
@@ -298,12 +294,8 @@ def test_generalized_stiffness():
     steel = Material()
     expected = {5e-5: 2.139263e11, 1e-4: 1.508882e11, 2e-4: 1.061538e11, 5e-4: 6.610198e10}
     for clearance, stiffness in expected.items():
-        np.testing.assert_allclose(
-            generalized_stiffness(0.01, 0.01 - clearance, steel, steel), stiffness, rtol=5e-7
-        )
+        np.testing.assert_allclose(generalized_stiffness(0.01, 0.01 - clearance, steel, steel), stiffness, rtol=5e-7)
     soft = Material(youngs_modulus=2e9)
     by_hand = 4 / (3 * ((1 - 0.09) / 207e9 + (1 - 0.09) / 2e9)) * np.sqrt(0.01 * 0.0099 / 1e-4)
     np.testing.assert_allclose(generalized_stiffness(0.01, 0.0099, soft, steel), by_hand, rtol=1e-12)
-    assert np.isfinite(
-        jax.grad(lambda m: generalized_stiffness(0.01, 0.0099, m, steel))(steel).poissons_ratio
-    )
+    assert np.isfinite(jax.grad(lambda m: generalized_stiffness(0.01, 0.0099, m, steel))(steel).poissons_ratio)

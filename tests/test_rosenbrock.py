@@ -17,9 +17,7 @@ SOLVERS = pytest.mark.parametrize("solver", [Rodas4P(), Rodas5P()], ids=["Rodas4
 TABLEAUS = pytest.mark.parametrize("tableau", [RODAS4P, RODAS5P], ids=["Rodas4P", "Rodas5P"])
 
 
-def integrate(
-    field, solver, t0, t1, y0, args=None, *, n_steps=None, rtol=1e-8, atol=None, saveat=None, adjoint=None
-):
+def integrate(field, solver, t0, t1, y0, args=None, *, n_steps=None, rtol=1e-8, atol=None, saveat=None, adjoint=None):
     """With `n_steps` equal steps, or adaptively from a small first step; atol None: as rtol."""
     fixed = n_steps is not None
     # Arrays, so that other times and tolerances do not compile again.
@@ -323,9 +321,7 @@ def test_vmap_equals_loop():
 def test_forward_reverse_and_differences_agree():
     solver, rate, step = Rodas5P(), 200.0, 1e-2
     forward = jax.jit(jax.jacfwd(lambda r: final_state(r, solver, diffrax.ForwardMode())))(rate)
-    reverse = jax.jit(jax.jacrev(lambda r: final_state(r, solver, diffrax.RecursiveCheckpointAdjoint())))(
-        rate
-    )
+    reverse = jax.jit(jax.jacrev(lambda r: final_state(r, solver, diffrax.RecursiveCheckpointAdjoint())))(rate)
     difference = (final_state(rate + step, solver) - final_state(rate - step, solver)) / (2 * step)
     np.testing.assert_allclose(forward, reverse, rtol=1e-9)
     np.testing.assert_allclose(forward, difference, rtol=1e-4, atol=1e-10)
@@ -417,9 +413,7 @@ def test_dense_solver_against_lapack(n):
     def reference(A, b):
         return jnp.linalg.solve(A, b)
 
-    np.testing.assert_allclose(
-        jax.jit(jax.vmap(solve))(matrix, rhs), jax.vmap(reference)(matrix, rhs), rtol=1e-8
-    )
+    np.testing.assert_allclose(jax.jit(jax.vmap(solve))(matrix, rhs), jax.vmap(reference)(matrix, rhs), rtol=1e-8)
     if n < 10:
         for jacobian in (jax.jacfwd, jax.jacrev):
             for ours, theirs in zip(

@@ -237,12 +237,17 @@ def crossing_fraction(g0, slope0, g1, slope1):
     low, high = jnp.zeros_like(g0), jnp.where(has_hump, top, 1.0)
     rise = _hermite(high, g0, slope0, g1, slope1)[0] - g0
     x = high * jnp.clip(-g0 / jnp.where(rise > 0, rise, 1.0), 0.05, 0.95)
-    for _ in range(_NEWTON_STEPS):
+
+    def safeguarded_newton_step(_, bracket):
+        low, high, x = bracket
         value, slope = _hermite(x, g0, slope0, g1, slope1)
         value = value - LANDING_WINDOW / 2
         low, high = jnp.where(value < 0, x, low), jnp.where(value < 0, high, x)
         newton = x - value / jnp.where(slope == 0, 1.0, slope)
-        x = jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
+        return low, high, jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
+
+    # A loop, not unrolled steps: XLA evaluates what several consumers read once for each, and nested steps multiply.
+    _, _, x = jax.lax.fori_loop(0, _NEWTON_STEPS, safeguarded_newton_step, (low, high, x))
     return jnp.where(crosses, jnp.clip(x, _SMALLEST_FRACTION, 1 - _SMALLEST_FRACTION), 1.0)
 
 

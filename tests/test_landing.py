@@ -1,0 +1,83 @@
+"""Landing on contact onsets: where a step must end, what is remembered there, and several contacts in one scene."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.motion.solvers.landing import LANDING_WINDOW, crossing_fraction
+
+SPEED, CLEARANCE = 0.1, 1e-4
+
+
+def _numbers(*values):
+    return [jnp.asarray(value) for value in values]
+
+
+def test_a_straight_crossing_is_found():
+    assert float(crossing_fraction(*_numbers(-0.3, 1.0, 0.7, 1.0))) == pytest.approx(0.3, abs=LANDING_WINDOW)
+
+
+def test_the_fraction_lands_behind_the_crossing_of_a_cubic():
+    g = np.polynomial.Polynomial([-0.2, 0.1, 0.5, 0.4])
+    slope = g.deriv()
+    fraction = float(crossing_fraction(*_numbers(g(0.0), slope(0.0), g(1.0), slope(1.0))))
+    assert 0 < g(fraction) < LANDING_WINDOW
+
+
+def test_a_hump_inside_the_step_is_found():
+    g = np.polynomial.Polynomial([-0.1, 1.0, -1.0])  # positive between 0.113 and 0.887
+    slope = g.deriv()
+    fraction = float(crossing_fraction(*_numbers(g(0.0), slope(0.0), g(1.0), slope(1.0))))
+    assert fraction == pytest.approx(0.5 - np.sqrt(0.15), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [(-0.3, 0.1, -0.2, 0.1), (-0.3, 1.0, -0.3, -1.0), (-0.3, 1.0, LANDING_WINDOW / 2, 1.0)],
+    ids=["rising below", "low hump", "landed"],
+)
+def test_no_landing_is_asked_for(values):
+    assert float(crossing_fraction(*_numbers(*values))) == 1.0
+
+
+def _scene(n_balls: int) -> sj.Scene:
+    names = "ab"[:n_balls]
+    return sj.Scene(
+        {
+            name: sj.Body(
+                0.1, (1e-5, 1e-5, 1e-5), velocity=(SPEED * (i + 1), 0.0, 0.0), points={"center": (0.0, 0.0, 0.0)}
+            )
+            for i, name in enumerate(names)
+        },
+        {
+            f"joint_{name}": sj.Spherical(
+                "ground.socket", f"{name}.center", sj.Dry(CLEARANCE, friction=sj.Threlfall()), starts_concentric=False
+            )
+            for name in names
+        },
+        gravity=(0.0, 0.0, 0.0),
+        ground_points={"socket": (0.0, 0.0, 0.0)},
+    )
+
+
+TIMES = jnp.linspace(0.0, 0.005, 51)
+
+
+def test_the_onset_rate_is_the_speed_of_flight():
+    run = sj.simulate(_scene(1), TIMES)
+    remembered = np.asarray(run.state.memory)[:, 0]
+    first = remembered[remembered > 0]
+    assert run.stats.n_onsets.tolist() == [3]
+    # Sampled in the first contact, if a sample falls there, and in the later ones, slower by the restitution.
+    assert np.all(first <= SPEED * (1 + 1e-9))
+    impact = sj.simulate(_scene(1), jnp.array([0.0, CLEARANCE / SPEED + 1e-6]))
+    assert float(impact.state.memory[-1, 0]) == pytest.approx(SPEED, rel=1e-9)
+
+
+def test_two_contacts_in_a_scene_do_not_disturb_each_other():
+    both, alone = sj.simulate(_scene(2), TIMES), sj.simulate(_scene(1), TIMES)
+    assert both.stats.n_onsets.tolist()[0] == alone.stats.n_onsets.tolist()[0]
+    assert both.stats.n_onsets.tolist()[1] > both.stats.n_onsets.tolist()[0]
+    difference = both.position("a") - alone.position("a")
+    assert float(jnp.max(jnp.abs(difference))) < 1e-6 * CLEARANCE
