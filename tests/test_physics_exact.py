@@ -192,7 +192,9 @@ def test_film_under_constant_load_sinks_as_the_integral_says(boundary):
 
     ratios = np.array([0.2, 0.5, 0.8, 0.95])
     ts = np.array([0.0, *map(time_to, ratios)])
-    scene = cases.ball_in_socket(sj.Lubricated(clearance=c, viscosity=viscosity, boundary=boundary, e_h1=0.0), 1e-3)
+    scene = cases.ball_in_socket(
+        sj.Lubricated(clearance=c, viscosity=viscosity, boundary=boundary, e_h0=0.0, e_h1=0.0), 1e-3
+    )
     scene = sj.Scene(
         scene.bodies,
         scene.joints,
