@@ -42,7 +42,7 @@ def main() -> None:
     for name, (model, duration, tight) in CASES.items():
         reference = float(compiled(model, duration, tight)()[0])
         for rtol in (1e-6, 1e-8, 1e-10):
-            if rtol < tight:
+            if rtol <= tight:
                 continue
             call = compiled(model, duration, rtol)
             height, n_steps = call()
