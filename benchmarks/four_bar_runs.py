@@ -2,7 +2,8 @@
 
     python benchmarks/four_bar_runs.py
 
-The error is that of the rocker's height at the end, against a run of the same equations at rtol 1e-13 (stiff bushing: 1e-11; film: 1e-10).
+The error is that of the rocker's height at the end, against a run of the same equations at rtol 1e-13
+(stiff bushing: 1e-11; film: 1e-10).
 Times are those of a compiled call (jax.jit of simulate) on one core.
 """
 
