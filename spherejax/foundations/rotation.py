@@ -13,17 +13,21 @@ _SMALL_ANGLE = 1e-4
 
 
 def rotation_matrix(quaternion: Quaternion) -> Matrix3:
-    """Rotation matrix A of a unit quaternion.
+    """Rotation matrix A of a quaternion; a rotation whatever the quaternion's norm.
 
-    Source: Nikravesh (1988), Computer-Aided Analysis of Mechanical Systems; A = (2 p0^2 - 1) I + 2 (p p^T + p0 p~),
-    in the form that is exact on the diagonal for a unit quaternion.
+    Source: Nikravesh (1988), Computer-Aided Analysis of Mechanical Systems; A = (2 p0^2 - 1) I + 2 (p p^T + p0 p~)
+    for a unit quaternion, divided by the square of its norm, so that A does not change along p.
+
+    Limits: undefined for the zero quaternion.
     """
     p0, p1, p2, p3 = quaternion
+    twice = 2 / (p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
+    t1, t2, t3 = twice * p1, twice * p2, twice * p3
     return jnp.array(
         [
-            [1 - 2 * (p2 * p2 + p3 * p3), 2 * (p1 * p2 - p0 * p3), 2 * (p1 * p3 + p0 * p2)],
-            [2 * (p1 * p2 + p0 * p3), 1 - 2 * (p1 * p1 + p3 * p3), 2 * (p2 * p3 - p0 * p1)],
-            [2 * (p1 * p3 - p0 * p2), 2 * (p2 * p3 + p0 * p1), 1 - 2 * (p1 * p1 + p2 * p2)],
+            [1 - (t2 * p2 + t3 * p3), t1 * p2 - t3 * p0, t1 * p3 + t2 * p0],
+            [t1 * p2 + t3 * p0, 1 - (t1 * p1 + t3 * p3), t2 * p3 - t1 * p0],
+            [t1 * p3 - t2 * p0, t2 * p3 + t1 * p0, 1 - (t1 * p1 + t2 * p2)],
         ]
     )
 

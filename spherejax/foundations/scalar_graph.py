@@ -52,8 +52,10 @@ class Graph:
         return index
 
     def constant(self, value, dtype: np.dtype) -> int:
-        """The node of a constant."""
+        """The node of a constant; -0.0 counts as 0.0, so that zeros of either sign are one structural zero."""
         value = dtype.type(value)
+        if dtype == FLOAT and value == 0:
+            value = dtype.type(0)
         return self.node("constant", (), dtype, (value.tobytes(), value))
 
     def input(self, position: tuple[int, int]) -> int:
@@ -206,17 +208,17 @@ class Graph:
                     is_needed[argument] = True
         return [int(index) for index in np.flatnonzero(is_needed)]
 
-    def invariants(self, outputs: Sequence[int], argument: int) -> list[int]:
-        """The operations that depend on one argument alone and are read by others that depend on more (or returned).
+    def invariants(self, outputs: Sequence[int], given: Collection[int]) -> list[int]:
+        """The operations that depend on given arguments alone and are read by others that depend on more (or returned).
 
-        These are what can be evaluated once, ahead of a loop in which that argument does not change.
+        These are what can be evaluated once, ahead of a loop in which those arguments do not change.
         """
         is_invariant: dict[int, bool] = {}
         frontier = set()
         for index in self.needed(outputs):
             operation = self.operations[index]
             if operation == "input":
-                is_invariant[index] = self.parameters[index][0] == argument
+                is_invariant[index] = self.parameters[index][0] in given
             else:
                 is_invariant[index] = all(is_invariant[a] for a in self.arguments[index])
             if not is_invariant[index]:

@@ -303,16 +303,58 @@ def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.n
     return solution
 
 
+def _general_solve(graph, inputs, parameters, shapes, dtypes):
+    del parameters, dtypes
+    matrix, right_side = inputs
+    if matrix.ndim != 2 or right_side.shape[1] != 1:
+        raise NotScalarizable("a general solve for several matrices or right-hand sides")
+    return [_eliminate_general(graph, matrix, right_side[:, 0]).reshape(shapes[0])]
+
+
+def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
+    """L U elimination, unrolled, with rows and columns in an order that keeps structural zeros."""
+    size = len(matrix)
+    order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
+    a = [[int(matrix[i, j]) for j in order] for i in order]
+    x = [int(right_side[i]) for i in order]
+    one = graph.constant(1, FLOAT)
+    inverse_pivots = []
+    for j in range(size):
+        inverse_pivots.append(graph.div(one, a[j][j]))
+        right_of_pivot = [k for k in range(j + 1, size) if not graph.is_value(a[j][k], 0)]
+        for i in range(j + 1, size):
+            if graph.is_value(a[i][j], 0):
+                continue
+            factor = graph.mul(a[i][j], inverse_pivots[j])
+            for k in right_of_pivot:
+                a[i][k] = graph.sub(a[i][k], graph.mul(factor, a[j][k]))
+            x[i] = graph.sub(x[i], graph.mul(factor, x[j]))
+    for j in reversed(range(size)):
+        for k in range(j + 1, size):
+            x[j] = graph.sub(x[j], graph.mul(a[j][k], x[k]))
+        x[j] = graph.mul(x[j], inverse_pivots[j])
+    solution = np.empty(size, np.int64)
+    solution[order] = x
+    return solution
+
+
 def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:
-    """Elimination order that takes, again and again, the row with the fewest neighbors (Tinney's second scheme)."""
+    """Elimination order that takes, again and again, the row with the fewest neighbors (Tinney's second scheme).
+
+    A row whose diagonal entry is a structural zero waits for all its neighbors: they make its pivot, and only all of
+    them together make one that cannot vanish.
+    """
+    has_pivot = np.diagonal(is_nonzero)
     is_nonzero = is_nonzero | is_nonzero.T
     neighbors = {i: {j for j in np.flatnonzero(row).tolist() if j != i} for i, row in enumerate(is_nonzero)}
+    awaited = {i: set() if has_pivot[i] else set(neighbors[i]) for i in neighbors}
     order = []
     while neighbors:
-        row = min(neighbors, key=lambda i: (len(neighbors[i]), i))
+        row = min(neighbors, key=lambda i: (len(awaited[i]), len(neighbors[i]), i))
         joined = neighbors.pop(row)
         for i in joined:
             neighbors[i] = (neighbors[i] | joined) - {i, row}
+            awaited[i].discard(row)
         order.append(row)
     return order
 
@@ -339,4 +381,5 @@ RULES = {
     "reduce_or": _extremum(jax.lax.or_p, False),
     "dot_general": _dot_general,
     "symmetric_solve": _symmetric_solve,
+    "general_solve": _general_solve,
 }

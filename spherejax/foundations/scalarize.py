@@ -31,10 +31,12 @@ class ScalarProgram:
     Attributes:
         operations: how many operations of each name one call performs.
         n_operations: how many in total.
-        n_operations_inside: how many remain in a loop over which the first argument is constant.
+        n_operations_inside: how many remain in a loop over which the leading arguments are constant.
     """
 
-    def __init__(self, graph: Graph, outputs: list[np.ndarray], tree, shapes: list[tuple[int, ...]], name: str):
+    def __init__(
+        self, graph: Graph, outputs: list[np.ndarray], tree, shapes: list[tuple[int, ...]], name: str, n_ahead: int
+    ):
         self._graph = graph
         self._outputs = outputs
         self._tree = tree
@@ -43,15 +45,37 @@ class ScalarProgram:
         self.name = name
         self.operations: Counter = graph.count(self._flat_outputs)
         self.n_operations: int = self.operations.total()
-        self._ahead = graph.invariants(self._flat_outputs, 0)
+        self._ahead = graph.invariants(self._flat_outputs, range(n_ahead))
         self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
         self._run = jax.jit(lambda *flat: self._emit(flat, {}))
         self._run_ahead = jax.jit(self._emit_ahead)
-        self._run_inside = jax.jit(lambda ahead, *flat: self._emit(flat, dict(zip(self._ahead, ahead, strict=True))))
+        self._run_inside = jax.jit(self._emit_inside)
 
     def __call__(self, *arguments) -> Any:
         """Evaluate; the arguments have the shapes of the example arguments."""
         return self._run(*self._flat(arguments))
+
+    def reads(self, argument: int) -> bool:
+        """Whether the outputs depend on an argument (counted in leaves)."""
+        graph = self._graph
+        needed = graph.needed(self._flat_outputs)
+        return any(graph.operations[i] == "input" and graph.parameters[i][0] == argument for i in needed)
+
+    def dependence(self, argument: int) -> np.ndarray:
+        """Which outputs (rows, flat) depend on which entries (columns, flat) of an argument (counted in leaves)."""
+        graph = self._graph
+        size = int(np.prod(self._shapes[argument]))
+        sources: dict[int, int] = {}  # for each node the set of entries behind it, as the bits of an integer
+        for index in graph.needed(self._flat_outputs):
+            if graph.operations[index] == "input":
+                leaf, entry = graph.parameters[index]
+                sources[index] = 1 << entry if leaf == argument else 0
+            else:
+                sources[index] = 0
+                for node in graph.arguments[index]:
+                    sources[index] |= sources[node]
+        rows = [[bool(sources[node] >> entry & 1) for entry in range(size)] for node in self._flat_outputs]
+        return np.array(rows, bool).reshape(len(self._flat_outputs), size)
 
     def compute(self, *arguments) -> Any:
         """Evaluate concrete arguments with Python numbers, as NumPy: slower than a compiled call, but at once.
@@ -65,12 +89,12 @@ class ScalarProgram:
         outputs = [np.array([values[int(n)] for n in o.ravel()]).reshape(o.shape) for o in self._outputs]
         return jax.tree.unflatten(self._tree, outputs)
 
-    def ahead(self, first) -> tuple[Array, ...]:
-        """What depends on the first argument alone, to be evaluated once ahead of a loop; see `inside`."""
-        return self._run_ahead(jnp.asarray(first))
+    def ahead(self, *leading) -> tuple[Array, ...]:
+        """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""
+        return self._run_ahead(*(jnp.asarray(leaf) for leaf in jax.tree.leaves(leading)))
 
     def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
-        """As a call, with what `ahead` has evaluated for the same first argument."""
+        """As a call, with what `ahead` has evaluated for the same leading arguments."""
         return self._run_inside(ahead, *self._flat(arguments))
 
     def _flat(self, arguments) -> list[Array]:
@@ -80,23 +104,15 @@ class ScalarProgram:
             raise ValueError(f"the scalar program {self.name} was made for shapes {self._shapes}, got {shapes}")
         return flat
 
-    def _emit_ahead(self, first):
-        entries = first.reshape(-1)
-        values = self._graph.emit(
-            self._ahead, lambda position: jax.lax.index_in_dim(entries, position[1], keepdims=False)
-        )
+    def _emit_ahead(self, *leading):
+        values = self._graph.emit(self._ahead, _reader(leading))
         return tuple(values[node] for node in self._ahead)
 
+    def _emit_inside(self, ahead, *flat):
+        return self._emit(flat, dict(zip(self._ahead, ahead, strict=True)))
+
     def _emit(self, flat, given):
-        entries: dict = {}
-
-        def read(position):
-            if position not in entries:
-                argument, index = position
-                entries[position] = jax.lax.index_in_dim(flat[argument].reshape(-1), index, keepdims=False)
-            return entries[position]
-
-        values = self._graph.emit(self._flat_outputs, read, given)
+        values = self._graph.emit(self._flat_outputs, _reader(flat), given)
         return jax.tree.unflatten(self._tree, [self._assemble(output, values) for output in self._outputs])
 
     def _assemble(self, output: np.ndarray, values: dict):
@@ -107,10 +123,24 @@ class ScalarProgram:
         return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
 
 
+def _reader(flat):
+    """A function that reads entries of flat arguments by position, each once."""
+    entries: dict = {}
+
+    def read(position):
+        if position not in entries:
+            argument, index = position
+            entries[position] = jax.lax.index_in_dim(flat[argument].reshape(-1), index, keepdims=False)
+        return entries[position]
+
+    return read
+
+
 def scalarize(
     function: Callable,
     *examples,
     fixed: Mapping[tuple[int, int], float] | None = None,
+    n_ahead: int = 1,
     maximum_operations: int = MAXIMUM_OPERATIONS,
 ) -> ScalarProgram:
     """Turn a function of small arrays into a straight-line scalar program.
@@ -122,6 +152,7 @@ def scalarize(
     Other args:
         fixed: entries known in advance, `{(leaf number, flat index): value}`: the program folds the values and
             does not read those entries.
+        n_ahead: number of leading leaves of the arguments that `ahead` is given.
         maximum_operations: give up beyond this size.
 
     Returns:
@@ -144,7 +175,7 @@ def scalarize(
     interpreter = _Interpreter(graph, maximum_operations)
     outputs = interpreter.run(closed.jaxpr, closed.consts, inputs)
     tree = jax.tree.structure(output_shapes)
-    return ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)))
+    return ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)), n_ahead)
 
 
 class _Interpreter:

@@ -143,13 +143,30 @@ def constrained_accelerations(
     system: System, motions: Motions, constraints: ConstraintSet, applied: Wrenches
 ) -> Solution:
     """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with Baumgarte's feedback."""
-    masses = inverse_masses(system, motions)
-    free = {name: masses[name].times(jnp.concatenate([applied[name].force, applied[name].moment])) for name in masses}
+    loads = {name: jnp.concatenate([applied[name].force, applied[name].moment]) for name in system.bodies}
+    desired = desired_accelerations(system, motions, constraints)
+    return solve_augmented(constraints, inverse_masses(system, motions), loads, desired)
+
+
+def desired_accelerations(system: System, motions: Motions, constraints: ConstraintSet) -> Float[Array, " n"]:
+    """Right side of D a = gamma - 2 alpha Phi_dot - beta^2 Phi [m/s^2 or 1/s^2]."""
+    velocities = {
+        name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in system.bodies
+    }
+    alpha, beta = system.drift.alpha, system.drift.beta
+    return constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
+
+
+def solve_augmented(
+    constraints: ConstraintSet,
+    masses: dict[str, InverseMass],
+    loads: dict[str, Float[Array, "6"]],
+    desired: Float[Array, " n"],
+) -> Solution:
+    """Solve M a + D^T lambda = g, D a = gamma for a and lambda, given g by body and gamma."""
+    free = {name: masses[name].times(load) for name, load in loads.items()}
     if not constraints.rows:
         return Solution(free, {})
-    velocities = {name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in masses}
-    alpha, beta = system.drift.alpha, system.drift.beta
-    desired = constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
     mobility = constraint_mobility(constraints, masses)
     multipliers = symmetric_solve(mobility, constraints.times(free) - desired)
     accelerations = {

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.rotation import quaternion_rate
-from spherejax.foundations.types import Scalar
+from spherejax.foundations.types import Quaternion, Scalar, Vector3
 from spherejax.model.system import System
 from spherejax.motion.constraints import ConstraintSet, Solution, constrained_accelerations, constraint_set
 from spherejax.motion.loads import JointLoad, applied_wrenches, joint_loads
@@ -67,9 +67,11 @@ def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arr
 
 
 def _position_rate(system: System, evaluation: Evaluation, name: str) -> Float[Array, "7"]:
-    """Velocity and quaternion rate; the quaternion is pulled back to unit norm like any other constraint."""
     motion = evaluation.motions[name]
-    p = motion.quaternion
-    excess = p @ p - 1
-    rate = quaternion_rate(p, motion.angular_velocity) - system.drift.alpha * excess * p
-    return jnp.concatenate([motion.velocity, rate])
+    return jnp.concatenate([motion.velocity, orientation_rate(system, motion.quaternion, motion.angular_velocity)])
+
+
+def orientation_rate(system: System, quaternion: Quaternion, angular_velocity: Vector3) -> Float[Array, "4"]:
+    """Quaternion rate; the quaternion is pulled back to unit norm like any other constraint."""
+    excess = quaternion @ quaternion - 1
+    return quaternion_rate(quaternion, angular_velocity) - system.drift.alpha * excess * quaternion

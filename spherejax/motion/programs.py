@@ -24,7 +24,8 @@ class ArrayPathWarning(UserWarning):
     """A scene runs on array code, which is right but 10 to 30 times slower than a scalar program."""
 
 
-SystemFunction = Callable[[System, jax.Array, jax.Array], object]
+SystemFunction = Callable[[System, jax.Array, Any], object]
+Sizes = int | tuple[int, ...] | None
 
 
 class Program:
@@ -34,13 +35,15 @@ class Program:
         scalar: the scalar program, or None on the array path.
     """
 
-    def __init__(self, function: SystemFunction, structure: Structure, use_scalars: bool, y_size: int | None):
+    def __init__(
+        self, function: SystemFunction, structure: Structure, use_scalars: bool, y_size: Sizes, n_ahead: int
+    ):
         self.function = function
         self.structure = structure
         self.scalar: ScalarProgram | None = None
         if use_scalars:
             try:
-                self.scalar = _scalar_program(function, structure, y_size)
+                self.scalar = _scalar_program(function, structure, y_size, n_ahead)
             except NotScalarizable as reason:
                 warnings.warn(
                     f"{function.__name__} runs as array code, 10 to 30 times slower than a scalar program: {reason}. "
@@ -50,12 +53,12 @@ class Program:
                     stacklevel=2,
                 )
 
-    def ahead(self, theta):
-        """What depends on the parameters alone, evaluated once; pass it to `inside`."""
-        return () if self.scalar is None else self.scalar.ahead(theta)
+    def ahead(self, *leading):
+        """What depends on the leading arguments (the parameters) alone, evaluated once; pass it to `inside`."""
+        return () if self.scalar is None else self.scalar.ahead(*leading)
 
     def inside(self, theta, ahead, t, y) -> Any:
-        """As a call, inside a loop over which the parameters are constant."""
+        """As a call, inside a loop over which the leading arguments (the parameters) are constant."""
         if self.scalar is None:
             return self(theta, t, y)
         return self.scalar.inside(ahead, theta, jnp.asarray(t, jnp.float64), y)
@@ -75,7 +78,11 @@ class Program:
 
 @lru_cache(maxsize=256)
 def program_for(
-    function: SystemFunction, structure: Structure, use_scalars: bool = True, y_size: int | None = None
+    function: SystemFunction,
+    structure: Structure,
+    use_scalars: bool = True,
+    y_size: Sizes = None,
+    n_ahead: int = 1,
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -83,12 +90,13 @@ def program_for(
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
         use_scalars: make a scalar program; False keeps the array code.
-        y_size: length of the function's third argument; None for a flat state.
+        y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
+        n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
     """
-    return Program(function, structure, use_scalars, y_size)
+    return Program(function, structure, use_scalars, y_size, n_ahead)
 
 
-def _scalar_program(function: SystemFunction, structure: Structure, y_size: int | None) -> ScalarProgram:
+def _scalar_program(function: SystemFunction, structure: Structure, y_size: Sizes, n_ahead: int) -> ScalarProgram:
     size = sum(int(np.prod(shape)) for shape in structure.shapes)
 
     def of_numbers(theta, t, y):
@@ -99,6 +107,8 @@ def _scalar_program(function: SystemFunction, structure: Structure, y_size: int 
     shapes = jax.ShapeDtypeStruct((size,), jnp.float64)
     if y_size is None:
         y_size = jax.eval_shape(structure.system, shapes).layout.size
-    state = jax.ShapeDtypeStruct((y_size,), jnp.float64)
+    sizes = y_size if isinstance(y_size, tuple) else (y_size,)
+    vectors = tuple(jax.ShapeDtypeStruct((size,), jnp.float64) for size in sizes)
+    state = vectors if isinstance(y_size, tuple) else vectors[0]
     fixed = {(0, index): value for index, value in structure.special}
-    return scalarize(of_numbers, shapes, number, state, fixed=fixed)
+    return scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead)

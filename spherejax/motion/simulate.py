@@ -19,6 +19,7 @@ from spherejax.model.system import Structure, System, compile_scene, flatten_sys
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble, assemble_now
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
+from spherejax.motion.implicit import with_structure
 from spherejax.motion.programs import program_for
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
@@ -202,7 +203,8 @@ def _integrate(
     t1 = jnp.where(may_run, ts[-1], ts[0])
     rate = program_for(state_rate, plan.structure, plan.scalar)
     contacts = contacts_of(plan.structure, plan.scalar) if system.contact_joints else None
-    solver = options.solver if contacts is None else MemorySolver(options.solver, contacts)
+    solver = with_structure(options.solver, plan.structure) if plan.scalar else options.solver
+    solver = solver if contacts is None else MemorySolver(solver, contacts)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
         solver,

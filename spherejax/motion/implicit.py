@@ -1,0 +1,84 @@
+"""A Rosenbrock method on a mechanism: its linear systems in the mechanism's own structure."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.types import Scalar
+from spherejax.model.system import Structure
+from spherejax.motion.dynamics import state_rate
+from spherejax.motion.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
+from spherejax.motion.programs import Program, program_for
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+
+
+class Linearization(NamedTuple):
+    """What a step's linear systems are made of.
+
+    Attributes:
+        theta: numbers of the system.
+        t: time [s].
+        y: flat state.
+        changes: derivatives of the residuals along the seeds of the pattern, shape (n_colors, n_rows).
+    """
+
+    theta: Float[Array, " p"]
+    t: Scalar
+    y: Float[Array, " size"]
+    changes: Float[Array, "n_colors n_rows"]
+
+
+def with_structure(solver: Any, structure: Structure) -> Any:
+    """A Rosenbrock method with the system's own linear algebra; any other solver, or one with its own, unchanged."""
+    if not isinstance(solver, AbstractRosenbrock) or solver.jacobian is not None:
+        return solver
+    hooks = hooks_of(structure)
+    if hooks is None:
+        return solver
+    return eqx.tree_at(lambda s: (s.jacobian, s.factorize), solver, hooks, is_leaf=lambda x: x is None)
+
+
+@lru_cache(maxsize=64)
+def hooks_of(structure: Structure):
+    """The functions `jacobian` and `factorize` of a system for a Rosenbrock method; None on the array path."""
+    layout, n_constraints = sizes_of(structure)
+    n_v, n_x = layout.n_velocity, layout.size - layout.n_position
+    n_rows = n_x + n_constraints
+    frozen_at = program_for(freeze, structure)
+    change = program_for(residual_change, structure, True, (layout.size, n_v, n_constraints, n_v + n_x))
+    pattern = pattern_of(structure, change)
+    if pattern is None:
+        return None
+    stage = program_for(
+        stage_solver(pattern), structure, True, (layout.size, 1, pattern.n_colors * n_rows, layout.size), 5
+    )
+    rate = program_for(state_rate, structure)
+    depends_on_time = rate.scalar is None or rate.scalar.reads(1)
+
+    def jacobian(t, y, args):
+        theta = args.theta
+        frozen = frozen_at(theta, t, y)
+
+        def along(seed):
+            return change(theta, t, (y, frozen.accelerations, frozen.multipliers, seed))
+
+        changes = jax.vmap(along)(jnp.asarray(pattern.seeds))
+        by_time = jnp.zeros_like(y)
+        if depends_on_time:
+            by_time = jax.jvp(lambda t: rate(theta, t, y), (t,), (jnp.ones_like(t),))[1]
+        return Linearization(theta, t, y, changes), by_time
+
+    def factorize(at: Linearization, gamma_h: Scalar):
+        known = (at.y, gamma_h[None], at.changes.reshape(-1))
+        factors = stage.ahead(at.theta, at.t, known)
+
+        def solve(rhs):
+            return stage.inside(at.theta, factors, at.t, (*known, rhs))
+
+        return solve, jnp.array(True)
+
+    return jacobian, factorize

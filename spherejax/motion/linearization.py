@@ -1,0 +1,331 @@
+"""The linear systems of a Rosenbrock method, in the structure of a second-order system with constraints.
+
+The state is (q, x): positions q with q_dot = T(q) v, body by body, and x = (v, m, w): velocities, memory, work. A
+Rosenbrock method asks for k with (I - gamma h J) k = rhs. Accelerations and multipliers make the residuals
+
+    r = M a + D^T lambda - g,    s = D a - gamma
+
+vanish, so J follows from the derivatives of r and s at frozen a and lambda. With z = (I - gamma h T_q)^-1 rhs_q,
+k_q = z + H k_v and H = gamma h (I - gamma h T_q)^-1 T, the velocities solve the saddle-point system
+
+    [M + gamma h (r_v + r_q H), D^T; D + gamma h (s_v + s_q H), 0]{k_v; mu} = {M rhs_v - gamma h r_q z; D rhs_v - gamma h s_q z}
+
+to which memory and work add rows of their own. It is sparse where the mechanism is, and eliminated as a scalar
+program without exchanging rows: M dominates what is not dissipative or elastic.
+
+Orientations are perturbed by rotations: three directions a body instead of four, and products with a skew matrix
+instead of derivatives of a rotation matrix.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from spherejax.foundations.general_solve import general_solve
+from spherejax.foundations.rotation import quaternion_rate, skew
+from spherejax.foundations.types import Scalar
+from spherejax.model.system import Structure, System
+from spherejax.motion.constraints import constraint_set, desired_accelerations
+from spherejax.motion.dynamics import body_motions, evaluate, orientation_rate
+from spherejax.motion.loads import applied_wrenches, joint_loads
+from spherejax.motion.programs import Program
+from spherejax.physics.bodies import GROUND, inertia_in_world
+from spherejax.physics.kinematics import BodyMotion, ground_motion
+from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, unpack
+
+
+class Frozen(NamedTuple):
+    """What is frozen while residuals are differentiated.
+
+    Attributes:
+        accelerations: of all bodies [m/s^2, rad/s^2].
+        multipliers: of all constraints.
+    """
+
+    accelerations: Float[Array, " n_v"]
+    multipliers: Float[Array, " n_c"]
+
+
+def freeze(system: System, t: Scalar, y: Float[Array, " size"]) -> Frozen:
+    """Accelerations and multipliers at a state."""
+    solution = evaluate(system, t, y).solution
+    return Frozen(jnp.concatenate([*solution.accelerations.values()]), _joined(solution.multipliers.values()))
+
+
+# Residuals and their derivatives -------------------------------------------------------------------------------------
+
+
+def residuals(system: System, t: Scalar, y, accelerations, multipliers, direction) -> Float[Array, " n_rows"]:
+    """Residuals of velocities (r), memory and work (minus their rates) and constraints (s), one after the other.
+
+    Args:
+        system: the system.
+        t: time [s].
+        y: flat state.
+        accelerations: frozen, shape (n_v,).
+        multipliers: frozen, shape (n_c,).
+        direction: a small change of position (for each body a displacement and a rotation), then of x,
+            shape (n_v + n_x,).
+    """
+    n_v = system.layout.n_velocity
+    state = unpack(system.layout, y)
+    x_change = direction[n_v:]
+    motions = _moved(system, state, direction[:n_v], x_change[:n_v])
+    memory = state.memory + x_change[n_v : n_v + system.layout.n_memory]
+    loads = joint_loads(system, motions, memory)
+    applied = applied_wrenches(system, t, motions, loads)
+    constraints = constraint_set(system, motions)
+    acceleration_of = dict(zip(system.bodies, accelerations.reshape(-1, VELOCITY_SIZE), strict=True))
+    balance = []
+    for name, acceleration in acceleration_of.items():
+        load = jnp.concatenate([applied[name].force, applied[name].moment])
+        reaction = constraints.transposed_times(name, multipliers)
+        balance.append(_mass_times(system, motions, name, acceleration) + reaction - load)
+    violation = constraints.times(acceleration_of) - desired_accelerations(system, motions, constraints)
+    memory_rates = [load.response.memory_rate for load in loads.values()]
+    powers = [load.absorbed_power[None] for load in loads.values()] if system.tracks_work else []
+    return jnp.concatenate([*balance, *(-rate for rate in memory_rates), *(-power for power in powers), violation])
+
+
+Point = tuple[Float[Array, " size"], Float[Array, " n_v"], Float[Array, " n_c"], Float[Array, " n_v+n_x"]]
+"""Flat state, accelerations, multipliers, direction."""
+
+
+def residual_change(system: System, t: Scalar, point: Point) -> Float[Array, " n_rows"]:
+    """Derivative of `residuals` along a direction."""
+    y, accelerations, multipliers, direction = point
+
+    def along(direction):
+        return residuals(system, t, y, accelerations, multipliers, direction)
+
+    return jax.jvp(along, (jnp.zeros_like(direction),), (direction,))[1]
+
+
+def _moved(system: System, state: State, position_change, velocity_change) -> dict[str, BodyMotion]:
+    """Motions of the bodies after a small displacement, rotation, and change of velocity."""
+    moved = {GROUND: ground_motion()}
+    for i, (name, motion) in enumerate(list(body_motions(system, state).items())[1:]):
+        shift, turn = jnp.split(position_change[VELOCITY_SIZE * i : VELOCITY_SIZE * (i + 1)], 2)
+        faster, spin = jnp.split(velocity_change[VELOCITY_SIZE * i : VELOCITY_SIZE * (i + 1)], 2)
+        moved[name] = BodyMotion(
+            motion.position + shift,
+            motion.quaternion + quaternion_rate(motion.quaternion, turn),
+            motion.rotation + skew(turn) @ motion.rotation,
+            motion.velocity + faster,
+            motion.angular_velocity + spin,
+        )
+    return moved
+
+
+def _mass_times(system: System, motions: dict[str, BodyMotion], name: str, vector) -> Float[Array, "6"]:
+    body = system.bodies[name]
+    inertia = inertia_in_world(body.inertia, motions[name].rotation)
+    return jnp.concatenate([body.mass * vector[:3], inertia @ vector[3:]])
+
+
+# The pattern of nonzeros ---------------------------------------------------------------------------------------------
+
+
+class Pattern(NamedTuple):
+    """Which residuals depend on what, and which directions can be differentiated together (static).
+
+    Attributes:
+        nonzero: (n_rows, n_v + n_x): whether the residual of the row changes along the direction of the column.
+        color: (n_v + n_x,): directions of one color share no row.
+        n_colors: number of colors.
+    """
+
+    nonzero: Bool[np.ndarray, "n_rows n_directions"]
+    color: Int[np.ndarray, " n_directions"]
+    n_colors: int
+
+    @property
+    def seeds(self) -> Float[np.ndarray, "n_colors n_directions"]:
+        """Sums of the directions of each color; a direction that changes nothing is in none."""
+        return np.eye(self.n_colors)[self.color].T * np.any(self.nonzero, axis=0)
+
+    def expand(self, changes: Float[Array, "n_colors n_rows"]) -> Float[Array, "n_rows n_directions"]:
+        """The matrix of derivatives, from those along the seeds."""
+        return changes[self.color].T * self.nonzero
+
+
+def pattern_of(structure: Structure, change: Program) -> Pattern | None:
+    """The pattern of a system, read from the program of `residual_change`; None when that is no scalar program."""
+    if change.scalar is None:
+        return None
+    layout, _ = sizes_of(structure)
+    n_v, n_x = layout.n_velocity, layout.size - layout.n_position
+    nonzero = change.scalar.dependence(_DIRECTION)
+    # Entries of the state whose rate is zero do not move within a step.
+    constant = ~np.any(nonzero[n_v:n_x], axis=1)
+    nonzero[:, 2 * n_v :][:, constant] = False
+    return Pattern(nonzero, *_colored(nonzero))
+
+
+_DIRECTION = 5
+"""Leaf of the arguments (theta, t, (y, accelerations, multipliers, direction)) that is the direction."""
+
+
+def _colored(nonzero: np.ndarray) -> tuple[np.ndarray, int]:
+    """Greedy coloring of columns: each gets the first color none of whose columns shares a row with it."""
+    color = np.zeros(nonzero.shape[1], int)
+    taken: list[np.ndarray] = []
+    for column in range(nonzero.shape[1]):
+        rows = nonzero[:, column]
+        fits = [i for i, occupied in enumerate(taken) if not np.any(occupied & rows)]
+        if not fits:
+            taken.append(np.zeros_like(rows))
+            fits = [len(taken) - 1]
+        color[column] = fits[0]
+        taken[fits[0]] |= rows
+    return color, len(taken)
+
+
+def sizes_of(structure: Structure) -> tuple[Layout, int]:
+    """Layout of the state and number of constraints."""
+    numbers = jax.ShapeDtypeStruct((sum(int(np.prod(shape)) for shape in structure.shapes),), jnp.float64)
+    system = jax.eval_shape(structure.system, numbers)
+    return system.layout, system.n_constraints
+
+
+# The stage ----------------------------------------------------------------------------------------------------------
+
+
+def stage_solver(pattern: Pattern):
+    """The function (system, t, (y, gamma_h, changes, rhs)) -> k with (I - gamma h J) k = rhs."""
+
+    def solve_stage(system: System, t: Scalar, point) -> Float[Array, " size"]:
+        del t
+        y, gamma_h, changes, rhs = point
+        h = gamma_h[0]
+        layout = system.layout
+        n_q, n_v, n_x = layout.n_position, layout.n_velocity, layout.size - layout.n_position
+        state = unpack(layout, y)
+        motions = body_motions(system, state)
+        constraints = constraint_set(system, motions)
+        by_direction = pattern.expand(changes.reshape(pattern.n_colors, -1))
+        by_position, by_x = by_direction[:, :n_v], by_direction[:, n_v:]
+        positions = [_position_elimination(system, state, i, h) for i in range(layout.n_bodies)]
+        slaved = _block_diagonal([p.direction_by_velocity for p in positions])
+        D = _constraint_matrix(system, constraints, n_x)
+        n_c = D.shape[0]
+        by_own = h * (by_x + jnp.concatenate([by_position @ slaved, jnp.zeros((n_x + n_c, n_x - n_v))], 1))
+        upper = jnp.concatenate([_generalized_mass(system, motions, n_x) + by_own[:n_x], D.T], 1)
+        lower = jnp.concatenate([D + by_own[n_x:], jnp.zeros((n_c, n_c))], 1)
+        moved = [p.free(rhs[POSITION_SIZE * i : POSITION_SIZE * (i + 1)]) for i, p in enumerate(positions)]
+        direction = jnp.concatenate([p.direction(z) for p, z in zip(positions, moved, strict=True)])
+        right = _right_side(system, motions, D, rhs[n_q:]) - h * (by_position @ direction)
+        k_x = general_solve(jnp.concatenate([upper, lower]), right)[:n_x]
+        k_q = [
+            z + p.by_velocity @ k_x[VELOCITY_SIZE * i : VELOCITY_SIZE * (i + 1)]
+            for i, (p, z) in enumerate(zip(positions, moved, strict=True))
+        ]
+        return jnp.concatenate([*k_q, k_x])
+
+    return solve_stage
+
+
+class PositionElimination(NamedTuple):
+    """How one body's part of k_q follows from its right-hand side and from k_v.
+
+    Attributes:
+        inverse: (I - gamma h T_p)^-1 of the quaternion, shape (4, 4).
+        by_velocity: H, shape (7, 6).
+        turn: rotation by change of quaternion, shape (3, 4).
+    """
+
+    inverse: Float[Array, "4 4"]
+    by_velocity: Float[Array, "7 6"]
+    turn: Float[Array, "3 4"]
+
+    def free(self, rhs: Float[Array, "7"]) -> Float[Array, "7"]:
+        """z: k_q without its part by the velocities."""
+        return jnp.concatenate([rhs[:3], self.inverse @ rhs[3:]])
+
+    def direction(self, change: Float[Array, "7 *k"]) -> Float[Array, "6 *k"]:
+        """Displacement and rotation of a change of position and quaternion."""
+        return jnp.concatenate([change[:3], self.turn @ change[3:]])
+
+    @property
+    def direction_by_velocity(self) -> Float[Array, "6 6"]:
+        """H in displacements and rotations."""
+        return self.direction(self.by_velocity)
+
+
+def _position_elimination(system: System, state: State, i: int, h: Scalar) -> PositionElimination:
+    p, w = state.quaternion[i], state.angular_velocity[i]
+    by_p, by_w = jax.jacfwd(lambda p, w: orientation_rate(system, p, w), (0, 1))(p, w)
+    inverse = _inverse_4(jnp.eye(4) - h * by_p)
+    zero = jnp.zeros((3, 3))
+    by_velocity = jnp.concatenate(
+        [
+            jnp.concatenate([h * jnp.eye(3), zero], 1),
+            jnp.concatenate([jnp.zeros((4, 3)), h * (inverse @ by_w)], 1),
+        ]
+    )
+    # The rotation of a change dp is 2 dp p*, vector part, over |p|^2: 4 T^T / |p|^2 for T = dp_dot/dw.
+    turn = 4 / (p @ p) * jax.jacfwd(lambda w: quaternion_rate(p, w))(w).T
+    return PositionElimination(inverse, by_velocity, turn)
+
+
+def _inverse_4(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """Inverse by 2 x 2 blocks: scalar operations only, for a matrix whose upper left block is regular."""
+    a, b, c, d = matrix[:2, :2], matrix[:2, 2:], matrix[2:, :2], matrix[2:, 2:]
+    a_inverse = _inverse_2(a)
+    s_inverse = _inverse_2(d - c @ a_inverse @ b)
+    right = a_inverse @ b @ s_inverse
+    left = s_inverse @ c @ a_inverse
+    return jnp.concatenate(
+        [
+            jnp.concatenate([a_inverse + right @ c @ a_inverse, -right], 1),
+            jnp.concatenate([-left, s_inverse], 1),
+        ]
+    )
+
+
+def _inverse_2(m: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
+    determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    return jnp.array([[m[1, 1], -m[0, 1]], [-m[1, 0], m[0, 0]]]) / determinant
+
+
+def _constraint_matrix(system: System, constraints, n_x: int) -> Float[Array, "n_c n_x"]:
+    """D, with columns of zeros for memory and work."""
+    columns = []
+    for name in system.bodies:
+        blocks = constraints.blocks_of(name)
+        parts = [blocks.get(joint, jnp.zeros((rows.residual.shape[0], 6))) for joint, rows in constraints.rows.items()]
+        columns.append(jnp.concatenate(parts) if parts else jnp.zeros((0, 6)))
+    n_c = columns[0].shape[0]
+    return jnp.concatenate([*columns, jnp.zeros((n_c, n_x - system.layout.n_velocity))], 1)
+
+
+def _generalized_mass(system: System, motions, n_x: int) -> Float[Array, "n_x n_x"]:
+    masses = [
+        jnp.stack([_mass_times(system, motions, name, unit) for unit in jnp.eye(VELOCITY_SIZE)], 1)
+        for name in system.bodies
+    ]
+    return _block_diagonal([*masses, jnp.eye(n_x - system.layout.n_velocity)])
+
+
+def _block_diagonal(blocks) -> Float[Array, "n m"]:
+    widths = [block.shape[1] for block in blocks]
+    rows = []
+    for i, block in enumerate(blocks):
+        n, before, after = block.shape[0], sum(widths[:i]), sum(widths[i + 1 :])
+        rows.append(jnp.concatenate([jnp.zeros((n, before)), block, jnp.zeros((n, after))], 1))
+    return jnp.concatenate(rows)
+
+
+def _right_side(system: System, motions, D, rhs_x) -> Float[Array, " n_rows"]:
+    n_v = system.layout.n_velocity
+    velocities = rhs_x[:n_v].reshape(-1, VELOCITY_SIZE)
+    momenta = [_mass_times(system, motions, name, v) for name, v in zip(system.bodies, velocities, strict=True)]
+    return jnp.concatenate([*momenta, rhs_x[n_v:], D @ rhs_x])
+
+
+def _joined(parts) -> Float[Array, " n"]:
+    parts = list(parts)
+    return jnp.concatenate(parts) if parts else jnp.zeros(0)
