@@ -61,24 +61,59 @@ def hooks_of(structure: Structure):
 
     def jacobian(t, y, args):
         theta = args.theta
-        frozen = frozen_at(theta, t, y)
-
-        def along(seed):
-            return change(theta, t, (y, frozen.accelerations, frozen.multipliers, seed))
-
-        changes = jax.vmap(along)(jnp.asarray(pattern.seeds))
         by_time = jnp.zeros_like(y)
         if depends_on_time:
             by_time = jax.jvp(lambda t: rate(theta, t, y), (t,), (jnp.ones_like(t),))[1]
-        return Linearization(theta, t, y, changes), by_time
+        # The matrix is not differentiated; `solution` below has the rule.
+        here = jax.lax.stop_gradient((theta, t, y))
+        frozen = frozen_at(*here)
+
+        def along(seed):
+            return change(*here[:2], (here[2], frozen.accelerations, frozen.multipliers, seed))
+
+        return Linearization(theta, t, y, jax.vmap(along)(jnp.asarray(pattern.seeds))), by_time
+
+    def eliminate(fixed, rhs):
+        theta, factors, t, known = fixed
+        return stage.inside(theta, factors, t, (*known, rhs))
+
+    solution = _differentiable(rate, eliminate)
 
     def factorize(at: Linearization, gamma_h: Scalar):
-        known = (at.y, gamma_h[None], at.changes.reshape(-1))
-        factors = stage.ahead(at.theta, at.t, known)
+        theta, t, y, fixed_gamma_h = jax.lax.stop_gradient((at.theta, at.t, at.y, gamma_h))
+        known = (y, fixed_gamma_h[None], at.changes.reshape(-1))
+        fixed = (theta, stage.ahead(theta, t, known), t, known)
 
         def solve(rhs):
-            return stage.inside(at.theta, factors, at.t, (*known, rhs))
+            return solution(fixed, (at.theta, at.t, at.y, gamma_h), rhs)
 
         return solve, jnp.array(True)
 
     return jacobian, factorize
+
+
+def _differentiable(rate: Program, eliminate):
+    """The function (fixed, (theta, t, y, gamma_h), rhs) -> k with (I - gamma h J) k = rhs, with a derivative rule.
+
+    dk = (I - gamma h J)^-1 (d rhs + d(gamma h) J k + gamma h dJ k), with the same elimination; dJ k is a second
+    derivative of the right-hand side along k, and nothing is differentiated through the elimination.
+    """
+
+    @jax.custom_jvp
+    def solution(fixed, at, rhs):
+        del at
+        return eliminate(fixed, rhs)
+
+    @solution.defjvp
+    def solution_jvp(primals, tangents):
+        fixed, (theta, t, y, gamma_h), rhs = primals
+        _, (theta_dot, t_dot, y_dot, gamma_h_dot), rhs_dot = tangents
+        k = eliminate(fixed, rhs)
+
+        def along_k(theta, t, y):
+            return jax.jvp(lambda y: rate(theta, t, y), (y,), (k,))[1]
+
+        slope, bend = jax.jvp(along_k, (theta, t, y), (theta_dot, t_dot, y_dot))
+        return k, eliminate(fixed, rhs_dot + gamma_h_dot * slope + gamma_h * bend)
+
+    return solution
