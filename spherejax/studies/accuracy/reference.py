@@ -20,21 +20,22 @@ STIFF_METHODS = ("Rodas5P", "Dopri8", "Rodas4P")
 TIGHTER = 100.0
 """A reference is asked for this many times the digits of the tightest tolerance; less when that takes too long."""
 
-TIGHTEST = 1e-13
-"""Smallest relative tolerance of a reference: below it rounding, about 1e-16 a step, is no longer small beside it."""
+TIGHTEST = 1e-12
+"""Smallest relative tolerance of a reference: below it the absolute tolerance meets rounding, and an explicit
+method then needs thirty times the steps and errs more."""
 
 FLOOR_FACTOR = 3.0
 """An error below this many times the reference's own is not resolved."""
 
-AGREEMENT = 1e-9
-"""Histories count while two tight runs agree to this [m]: a hundred-thousandth of a usual clearance."""
+AGREEMENT = 1e-10
+"""Histories count while two tight runs agree to this [m]: a millionth of a usual clearance."""
 
 PARTED = 1e-6
 """Two tight runs have parted when a center of mass differs by this [m]: a hundredth of a usual clearance."""
 
-FAST_GROWTH = 3.0
+FAST_GROWTH = 10.0
 """Runs that need less than this many times the time at which they differ by `AGREEMENT` to differ by `PARTED` part
-exponentially. A difference that grows like t^p does so only for p > 6; then the reference is merely inexact."""
+exponentially. A difference that grows like t^p does so only for p > 3; else the reference is merely inexact."""
 
 SHORTEST_HORIZON = 0.02
 """A horizon shorter than this share of the motion is none: the reference is merely inexact."""
@@ -55,7 +56,7 @@ class Reference:
         t1: end of the motion [s].
         horizon: until when histories repeat [s]; None when that is the end.
         parted: when the two runs differ by `PARTED` [s]; None when they do not.
-        members: statistics of the tight runs beyond the horizon; empty without one.
+        members: statistics of the tight runs from `parted` on; empty for a motion that repeats.
         samples: the first run.
     """
 
@@ -81,8 +82,8 @@ class Reference:
         return (
             f"This motion does not repeat: two tight runs ({runs}) agree to {AGREEMENT:.0e} m until "
             f"{self.horizon:.3g} s and to {PARTED:.0e} m until {self.parted:.3g} s. Errors of histories are measured "
-            f"until {self.horizon:.3g} s; beyond, every history is one of many that are equally right, and statistics "
-            f"are compared with their spread over {len(self.members)} tight runs."
+            f"until {self.horizon:.3g} s; later, every history is one of many that are equally right, and statistics "
+            f"from {self.parted:.3g} s on are compared with their spread over {len(self.members)} tight runs."
         )
 
 
@@ -135,12 +136,12 @@ def _compared(program_by, methods: tuple[str, str], rtols: tuple[float, float], 
     first, second = runs
     horizon, parted = parting(first.ts, distances(first, second, "position"))
     members: list[Mapping[str, float]] = []
-    if horizon is not None:
+    if horizon is not None and parted is not None:
         # Tolerances a little looser: other members of the same ensemble, by the program that is compiled already.
         others = (
             samples_of(program_by(methods[0]).run(rtols[0] * 1.3 ** (k + 1))) for k in range(N_MEMBERS - len(runs))
         )
-        members = [statistics(run, horizon) for run in (*runs, *others)]
+        members = [statistics(run, parted) for run in (*runs, *others)]
     return Reference(
         methods,
         rtols,

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.simulate import simulate
-from spherejax.motion.status import Status
 from spherejax.motion.trajectory import Statistics
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
@@ -86,20 +85,6 @@ class Ending(NamedTuple):
     t_reached: Array
 
 
-class Timing(NamedTuple):
-    """A timed run.
-
-    Attributes:
-        end: how it ended.
-        seconds: median time of the repeats [s].
-        n_repeats: number of repeats.
-    """
-
-    end: Ending
-    seconds: float
-    n_repeats: int
-
-
 class Program:
     """One scene and one solver, compiled once; the tolerance and the budget are arguments.
 
@@ -151,9 +136,10 @@ class Program:
 
     def run(self, rtol: float, n_steps: int = _NO_LIMIT) -> Any:
         """The `Trajectory` or `Ending` of a run, finished when this returns."""
-        return self._call(_arguments(rtol, n_steps))
+        return self.call(_arguments(rtol, n_steps))
 
-    def _call(self, arguments) -> Any:
+    def call(self, arguments) -> Any:
+        """As `run`, for arguments that are made already."""
         return jax.block_until_ready(self._compiled(*arguments))
 
     def budget(self, rtol: float, seconds: float) -> int:
@@ -165,20 +151,41 @@ class Program:
             self.seconds_a_step = (time.perf_counter() - begin) / max(1, int(run.stats.n_steps))
         return max(1, int(seconds / self.seconds_a_step))
 
-    def timed(self, rtol: float, *, n_repeats: int, max_seconds: float) -> Timing:
-        """The median time of warm runs; fewer repeats when they would take longer than `max_seconds` together."""
-        arguments = _arguments(rtol, self.budget(rtol, max_seconds))
-        times: list[float] = []
-        while True:
-            begin = time.perf_counter()
-            end = self._call(arguments)
-            times.append(time.perf_counter() - begin)
-            is_late = sum(times) + times[-1] > max_seconds
-            if int(end.status) != Status.SUCCEEDED or is_late or len(times) > n_repeats:
-                break
-        # The first is to warm up; it counts when there is time for one only.
-        counted = times[1:] or times
-        return Timing(end, float(np.median(counted)), len(counted))
+
+class Trial:
+    """A run that is timed again and again.
+
+    Args:
+        program: that of the run.
+        rtol: its tolerance.
+        max_seconds: budget of a run, and of all timed runs together [s].
+    """
+
+    def __init__(self, program: Program, rtol: float, max_seconds: float):
+        self.program, self.max_seconds = program, max_seconds
+        self.arguments = _arguments(rtol, program.budget(rtol, max_seconds))
+        self.times: list[float] = []
+        self.end, self.first = self._timed()
+
+    def _timed(self) -> tuple[Ending, float]:
+        begin = time.perf_counter()
+        end = self.program.call(self.arguments)
+        return end, time.perf_counter() - begin
+
+    def repeat(self) -> None:
+        """Time the run once more, unless the budget is spent."""
+        if (len(self.times) + 2) * self.first <= self.max_seconds:
+            self.times.append(self._timed()[1])
+
+    @property
+    def n_repeats(self) -> int:
+        """How many runs count."""
+        return len(self.times) or 1
+
+    @property
+    def seconds(self) -> float:
+        """The median of the repeats [s]; the first run counts only where there was no time for another."""
+        return float(np.median(self.times or [self.first]))
 
 
 def _arguments(rtol: float, n_steps: int):

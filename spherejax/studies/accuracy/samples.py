@@ -26,8 +26,8 @@ STATISTICS: Mapping[str, tuple[str, str]] = {
     "eccentricity_50": ("m", "|e|, exceeded half of the time"),
     "eccentricity_95": ("m", "|e|, exceeded in 5 % of the time"),
 }
-"""What is compared where a history is one of many, with unit and meaning. The first five rest on the interval after the
-horizon alone, but for the onsets, which are counted for a whole run."""
+"""What is compared where a history is one of many, with unit and meaning: over the time after the runs have parted, but
+for the onsets, which are counted over the whole run."""
 
 
 class Samples(NamedTuple):
@@ -120,9 +120,9 @@ def scales(reference: Samples, until: float | None = None) -> dict[str, float]:
 def statistics(run: Samples, since: float) -> dict[str, float]:
     """The entries of `STATISTICS` over the samples from a time [s] on; those of contact only where a gap exists."""
     counts = run.ts >= since
-    speed_of_change = np.linalg.norm(run.vectors["acceleration"][counts], axis=2)
+    size = np.linalg.norm(run.vectors["acceleration"][counts], axis=2)
     found = {
-        "peak_acceleration": float(np.max(speed_of_change)),
+        "peak_acceleration": float(np.max(size)),
         "dissipated_energy": float(np.ptp(run.dissipated[counts][[0, -1]])),
     }
     if run.eccentricity.shape[1]:

@@ -1,6 +1,7 @@
 """The study itself: references, then every solver at every tolerance, for every model."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import diffrax
 import jax.numpy as jnp
@@ -8,14 +9,13 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.simulate import SMALLEST_TOLERANCE
 from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.motion.status import Status
 from spherejax.motion.status import diagnosis as told_by_status
 from spherejax.runtime import require_float64
-from spherejax.studies.accuracy.reference import METHODS, STIFF_METHODS, Reference, make_reference
+from spherejax.studies.accuracy.reference import METHODS, STIFF_METHODS, TIGHTEST, Reference, make_reference
 from spherejax.studies.accuracy.result import Row, WorkPrecision
-from spherejax.studies.accuracy.runs import Ending, Program
+from spherejax.studies.accuracy.runs import Ending, Program, Trial
 from spherejax.studies.accuracy.samples import errors, samples_of, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS, SolverOf
 
@@ -51,7 +51,7 @@ def work_precision(
     target: float | None = None,
     report: Report | None = None,
 ) -> WorkPrecision:
-    """What accuracy costs in time: error against seconds for solvers and tolerances, and models where several are given.
+    """What accuracy costs in time: error against seconds, for solvers and tolerances, and for several models.
 
     Every solver is compiled once for all tolerances. A run is timed warm, with the end as only sample, blocking on the
     result; a second program with many samples gives its errors. Errors are the largest over the samples and over the
@@ -93,15 +93,21 @@ def work_precision(
     tolerances = sorted({float(rtol) for rtol in tolerances}, reverse=True)
     _check_request(scenes, solvers, tolerances, t1, n_repeats, n_samples, max_seconds, atol_ratio)
     counts = {name: _n_samples(one, t1) if n_samples is None else n_samples for name, one in scenes.items()}
-    tell = _Progress(report, len(scenes) * (1 + len(solvers) * len(tolerances)))
-    rows, references = [], {}
+    tell = _Progress(report, len(scenes) * (1 + len(solvers) * len(tolerances)) + n_repeats)
+    found: list[Found] = []
+    references = {}
     for name, one in scenes.items():
-        lab = _Laboratory(name, one, t1, counts[name], solvers, n_repeats, max_seconds, atol_ratio)
+        lab = _Laboratory(name, one, t1, counts[name], solvers, max_seconds, atol_ratio)
         references[name] = lab.make_reference(tolerances[-1])
         tell(f"{name}: reference")
         for solver in solvers:
-            rows += lab.rows(solver, tolerances, references[name], tell)
+            found += lab.rows(solver, tolerances, references[name], tell)
+    rows = _timed(found, n_repeats, tell)
     return WorkPrecision(tuple(rows), references, t1, max(counts.values()), target)
+
+
+Found = tuple[Row, Trial | None]
+"""A row, and what is still to be timed for it."""
 
 
 class _Progress:
@@ -116,12 +122,28 @@ class _Progress:
             self.report(what, self.n_done / self.n_pieces)
 
 
+def _timed(found: Sequence[Found], n_repeats: int, tell: _Progress) -> list[Row]:
+    """The rows with their times.
+
+    All runs take turns: whatever else the machine does for a while then falls on one repeat of each, which the median
+    leaves out, and not on all repeats of one.
+    """
+    for repeat in range(n_repeats):
+        for _, trial in found:
+            if trial is not None:
+                trial.repeat()
+        tell(f"timed, {repeat + 1} of {n_repeats}")
+    return [
+        row if trial is None else replace(row, seconds=trial.seconds, n_repeats=trial.n_repeats) for row, trial in found
+    ]
+
+
 class _Laboratory:
     """One scene with the programs that run it, each compiled when first asked for."""
 
-    def __init__(self, model, scene, t1, n_samples, solvers, n_repeats, max_seconds, atol_ratio):
+    def __init__(self, model, scene, t1, n_samples, solvers, max_seconds, atol_ratio):
         self.model, self.scene, self.atol_ratio = model, scene, atol_ratio
-        self.solvers, self.n_repeats, self.max_seconds = solvers, n_repeats, max_seconds
+        self.solvers, self.max_seconds = solvers, max_seconds
         self.ends, self.ts = jnp.array([0.0, t1]), jnp.linspace(0.0, t1, n_samples)
         self.measuring: dict[str, Program] = {}
 
@@ -141,51 +163,50 @@ class _Laboratory:
             self.measuring[name] = Program(self.scene, solver, self.ts, atol_ratio=self.atol_ratio, measures=True)
         return self.measuring[name]
 
-    def rows(self, solver: str, tolerances: Sequence[float], reference: Reference, tell: _Progress) -> list[Row]:
+    def rows(self, solver: str, tolerances: Sequence[float], reference: Reference, tell: _Progress) -> list[Found]:
         """The rows of one solver, from the loosest tolerance to the tightest."""
-        rows: list[Row] = []
+        rows: list[Found] = []
         try:
             timed = Program(self.scene, self.solvers[solver], self.ends, atol_ratio=self.atol_ratio, measures=False)
             measured = self._measuring_program(solver, self.solvers[solver])
         except Exception as error:  # whatever a foreign solver raises belongs in its rows, not in the study's way
             for rtol in tolerances:
-                rows.append(self._failed(solver, rtol, "not_compiled", _told(error)))
+                rows.append((self._failed(solver, rtol, "not_compiled", _told(error)), None))
                 tell(f"{self.model}: {solver} at rtol {rtol:.0e} not compiled")
             return rows
         for rtol in tolerances:
-            if rows and rows[-1].status in ("over_budget", "not_tried"):
-                rows.append(self._failed(solver, rtol, "not_tried", "a looser tolerance was over the budget already"))
+            if rows and rows[-1][0].status in ("over_budget", "not_tried"):
+                message = "a looser tolerance was over the budget already"
+                rows.append((self._failed(solver, rtol, "not_tried", message), None))
             else:
                 rows.append(self._row(solver, rtol, timed, measured, reference))
             tell(f"{self.model}: {solver} at rtol {rtol:.0e}")
         return rows
 
-    def _row(self, solver: str, rtol: float, timed: Program, measured: Program, reference: Reference) -> Row:
+    def _row(self, solver: str, rtol: float, timed: Program, measured: Program, reference: Reference) -> Found:
         assert reference.samples is not None
         try:
-            timing = timed.timed(rtol, n_repeats=self.n_repeats, max_seconds=self.max_seconds)
-            if int(timing.end.status) != Status.SUCCEEDED:
-                return self._stopped(solver, rtol, timed, timing.end)
-            samples = samples_of(measured.run(rtol, 4 * int(timing.end.stats.n_steps) + 1000))
+            trial = Trial(timed, rtol, self.max_seconds)
+            end = trial.end
+            if int(end.status) != Status.SUCCEEDED:
+                return self._stopped(solver, rtol, timed, end), None
+            samples = samples_of(measured.run(rtol, 4 * int(end.stats.n_steps) + 1000))
         except Exception as error:
-            return self._failed(solver, rtol, "raised", _told(error), compile_seconds=timed.compile_seconds)
-        counts = _counts(timing.end)
+            return self._failed(solver, rtol, "raised", _told(error), compile_seconds=timed.compile_seconds), None
+        known = {"compile_seconds": timed.compile_seconds, **_counts(end)}
         if not samples.is_finite:
             message = "the sampled motion is not finite; choose another solver or tighten rtol"
-            return self._failed(solver, rtol, "not_finite", message, **counts)
-        beyond = {} if reference.horizon is None else statistics(samples, reference.horizon)
-        return Row(
+            return self._failed(solver, rtol, "not_finite", message, **known), None
+        row = Row(
             self.model,
             solver,
             rtol,
             self.atol_ratio * rtol,
-            seconds=timing.seconds,
-            n_repeats=timing.n_repeats,
-            compile_seconds=timed.compile_seconds,
             errors=errors(samples, reference.samples, reference.horizon),
-            statistics=beyond,
-            **counts,
+            statistics={} if reference.parted is None else statistics(samples, reference.parted),
+            **known,
         )
+        return row, trial
 
     def _stopped(self, solver: str, rtol: float, timed: Program, end: Ending) -> Row:
         status, t1 = Status(int(end.status)).name.lower(), float(self.ends[-1])
@@ -230,9 +251,12 @@ def _check_request(scenes, solvers, tolerances, t1, n_repeats, n_samples, max_se
             raise SceneError(f"{what} is empty: there is nothing to compare")
     if not (t1 > 0 and jnp.isfinite(t1)):
         raise SceneError(f"t1 = {t1:g} must be a positive time [s]")
-    if not tolerances[-1] >= 3 * SMALLEST_TOLERANCE * 10 or tolerances[0] >= 1:
-        bad = tolerances[0] if tolerances[0] >= 1 else tolerances[-1]
-        raise SceneError(f"tolerance {bad:.3g} must lie in [{30 * SMALLEST_TOLERANCE:.0e}, 1): a reference must be tighter")
+    bad = [rtol for rtol in tolerances if not 10 * TIGHTEST <= rtol < 1]
+    if bad:
+        raise SceneError(
+            f"tolerance {bad[0]:.3g} must lie in [{10 * TIGHTEST:.0e}, 1): the reference, at {TIGHTEST:.0e} at most, "
+            "must be tighter"
+        )
     if n_repeats < 1:
         raise SceneError(f"n_repeats = {n_repeats} must be at least 1")
     if n_samples is not None and n_samples < 2:
