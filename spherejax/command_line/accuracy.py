@@ -97,9 +97,9 @@ def _request(options: argparse.Namespace) -> dict:
     """The arguments of `work_precision` that the options ask for."""
     names = options.solvers or (QUICK_SOLVERS if options.quick else None)
     request = {
-        "t1": options.t1 if options.t1 is not None else (QUICK_TIME if options.quick else USUAL_TIME),
+        "t1": _or(options.t1, QUICK_TIME if options.quick else USUAL_TIME),
         "n_repeats": options.repeats,
-        "max_seconds": options.max_seconds or (QUICK_SECONDS if options.quick else USUAL_SECONDS),
+        "max_seconds": _or(options.max_seconds, QUICK_SECONDS if options.quick else USUAL_SECONDS),
         "target": options.target,
     }
     if names is not None:
@@ -170,3 +170,7 @@ def _write_table(result: sj.WorkPrecision, path: Path) -> None:
                 (row.errors[name], result.relative_error(row, name), result.is_resolved(row, name)) for name in UNITS
             ]
             writer.writerow([*(getattr(row, name) for name in heads), *(cell for error in errors for cell in error)])
+
+
+def _or(value, default):
+    return default if value is None else value

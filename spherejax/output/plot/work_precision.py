@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,6 +36,22 @@ class WorkCurve:
     statistics: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
+class Statistic(NamedTuple):
+    """A panel of a statistic.
+
+    Attributes:
+        title: what it is, with the unit of the axis.
+        scale: factor from the values to the axis.
+        mean: of an ensemble of tight runs.
+        deviation: standard deviation of the ensemble.
+    """
+
+    title: str
+    scale: float
+    mean: float
+    deviation: float
+
+
 @dataclass(frozen=True)
 class WorkDiagram:
     """All curves of one model.
@@ -45,7 +62,8 @@ class WorkDiagram:
         units: unit of each quantity, in the order of the panels; the first is drawn large.
         floors: error of each quantity below which the reference says nothing.
         frontiers: seconds and errors of the runs that no other beats, by quantity.
-        statistics: name, unit, and mean and standard deviation of an ensemble of tight runs.
+        statistics: how each statistic of the curves is drawn.
+        remark: what cannot be seen in the curves, such as solvers that did not finish.
     """
 
     title: str
@@ -53,7 +71,8 @@ class WorkDiagram:
     units: Mapping[str, str]
     floors: Mapping[str, float]
     frontiers: Mapping[str, tuple[Sequence[float], Sequence[float]]]
-    statistics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+    statistics: Mapping[str, "Statistic"] = field(default_factory=dict)
+    remark: str = ""
 
 
 def work_precision_figure(diagram: WorkDiagram) -> Figure:
@@ -70,9 +89,11 @@ def work_precision_figure(diagram: WorkDiagram) -> Figure:
         _draw_frontier(ax, *diagram.frontiers[quantity], is_large=ax is large)
         _seconds_axis(ax)
         ax.set_xlabel("time of a run")
-    for curve in diagram.curves:
-        _label_tolerances(large, curve, next(iter(diagram.units)))
+    for place, (curve, color, _) in enumerate(_dressed(diagram.curves)):
+        _label_tolerances(large, curve, next(iter(diagram.units)), color, to_the_left=place % 2 == 1)
     note(large, "down and left is better; labels: relative tolerance", place=(0.99, 0.99))
+    if diagram.remark:
+        note(large, diagram.remark, place=(0.01, 0.01))
     letter(panels)
     legend_below(figure, large)
     return figure
@@ -87,39 +108,47 @@ def steps_figure(diagram: WorkDiagram) -> Figure:
     by_steps.set_xlabel("steps tried")
     by_steps.set_title("error and steps", loc="left", fontsize=9)
     _draw_errors(by_tolerance, diagram, quantity, lambda curve: curve.rtols)
-    by_tolerance.invert_xaxis()
-    by_tolerance.xaxis.set_minor_locator(NullLocator())
-    by_tolerance.set_xlabel("relative tolerance asked for")
+    _tolerance_axis(by_tolerance)
     by_tolerance.set_title("error and tolerance", loc="left", fontsize=9)
     letter([by_steps, by_tolerance])
     legend_below(figure, by_steps)
     return figure
 
 
-def statistics_figure(diagram: WorkDiagram) -> Figure:
-    """Statistics of every run against its tolerance, beside mean and spread of the tight runs (one and three
-    standard deviations).
+def statistics_figure(diagram: WorkDiagram, title: str) -> Figure:
+    """Statistics of every run against its tolerance, beside mean and spread of the tight runs.
+
+    Args:
+        diagram: the curves, with their statistics.
+        title: over which time the statistics are taken.
     """
     n_columns = 4
     n_rows = -(-len(diagram.statistics) // n_columns)
-    figure, axes = new_figure(n_rows, n_columns, 12.5, 3.0 * n_rows + 0.7, diagram.title)
-    panels = list(axes.flat)
-    for ax in panels[len(diagram.statistics) :]:
+    figure, axes = new_figure(n_rows, n_columns, 12.5, 3.0 * n_rows + 0.7, title)
+    for ax in axes.flat[len(diagram.statistics) :]:
         ax.remove()
-    panels = panels[: len(diagram.statistics)]
-    for ax, (name, (unit, mean, deviation)) in zip(panels, diagram.statistics.items(), strict=True):
+    panels = list(axes.flat)[: len(diagram.statistics)]
+    for ax, (name, statistic) in zip(panels, diagram.statistics.items(), strict=True):
+        mean, deviation = statistic.scale * statistic.mean, statistic.scale * statistic.deviation
         for width, shade in ((3, "0.93"), (1, "0.84")):
             ax.axhspan(mean - width * deviation, mean + width * deviation, color=shade, lw=0, zorder=0)
-        ax.axhline(mean, color="0.4", lw=1.0, ls="--", label="tight runs: mean, 1 and 3 standard deviations")
+        ax.axhline(mean, color="0.4", lw=1.0, ls="--", label="tight runs: mean, one and three standard deviations")
         for curve, color, marker in _dressed(diagram.curves):
-            ax.plot(curve.rtols, curve.statistics[name], marker=marker, color=color, ms=4, lw=0, label=curve.solver)
-        ax.set_xscale("log")
-        ax.invert_xaxis()
-        ax.set_xlabel("relative tolerance")
-        ax.set_title(f"{name.replace('_', ' ')} [{unit}]", loc="left", fontsize=9)
+            values = statistic.scale * np.asarray(curve.statistics[name])
+            ax.plot(curve.rtols, values, marker=marker, color=color, ms=4, lw=0, label=curve.solver)
+        _tolerance_axis(ax)
+        ax.yaxis.get_major_formatter().set_useOffset(False)
+        ax.set_title(statistic.title, loc="left", fontsize=9)
     letter(panels)
     legend_below(figure, panels[0])
     return figure
+
+
+def _tolerance_axis(ax: Axes) -> None:
+    ax.set_xscale("log")
+    ax.invert_xaxis()
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.set_xlabel("relative tolerance asked for")
 
 
 def _dressed(curves: Sequence[WorkCurve]):
@@ -168,11 +197,15 @@ def _draw_frontier(ax: Axes, seconds: Sequence[float], errors: Sequence[float], 
     )
 
 
-def _label_tolerances(ax: Axes, curve: WorkCurve, quantity: str) -> None:
+def _label_tolerances(ax: Axes, curve: WorkCurve, quantity: str, color: str, *, to_the_left: bool) -> None:
+    """Tolerances in their curve's color; neighbors on different sides, so that close curves can be read."""
+    offset, side = ((-5, -7), "right") if to_the_left else ((5, 3), "left")
     for rtol, seconds, error in zip(curve.rtols, curve.seconds, curve.errors[quantity], strict=True):
         if np.isfinite(error):
             text = f"{rtol:.0e}".replace("e-0", "e-")
-            ax.annotate(text, (seconds, error), (5, 2), textcoords="offset points", fontsize=6.5, color="0.3", zorder=4)
+            ax.annotate(
+                text, (seconds, error), offset, textcoords="offset points", fontsize=6.5, color=color, ha=side, zorder=4
+            )
 
 
 def _seconds_axis(ax: Axes) -> None:

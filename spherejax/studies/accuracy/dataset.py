@@ -37,8 +37,8 @@ def to_dataset(result: "WorkPrecision") -> "xarray.Dataset":
         "solver": solvers,
         "rtol": ("rtol", rtols, {"units": "1", "long_name": "relative tolerance of a step"}),
     }
-    texts = {f"advice {model}": text for model, text in result.advice.items()}
-    notes = {f"notes {model}": " ".join(text) for model, text in result.notes.items()}
+    texts = {f"advice_{model}": text for model, text in result.advice.items()}
+    notes = {f"notes_{model}": " ".join(text) for model, text in result.notes.items()}
     attributes = {"t1": result.t1, "n_samples": result.n_samples, **texts, **notes}
     return xarray.Dataset({**_of_rows(grid), **_of_references(result)}, coordinates, attributes)
 

@@ -4,13 +4,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spherejax.studies.accuracy.samples import STATISTICS, UNITS
+from spherejax.studies.accuracy.samples import UNITS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from spherejax.output.plot.work_precision import WorkDiagram
     from spherejax.studies.accuracy.result import WorkPrecision
+
+
+_PANELS = {
+    "peak_acceleration": ("peak acceleration [m/s$^2$]", 1.0),
+    "dissipated_energy": ("dissipated energy [mJ]", 1e3),
+    "time_in_contact": ("time in contact [s]", 1.0),
+    "n_onsets": ("contact onsets of the whole run", 1.0),
+    "eccentricity_05": ("|e|, exceeded in 95 % of the time [um]", 1e6),
+    "eccentricity_50": ("|e|, exceeded half of the time [um]", 1e6),
+    "eccentricity_95": ("|e|, exceeded in 5 % of the time [um]", 1e6),
+}
+"""Titles of the statistics, with the unit of the axis, and the factor to it."""
 
 
 def figures_of(result: "WorkPrecision", model: str) -> "dict[str, Figure]":
@@ -24,14 +36,16 @@ def figures_of(result: "WorkPrecision", model: str) -> "dict[str, Figure]":
 
     diagram = diagram_of(result, model)
     drawn = {"work_precision": work_precision_figure(diagram), "steps": steps_figure(diagram)}
-    if diagram.statistics:
-        drawn["statistics"] = statistics_figure(diagram)
+    parted = result.references[model].parted
+    if diagram.statistics and parted is not None:
+        title = f"{model}: statistics from {parted:.3g} s, when tight runs have parted, to {result.t1:g} s"
+        drawn["statistics"] = statistics_figure(diagram, title)
     return drawn
 
 
 def diagram_of(result: "WorkPrecision", model: str) -> "WorkDiagram":
     """What the figures of one model show."""
-    from spherejax.output.plot.work_precision import WorkCurve, WorkDiagram
+    from spherejax.output.plot.work_precision import Statistic, WorkCurve, WorkDiagram
 
     reference = result.references[model]
     rows = [row for row in result.rows_of(model) if row.succeeded]
@@ -50,16 +64,17 @@ def diagram_of(result: "WorkPrecision", model: str) -> "WorkDiagram":
         )
     known = reference.members[0] if reference.members else {}
     columns = {name: [member[name] for member in reference.members] for name in known}
-    until = "" if reference.horizon is None else f", errors of the first {reference.horizon:.3g} s"
     frontiers = {name: result.frontier(model, name) for name in UNITS}
+    failed = list(dict.fromkeys(row.solver for row in result.rows_of(model) if not row.succeeded))
     return WorkDiagram(
-        f"{model}: what accuracy costs, {result.t1:g} s of motion{until}\n{result.advice[model]}",
+        f"{model}: what accuracy costs, {result.t1:g} s of motion\n{result.advice[model]}",
         curves,
         UNITS,
         {name: reference.floor(name) for name in UNITS},
         {name: ([p.seconds for p in points], [p.error for p in points]) for name, points in frontiers.items()},
         {
-            name: (STATISTICS[name][0], float(np.mean(values)), float(np.std(values, ddof=1)))
+            name: Statistic(*_PANELS[name], float(np.mean(values)), float(np.std(values, ddof=1)))
             for name, values in columns.items()
         },
+        f"did not finish at every tolerance: {', '.join(failed)}" if failed else "",
     )

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SPREADS_ALLOWED = 5.0
-"""A statistic further than this many standard deviations from the mean of eight tight runs is pointed out: a ninth run of
-the same distribution is that far out once in 450 times (Student's t with seven degrees of freedom), and a study makes
-some hundred comparisons."""
+"""A statistic further than this many standard deviations from the mean of eight tight runs is pointed out: a ninth run
+of the same distribution is that far out once in 450 times (Student's t with seven degrees of freedom), and a study
+makes some hundred comparisons."""
 
 
 @dataclass(frozen=True)
