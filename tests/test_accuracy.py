@@ -278,10 +278,11 @@ def test_a_solver_that_fails_is_a_row_with_a_diagnosis(result):
     assert not any(point.solver in ("raises", "Euler") for point in result.points("ideal"))
 
 
-def test_a_hopeless_run_ends_with_its_budget_and_tighter_ones_are_not_tried(monkeypatch):
+def test_a_hopeless_run_ends_with_its_budget_and_tighter_ones_are_not_tried(monkeypatch, result):
     patience = 17.0
-    # The reference has a larger budget than the runs; here the runs' is seven steps, whatever the machine.
-    monkeypatch.setattr(Program, "budget", lambda self, rtol, seconds: 7 if seconds == patience else 100_000)
+    monkeypatch.setattr(Program, "budget", lambda self, rtol, seconds: 7)  # whatever the machine
+    known = result.references["ideal"]
+    monkeypatch.setattr("spherejax.studies.accuracy.study.make_reference", lambda *arguments: known)
     found = study(
         IDEAL, 0.2, n_samples=501, solvers={"Dopri8": SOLVERS["Dopri8"]}, max_seconds=patience, tolerances=(1e-5, 1e-7)
     )
@@ -306,6 +307,11 @@ def test_a_budget_is_learned_from_the_time_of_a_step(result):
     trial = Trial(program, 1e-7, 1e-9)  # no time for a second run: the first one counts
     trial.repeat()
     assert (trial.n_repeats, trial.seconds) == (1, trial.first)
+    patient = Trial(program, 1e-7, 100.0)
+    patient.repeat()
+    patient.repeat()
+    assert patient.n_repeats == 2
+    assert patient.seconds == np.median(patient.times)
 
 
 @pytest.mark.parametrize(
@@ -349,6 +355,15 @@ def test_figures_show_the_rows(result, chaotic):
     statistics = chaotic.figures("dry")["statistics"]
     statistics.canvas.draw()
     assert len(statistics.axes) == 7
+
+
+def test_the_overview_shows_the_best_runs_of_every_model(result):
+    figure = result.overview()
+    figure.canvas.draw()
+    lines = {line.get_label(): line for line in figure.axes[0].lines}
+    assert set(lines) == {"ideal", "friction"}
+    for model, line in lines.items():
+        np.testing.assert_allclose(line.get_ydata(), [point.error for point in result.frontier(model)])
 
 
 def test_a_data_set_carries_units_and_survives_a_file(result, tmp_path):
@@ -426,11 +441,27 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
         (("--tolerances", "1e-15"), "tolerance 1e-15 must lie in"),
         (("--repeats", "0"), "n_repeats = 0 must be at least 1"),
         (("--max-seconds", "0"), "max_seconds = 0 must be positive"),
+        (("--models", "ideal", "dry", "--joint", "dry"), "leave --joint and its options out"),
+        (("--models", "ideal", "dry", "--clearance", "1e-4"), "--clearance means nothing with --joint ideal"),
     ],
 )
 def test_the_command_refuses_a_request_without_sense(words, message, capsys):
     assert cli.main(["accuracy", "four-bar", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_the_command_compares_models_with_their_defaults(tmp_path, monkeypatch, result):
+    asked = []
+    monkeypatch.setattr(sj, "work_precision", lambda scenes, **options: asked.append((scenes, options)) or result)
+    words = ["accuracy", "four-bar", "--models", "ideal", "friction", "--quick", "--out", str(tmp_path)]
+    assert cli.main(words) == 0
+    scenes, options = asked[0]
+    assert list(scenes) == ["ideal", "friction"]
+    assert isinstance(scenes["friction"].joints["coupler_rocker"].model.friction, sj.Threlfall)
+    assert (options["t1"], options["max_seconds"], options["tolerances"]) == (0.05, 1.0, (1e-5, 1e-7, 1e-9))
+    assert set(options["solvers"]) == {"Tsit5", "Dopri8", "Rodas5P"}
+    assert {"models.png", "work_precision_ideal.png", "steps_friction.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_the_command_takes_solvers_as_the_study_sets_them_up():

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import spherejax as sj
-from spherejax.command_line.catalog import SCENES, SOLVERS
+from spherejax.command_line.catalog import JOINTS, SCENES, SOLVERS
 from spherejax.command_line.models import add_joint_options, model_from
 from spherejax.command_line.printing import print_table, progress
 
@@ -22,6 +22,7 @@ compared afterwards. Times are of warm runs; compilation is reported apart.
 EPILOG = """examples:
   spherejax accuracy four-bar --joint friction --out results/
   spherejax accuracy four-bar --joint dry --t1 0.8 --solvers tsit5 dopri8 --tolerances 1e-5 1e-7 1e-9
+  spherejax accuracy four-bar --models ideal dry friction --quick --out results/
   spherejax accuracy four-bar --joint bushing --stiffness 1e5 --quick --out results/
 """
 
@@ -50,6 +51,13 @@ def add_accuracy(commands) -> None:
     )
     parser.add_argument("scene", choices=SCENES, help="the mechanism")
     add_joint_options(parser)
+    parser.add_argument(
+        "--models",
+        nargs="+",
+        choices=JOINTS,
+        metavar="NAME",
+        help=f"several models of the studied joint with their defaults, instead of --joint: {', '.join(JOINTS)}",
+    )
     study = parser.add_argument_group("what is run")
     study.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 0.2; quick: 0.05)")
     study.add_argument(
@@ -78,19 +86,34 @@ def show_accuracy(options: argparse.Namespace) -> int:
     """Run, print table and advice, write files."""
     from spherejax.output.io import make_folder, require_free
 
-    scene = SCENES[options.scene](model_from(options))
+    scenes = scenes_from(options)
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
         require_free(folder / FILES[0], overwrite=options.overwrite)
         make_folder(folder)
     start = time.perf_counter()
     with progress("running") as report:
-        result = sj.work_precision({options.joint: scene}, report=report, **_request(options))
+        result = sj.work_precision(scenes, report=report, **_request(options))
     print_accuracy(result)
     if folder is not None:
         names = _write(result, folder)
         print(f"wrote {', '.join(names)} to {folder} in {time.perf_counter() - start:.0f} s")
     return 0
+
+
+def scenes_from(options: argparse.Namespace) -> dict[str, sj.Scene]:
+    """The scenes by name of their model.
+
+    Raises:
+        SceneError: for an option of one model beside `--models`, which take their defaults.
+    """
+    build, model = SCENES[options.scene], model_from(options)  # refuses options that an ideal joint does not use
+    if options.models is None:
+        return {options.joint: build(model)}
+    if options.joint != "ideal":
+        raise sj.SceneError("--models compares models with their defaults; leave --joint and its options out")
+    plain = {name: argparse.Namespace(**{**vars(options), "joint": name}) for name in options.models}
+    return {name: build(model_from(one)) for name, one in plain.items()}
 
 
 def _request(options: argparse.Namespace) -> dict:
@@ -139,14 +162,16 @@ def _write(result: sj.WorkPrecision, folder: Path) -> list[str]:
     _write_table(result, folder / FILES[0])
     save(result.to_xarray(), folder / FILES[1], overwrite=True)
     names: list[str] = list(FILES)
-    for model in result.models:
-        for name, figure in result.figures(model).items():
-            path = folder / f"{name}_{model}.png"
-            try:
-                figure.savefig(path)
-            except OSError as error:
-                raise sj.SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
-            names.append(path.name)
+    figures = {f"{name}_{model}": one for model in result.models for name, one in result.figures(model).items()}
+    if len(result.models) > 1:
+        figures["models"] = result.overview()
+    for name, figure in figures.items():
+        path = folder / f"{name}.png"
+        try:
+            figure.savefig(path)
+        except OSError as error:
+            raise sj.SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+        names.append(path.name)
     return names
 
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from spherejax.output.plot.style import LAW_COLORS, dress, legend_below, letter, new_figure, note
+from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, dress, legend_below, letter, new_figure, note
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """A marker for each solver: points stay apart in a print without color."""
@@ -141,6 +141,34 @@ def statistics_figure(diagram: WorkDiagram, title: str) -> Figure:
         ax.set_title(statistic.title, loc="left", fontsize=9)
     letter(panels)
     legend_below(figure, panels[0])
+    return figure
+
+
+def frontiers_figure(frontiers: Mapping[str, Sequence[tuple[float, float, str]]], title: str) -> Figure:
+    """What accuracy costs for each of several models.
+
+    Args:
+        frontiers: seconds, position error [m] and label of the runs of each model that no other beats.
+        title: what is shown.
+    """
+    figure, axes = new_figure(1, 1, 8.0, 5.6, title)
+    ax = axes[0, 0]
+    spare = iter(LAW_COLORS * len(frontiers))
+    for place, (model, runs) in enumerate(frontiers.items()):
+        color = MODEL_COLORS.get(model) or next(spare)
+        seconds, errors = [run[0] for run in runs], [run[1] for run in runs]
+        ax.plot(seconds, errors, marker=MARKERS[place % len(MARKERS)], color=color, ms=4.5, lw=1.3, label=model)
+        for x, y, label in runs:
+            text = label.replace("e-0", "e-")
+            ax.annotate(text, (x, y), (5, 3), textcoords="offset points", fontsize=6.0, color=color)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.yaxis.set_minor_locator(NullLocator())
+    _seconds_axis(ax)
+    ax.margins(x=0.12)
+    ax.set_xlabel("time of a run")
+    ax.set_ylabel("position error [m]")
+    legend_below(figure, ax)
     return figure
 
 

@@ -78,3 +78,19 @@ def diagram_of(result: "WorkPrecision", model: str) -> "WorkDiagram":
         },
         f"did not finish at every tolerance: {', '.join(failed)}" if failed else "",
     )
+
+
+def overview_of(result: "WorkPrecision") -> "Figure":
+    """The efficient runs of all models in one figure.
+
+    Args:
+        result: the study.
+    """
+    from spherejax.output.plot.work_precision import frontiers_figure
+
+    runs = {
+        model: [(p.seconds, p.error, f"{p.solver} {p.rtol:.0e}") for p in result.frontier(model)]
+        for model in result.models
+    }
+    title = f"What accuracy costs, {result.t1:g} s of motion: the best run of each model for every error"
+    return frontiers_figure(runs, title)

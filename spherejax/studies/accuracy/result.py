@@ -28,7 +28,7 @@ class Row:
         rtol: relative tolerance of a step.
         atol: absolute tolerance of a step, in the units of the state.
         seconds: median time of a warm run without samples and observables [s]; NaN for a run that did not finish.
-        n_repeats: runs that the median is of.
+        n_repeats: repeats that the median is of.
         compile_seconds: time to trace and compile the timed program [s], the same for all tolerances of a solver; much
             less than usual when a persistent compilation cache knows it.
         n_steps: steps tried.
@@ -136,6 +136,12 @@ class WorkPrecision:
         from spherejax.studies.accuracy.figures import figures_of
 
         return figures_of(self, model)
+
+    def overview(self) -> "Figure":
+        """All models in one figure: position errors of the runs that no other run of the model beats."""
+        from spherejax.studies.accuracy.figures import overview_of
+
+        return overview_of(self)
 
     @property
     def notes(self) -> dict[str, list[str]]:

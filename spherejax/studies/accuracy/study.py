@@ -54,7 +54,8 @@ def work_precision(
     """What accuracy costs in time: error against seconds, for solvers and tolerances, and for several models.
 
     Every solver is compiled once for all tolerances. A run is timed warm, with the end as only sample, blocking on the
-    result; a second program with many samples gives its errors. Errors are the largest over the samples and over the
+    result (of runs shorter than 20 ms a repeat is the median of a burst); a second program with many samples gives its
+    errors. Errors are the largest over the samples and over the
     bodies (reactions: joints) of the Euclidean distance to a reference, separately for position [m], velocity [m/s],
     acceleration [m/s^2], reaction [N] and energy [J]. The energy is that of the bodies (kinetic and potential) and the
     work that the joints have absorbed; in an exact motion under weight it is constant.
