@@ -20,7 +20,7 @@ UNITS: Mapping[str, str] = {
 STATISTICS: Mapping[str, tuple[str, str]] = {
     "peak_acceleration": ("m/s^2", "largest acceleration of a center of mass at the samples"),
     "dissipated_energy": ("J", "energy that the joints dissipate"),
-    "time_in_contact": ("s", "time in which ball and socket touch"),
+    "time_in_contact": ("s", "time in which ball and socket touch, summed over joints"),
     "n_onsets": ("1", "contact onsets of the whole run"),
     "eccentricity_05": ("m", "|e|, exceeded in 95 % of the time"),
     "eccentricity_50": ("m", "|e|, exceeded half of the time"),

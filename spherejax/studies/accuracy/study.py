@@ -58,7 +58,8 @@ def work_precision(
     errors. Errors are the largest over the samples and over the
     bodies (reactions: joints) of the Euclidean distance to a reference, separately for position [m], velocity [m/s],
     acceleration [m/s^2], reaction [N] and energy [J]. The energy is that of the bodies (kinetic and potential) and the
-    work that the joints have absorbed; in an exact motion under weight it is constant.
+    work that the joints have absorbed; in an exact motion under weight it is constant. Orientations and angular
+    velocities are not compared.
 
     The reference is the first of two runs at up to a hundredth of the tightest tolerance, by different methods where
     both finish; their difference is its error. An error below three times that is not resolved.
