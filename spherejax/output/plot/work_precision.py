@@ -166,6 +166,7 @@ def frontiers_figure(frontiers: Mapping[str, Sequence[tuple[float, float, str]]]
     ax.yaxis.set_minor_locator(NullLocator())
     _seconds_axis(ax)
     ax.margins(x=0.12)
+    note(ax, "an error that a reference does not resolve is drawn at the reference's bound", place=(0.01, 0.01))
     ax.set_xlabel("time of a run")
     ax.set_ylabel("position error [m]")
     legend_below(figure, ax)
