@@ -69,6 +69,7 @@ from spherejax.physics.laws import (
     Threlfall,
     VectorElastomer,
 )
+from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
 
 __all__ = [
@@ -125,6 +126,7 @@ __all__ = [
     "Threlfall",
     "Trajectory",
     "VectorElastomer",
+    "WorkPrecision",
     "Wrench",
     "compile_scene",
     "effects",
@@ -132,4 +134,5 @@ __all__ = [
     "runtime",
     "scalarize",
     "simulate",
+    "work_precision",
 ]

@@ -40,6 +40,7 @@ ARGUMENTS = {
     sj.gallery.four_bar: ("model",),
     sj.simulate: ("scene", "ts", "rtol", "atol", "solver", "stepsize_controller", "adjoint", "throw"),
     sj.compile_scene: ("scene",),
+    sj.work_precision: ("scene", "t1", "solvers", "tolerances", "n_repeats"),
     sj.scalarize: ("function",),
     sj.runtime.configure: ("cache",),
 }

@@ -1,0 +1,197 @@
+"""Compiled runs of one scene by one solver, for any tolerance, within a budget."""
+
+import time
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.model.scene import Scene
+from spherejax.model.system import compile_scene
+from spherejax.motion.simulate import simulate
+from spherejax.motion.trajectory import Statistics
+from spherejax.studies.accuracy.solvers import SolverOf, made
+
+PROBE_STEPS = 400
+"""Steps of a first run, from which the time of a step is learned."""
+
+BURST_SECONDS, LONGEST_BURST = 0.02, 9
+"""A repeat of a short run is a burst of runs of about this length [s], nine at most: a run of a millisecond is at the
+mercy of whatever the machine does in it."""
+
+_NO_LIMIT = np.iinfo(np.int64).max
+
+
+class StepBudget(diffrax.AbstractAdaptiveStepSizeController):
+    """A step-size controller that ends the integration after a number of steps, which may be traced.
+
+    `max_steps` of `simulate` is part of the program; this budget is a number, so one program serves all budgets.
+
+    Attributes:
+        controller: the controller that judges errors.
+        n_steps: largest number of steps tried.
+    """
+
+    controller: Any  # diffrax.AbstractAdaptiveStepSizeController
+    n_steps: Array
+
+    @property
+    def rtol(self):
+        """As the wrapped controller's."""
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        """As the wrapped controller's."""
+        return self.controller.atol
+
+    @property
+    def norm(self):
+        """As the wrapped controller's."""
+        return self.controller.norm
+
+    def wrap(self, direction):
+        """Wrap the wrapped controller."""
+        return StepBudget(self.controller.wrap(direction), self.n_steps)  # pyright: ignore[reportCallIssue]
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """The wrapped controller's first step."""
+        first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        return first, (inner, jnp.zeros((), jnp.int64))
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+        """The wrapped controller's judgment, and the end when the budget is spent."""
+        inner, n_tried = controller_state
+        *judgment, inner, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
+        )
+        is_spent = (n_tried + 1 >= self.n_steps) & (result == diffrax.RESULTS.successful)
+        result = diffrax.RESULTS.where(is_spent, diffrax.RESULTS.max_steps_reached, result)
+        return *judgment, (inner, n_tried + 1), result
+
+
+class Ending(NamedTuple):
+    """How a run ended: what a timed run returns, for every further array costs microseconds.
+
+    Attributes:
+        y: flat state at the end.
+        stats: counts.
+        status: integer of `Status`.
+        t_reached: time reached [s].
+    """
+
+    y: Float[Array, " size"]
+    stats: Statistics
+    status: Array
+    t_reached: Array
+
+
+class Program:
+    """One scene and one solver, compiled once; the tolerance and the budget are arguments.
+
+    A program that measures returns the `Trajectory`, and integrates the absorbed work besides. That takes no part in
+    the judgment of errors, so that the steps are those of a run without it. One that does not returns the `Ending`.
+
+    Args:
+        scene: the scene.
+        solver: a diffrax solver, or a function from the tolerances to one.
+        ts: sample times [s].
+        atol_ratio: absolute tolerance as a share of the relative one.
+        measures: see above.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        solver: diffrax.AbstractSolver | SolverOf,
+        ts: Float[Array, " n"],
+        *,
+        atol_ratio: float,
+        measures: bool,
+    ):
+        self.seconds_a_step = 0.0
+        system = compile_scene(scene).system
+        n_judged = system.layout.size
+
+        def norm(y):
+            return jnp.sqrt(jnp.mean(jnp.square(y[:n_judged])))
+
+        def run(rtol, n_steps):
+            atol = atol_ratio * rtol
+            controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=norm)
+            motion = simulate(
+                scene,
+                ts,
+                rtol=rtol,
+                atol=atol,
+                solver=made(solver, rtol, atol),
+                stepsize_controller=StepBudget(controller, n_steps),  # pyright: ignore[reportCallIssue]
+                max_steps=_NO_LIMIT,
+                track_work=measures and bool(system.force_joints),
+            )
+            return motion if measures else Ending(motion.ys[-1], motion.stats, motion.status, motion.t_reached)
+
+        begin = time.perf_counter()
+        self._compiled = jax.jit(run).lower(*_arguments(1e-3, 1)).compile()
+        self.compile_seconds = time.perf_counter() - begin
+
+    def run(self, rtol: float, n_steps: int = _NO_LIMIT) -> Any:
+        """The `Trajectory` or `Ending` of a run, finished when this returns."""
+        return self.call(_arguments(rtol, n_steps))
+
+    def call(self, arguments) -> Any:
+        """As `run`, for arguments that are made already."""
+        return jax.block_until_ready(self._compiled(*arguments))
+
+    def budget(self, rtol: float, seconds: float) -> int:
+        """About how many steps can be made in a time [s], from a short run."""
+        if not self.seconds_a_step:
+            self.run(rtol, 1)
+            begin = time.perf_counter()
+            run = self.run(rtol, PROBE_STEPS)
+            self.seconds_a_step = (time.perf_counter() - begin) / max(1, int(run.stats.n_steps))
+        return max(1, int(seconds / self.seconds_a_step))
+
+
+class Trial:
+    """A run that is timed again and again.
+
+    Args:
+        program: that of the run.
+        rtol: its tolerance.
+        max_seconds: budget of a run, and of all timed runs together [s].
+    """
+
+    def __init__(self, program: Program, rtol: float, max_seconds: float):
+        self.program, self.max_seconds = program, max_seconds
+        self.arguments = _arguments(rtol, program.budget(rtol, max_seconds))
+        self.times: list[float] = []
+        self.end, self.first = self._timed()
+
+    def _timed(self) -> tuple[Ending, float]:
+        begin = time.perf_counter()
+        end = self.program.call(self.arguments)
+        return end, time.perf_counter() - begin
+
+    def repeat(self) -> None:
+        """Time the run once more, unless the budget is spent; of a short run, the median of a burst counts."""
+        if (len(self.times) + 2) * self.first <= self.max_seconds:
+            n_calls = min(max(1, int(BURST_SECONDS / self.first)), LONGEST_BURST)
+            self.times.append(float(np.median([self._timed()[1] for _ in range(n_calls)])))
+
+    @property
+    def n_repeats(self) -> int:
+        """How many runs count."""
+        return len(self.times) or 1
+
+    @property
+    def seconds(self) -> float:
+        """The median of the repeats [s]; the first run counts only where there was no time for another."""
+        return float(np.median(self.times or [self.first]))
+
+
+def _arguments(rtol: float, n_steps: int):
+    return jnp.asarray(rtol, jnp.float64), jnp.asarray(n_steps, jnp.int64)
