@@ -1,6 +1,6 @@
 """The hand-written equations against spherejax's: the largest difference, and microseconds a call.
 
-    python -m baselines.check      (from the folder benchmarks)
+python -m baselines.check      (from the folder benchmarks)
 """
 
 import time
@@ -8,12 +8,12 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from baselines import parameters as at
-from baselines.equations import rate_function
-from baselines.parameters import N_STATE, problem
 from numba import njit
 
 import spherejax as sj
+from baselines import parameters as at
+from baselines.equations import rate_function
+from baselines.parameters import N_STATE, problem
 from spherejax.model.system import compile_scene
 from spherejax.motion.dynamics import state_rate
 

@@ -1,20 +1,21 @@
 """DOP853 by hand in numba, for a right-hand side whose contact mode is frozen within a step.
 
 Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, II.5, II.6 (dense output), II.4 (step
-control); coefficients as in SciPy. Each contact onset and release ends a step: the crossing is found on the dense output,
-the step is taken again up to there, one correction along the flow brings the penetration to rounding, and the contact's
-memory is updated.
+control); coefficients as in SciPy. Each contact onset and release ends a step: the crossing is found on the dense
+output, the step is taken again up to there, one correction along the flow brings the penetration to rounding, and the
+contact's memory is updated.
 """
 
 import math
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
+from scipy.integrate._ivp import dop853_coefficients as table
+
 from baselines import parameters as at
 from baselines.equations import crossing, rate_function
 from baselines.written_out import FAST
-from numba import njit
-from scipy.integrate._ivp import dop853_coefficients as table
 
 N_STAGES, N_EXTENDED = table.N_STAGES, table.N_STAGES_EXTENDED
 EXPONENT = -1.0 / 8.0
@@ -53,11 +54,7 @@ _errors = _written(
     "k, e5, e3, y",
     ["    for i in range(y.size):", f"        e5[i] = {_fifth}", f"        e3[i] = {_third}"],
 )
-_dense_rows = [
-    line
-    for row in range(4)
-    for line in _combination(f"d[{3 + row}]", table.D[row], "", "h * ")
-]
+_dense_rows = [line for row in range(4) for line in _combination(f"d[{3 + row}]", table.D[row], "", "h * ")]
 _dense_tail = _written("dense_tail", "y, h, k, d", [line.replace("][i]", ", i]") for line in _dense_rows])
 
 

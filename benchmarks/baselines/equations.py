@@ -8,6 +8,8 @@ y has 39 entries: position and quaternion of coupler, crank, rocker (21), then v
 
 from functools import lru_cache
 
+from numba import njit
+
 from baselines import parameters as at
 from baselines.joint_forces import FORCES
 from baselines.vectors import (
@@ -25,7 +27,6 @@ from baselines.vectors import (
     turned_back,
 )
 from baselines.written_out import accelerations_function
-from numba import njit
 
 COUPLER, CRANK, ROCKER = 0, 7, 14
 COUPLER_V, CRANK_V, ROCKER_V = 21, 27, 33

@@ -8,9 +8,10 @@ models without a contact.
 from functools import lru_cache
 
 import numpy as np
+from numba import carray, cfunc, njit
+
 from baselines.equations import crossing, rate_function
 from baselines.parameters import CLEARANCE, N_STATE, Problem
-from numba import carray, cfunc, njit
 
 
 def lsoda(problem: Problem, ts, rtol: float, atol: float) -> np.ndarray:

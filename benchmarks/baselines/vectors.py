@@ -2,8 +2,9 @@
 
 import math
 
-from baselines.written_out import FAST
 from numba import njit
+
+from baselines.written_out import FAST
 
 compiled = njit(fastmath=FAST, error_model="numpy")
 

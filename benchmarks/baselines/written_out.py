@@ -84,7 +84,7 @@ def _mobility(rows: list[Row]) -> list[str]:
     for i, row in enumerate(rows):
         for j, other in enumerate(rows[: i + 1]):
             terms = []
-            for body in row.parts.keys() & other.parts.keys():
+            for body in (name for name in row.parts if name in other.parts):
                 (axis, sign, g), (axis_j, sign_j, _) = row.parts[body], other.parts[body]
                 if axis is not None and axis == axis_j:
                     terms.append(f"im{body}" if sign * sign_j > 0 else f"(-im{body})")
