@@ -27,7 +27,7 @@ import spherejax as sj  # noqa: E402
 
 N_RUNS = 64
 DURATION = 2.0
-TOLERANCES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
+TOLERANCES = (1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 3e-9, 1e-9)
 ACCURACY = 1e-9
 HEIGHT = 16
 FACTORS = np.linspace(0.9, 1.1, N_RUNS)
