@@ -43,8 +43,15 @@ def described(packages: Sequence[str] = ("spherejax", "jax", "diffrax", "numpy")
             line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
         ]
         model = names[0] if names else model
-    versions = {name: importlib.metadata.version(name) for name in packages}
+    versions = {name: _version(name) for name in packages}
     return {"processor": model, "python": platform.python_version(), **versions}
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def write(name: str, command: str, rows: Sequence[Mapping[str, object]], packages: Sequence[str] = ()) -> Path:
