@@ -6,37 +6,11 @@ import equinox as eqx
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, SceneError, enforce
-from spherejax.foundations.types import Number, Numeric
+from spherejax.foundations.types import Numeric
+from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractJoint, Revolute, Spherical
-
-
-class Baumgarte(eqx.Module):
-    """Baumgarte's stabilization: D a = gamma - 2 alpha Phi_dot - beta^2 Phi (Eq. 2).
-
-    Attributes:
-        alpha: feedback of the velocity violation [1/s]; it also pulls quaternions back to unit norm.
-        beta: feedback of the position violation [1/s].
-
-    Zero switches the feedback off. Defaults from Table 3 of the paper.
-    """
-
-    alpha: Number = 5.0
-    beta: Number = 5.0
-
-    def requirements(self) -> list[Requirement]:
-        """Non-negative rates."""
-        return [
-            Requirement(
-                name,
-                value,
-                (value >= 0) & (value < np.inf),
-                "be finite and not negative [1/s]",
-                "Give zero to switch the feedback off.",
-            )
-            for name, value in (("alpha", self.alpha), ("beta", self.beta))
-        ]
 
 
 class Scene(eqx.Module):
@@ -58,7 +32,7 @@ class Scene(eqx.Module):
     forces: Mapping[str, AbstractForce]
     gravity: Numeric
     ground_points: Mapping[str, Numeric]
-    drift: Baumgarte
+    drift: AbstractDriftControl
 
     def __init__(
         self,
@@ -68,7 +42,7 @@ class Scene(eqx.Module):
         *,
         gravity: Sequence[float] = (0.0, 0.0, -9.81),
         ground_points: Mapping[str, Numeric] | None = None,
-        drift: Baumgarte | None = None,
+        drift: AbstractDriftControl | None = None,
     ):
         self.bodies = dict(bodies)
         self.joints = dict(joints or {})

@@ -142,14 +142,14 @@ class Solution(NamedTuple):
 def constrained_accelerations(
     system: System, motions: Motions, constraints: ConstraintSet, applied: Wrenches
 ) -> Solution:
-    """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with Baumgarte's feedback."""
+    """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with the drift control's feedback."""
     masses = inverse_masses(system, motions)
     free = {name: masses[name].times(jnp.concatenate([applied[name].force, applied[name].moment])) for name in masses}
     if not constraints.rows:
         return Solution(free, {})
     velocities = {name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in masses}
-    alpha, beta = system.drift.alpha, system.drift.beta
-    desired = constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
+    feedback = system.drift.acceleration_feedback(constraints.residual, constraints.times(velocities))
+    desired = constraints.bias - feedback
     mobility = constraint_mobility(constraints, masses)
     multipliers = symmetric_solve(mobility, constraints.times(free) - desired)
     accelerations = {

@@ -67,9 +67,9 @@ def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arr
 
 
 def _position_rate(system: System, evaluation: Evaluation, name: str) -> Float[Array, "7"]:
-    """Velocity and quaternion rate; the quaternion is pulled back to unit norm like any other constraint."""
+    """Velocity and quaternion rate; feedback pulls the quaternion back to unit norm like any other constraint."""
     motion = evaluation.motions[name]
     p = motion.quaternion
     excess = p @ p - 1
-    rate = quaternion_rate(p, motion.angular_velocity) - system.drift.alpha * excess * p
+    rate = quaternion_rate(p, motion.angular_velocity) - system.drift.norm_feedback * excess * p
     return jnp.concatenate([motion.velocity, rate])
