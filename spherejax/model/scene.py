@@ -22,7 +22,8 @@ class Scene(eqx.Module):
         forces: force elements by name.
         gravity: acceleration of gravity, world axes [m/s^2], shape (3,).
         ground_points: points fixed in the world by name, world axes [m].
-        drift: how drift off the constraints is held back.
+        drift: how drift off the constraints is held back: `Baumgarte()` (default), `Projection()`,
+            `PostStabilization()` or `NoDriftControl()`.
 
     Scenes are pytrees: every physical number in them is a leaf that can be swept, batched and differentiated.
     """
@@ -83,6 +84,7 @@ def check_scene(scene: Scene) -> list:
     Raises:
         SceneError: naming the joint, body or force, the value and the remedy.
     """
+    _check_drift(scene)
     _check_names(scene)
     _check_connected(scene)
     return [condition for place, required in _requirements(scene) for condition in enforce(place, required)]
@@ -107,6 +109,14 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
         yield f"joint {name!r}", joint.requirements()
     for name, force in scene.forces.items():
         yield f"force {name!r}", force.requirements()
+
+
+def _check_drift(scene: Scene) -> None:
+    if not isinstance(scene.drift, AbstractDriftControl):
+        raise SceneError(
+            f"drift = {scene.drift!r} is no drift control; give Baumgarte(), Projection(), PostStabilization(), "
+            "NoDriftControl(), or an AbstractDriftControl of your own"
+        )
 
 
 def _check_names(scene: Scene) -> None:

@@ -14,7 +14,8 @@ class CorrectingSolver(AbstractForwardingSolver):
     The error estimate and the dense output stay those of the uncorrected step: between two steps the dense output
     jumps by the correction, which is of the size of the local error, so that samples are to be corrected as well. A
     method whose last stage is the first of the next step (FSAL) keeps the rate at the uncorrected end; that changes
-    the next step by its length times the correction, one order below the local error.
+    the next step by a fraction of the correction. To evaluate the rate anew costs a stage in thirteen, and changes
+    the error of the four-bar by a few percent of itself: not worth it.
 
     Attributes:
         solver: the solver that makes the steps.
