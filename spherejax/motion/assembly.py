@@ -18,10 +18,10 @@ from spherejax.foundations.checks import SceneError, concretely, is_concrete
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.constraints import assembly_set
+from spherejax.motion.constraints import assembly_set, velocity_violation
 from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import Program, program_for
-from spherejax.motion.projection import least_correction, velocity_violation, without_velocities
+from spherejax.motion.projection import least_correction, without_velocities
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, pack, unpack
 
 N_NEWTON_STEPS = 8
@@ -182,7 +182,7 @@ def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> F
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     constraints = assembly_set(system, motions)
-    violation = velocity_violation(system, motions, constraints)
+    violation = velocity_violation(constraints, motions)
     return pack(without_velocities(state, least_correction(system, motions, constraints, violation)))
 
 

@@ -11,14 +11,17 @@ from spherejax.foundations.rotation import normalized, quaternion_rate
 from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.constraints import ConstraintSet, constraint_mobility, constraint_set, inverse_masses
+from spherejax.motion.constraints import (
+    ConstraintSet,
+    constraint_mobility,
+    constraint_set,
+    inverse_masses,
+    velocity_violation,
+)
 from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import program_for
 from spherejax.physics.joints.places import Motions
 from spherejax.physics.state import State, pack, unpack
-
-RELATIVE_REGULARIZATION = 1e-13
-"""Added to the diagonal of D M^-1 D^T, relative to its mean, so that redundant equations do no harm."""
 
 BodySteps = Float[Array, "b 6"]
 """A change of position [m] and rotation [rad], or of the velocities [m/s, rad/s], of each body, world axes."""
@@ -29,21 +32,8 @@ def least_correction(
 ) -> BodySteps:
     """M^-1 D^T (D M^-1 D^T)^-1 times a violation: what to take from the bodies so that it vanishes."""
     masses = inverse_masses(system, motions)
-    mobility = constraint_mobility(constraints, masses)
-    size = mobility.shape[0]
-    if size == 0:
-        return jnp.zeros((len(masses), 6))
-    mobility = mobility + RELATIVE_REGULARIZATION * jnp.trace(mobility) / size * jnp.eye(size)
-    multipliers = symmetric_solve(mobility, violation)
+    multipliers = symmetric_solve(constraint_mobility(constraints, masses), violation)
     return jnp.stack([masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses])
-
-
-def velocity_violation(system: System, motions: Motions, constraints: ConstraintSet) -> Float[Array, " n"]:
-    """Phi_dot = D v [m/s or 1/s]."""
-    velocities = {
-        name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in system.bodies
-    }
-    return constraints.times(velocities)
 
 
 def without_velocities(state: State, steps: BodySteps) -> State:
@@ -65,7 +55,7 @@ def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arra
     constraints = constraint_set(system, motions)
     moved = _moved_back(state, least_correction(system, motions, constraints, constraints.residual))
     motions_moved = body_motions(system, moved)
-    violation = velocity_violation(system, motions_moved, constraint_set(system, motions_moved))
+    violation = velocity_violation(constraint_set(system, motions_moved), motions_moved)
     return pack(without_velocities(moved, least_correction(system, motions, constraints, violation)))
 
 
