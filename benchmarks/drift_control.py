@@ -2,9 +2,10 @@
 
     python benchmarks/drift_control.py
 
-The error is that of the rocker's height at the end, against a run with projection at rtol 1e-11; the last row of each duration compares
-that reference with one by Baumgarte's feedback at the same tolerance. Violations, the quaternions' norm and the energy
-are the largest at 101 samples. Times are those of a compiled call (jax.jit of simulate) on one core.
+The error is that of the rocker's height at the end, against a run with projection at rtol 1e-11; the last row of each
+duration holds a run by Baumgarte's feedback at that tolerance against it. Violations, the quaternions' norm and the
+energy are the largest at 101 samples. Times are those of a compiled call (jax.jit of simulate) on one core.
+A run that fails (without control the mechanism falls apart in the end) has the time that it reached, and no errors.
 """
 
 from machine import median_seconds, use_one_core, write
@@ -37,7 +38,7 @@ def compiled(control):
         ts = duration * jnp.linspace(0.0, 1.0, 101)
         return sj.simulate(sj.gallery.four_bar(drift=control), ts, rtol=rtol, atol=rtol * 1e-3)
 
-    return lambda duration, rtol: jax.block_until_ready(run(duration, rtol).require_success())
+    return lambda duration, rtol: jax.block_until_ready(run(duration, rtol))
 
 
 def height(motion) -> float:
@@ -53,6 +54,7 @@ def measured(name: str, run, duration: float, rtol: float, reference: float) -> 
     return {
         "drift_control": name,
         "duration_s": f"{duration:g}",
+        "reached_s": f"{float(motion.t_reached):g}",
         "rtol": f"{rtol:.0e}",
         "position_violation": f"{float(motion.constraint_violation.max()):.1e}",
         "velocity_violation": f"{float(motion.velocity_violation.max()):.1e}",

@@ -236,27 +236,16 @@ def test_projection_goes_with_a_stiff_method():
 @pytest.mark.parametrize("control", CORRECTING)
 def test_derivative_agrees_with_differences(control):
     def height(weight):
-        return program(control)(0.5, 1e-10, weight).position("rocker")[-1, 2]
+        scene = sj.gallery.four_bar(drift=CONTROLS[control])
+        scene = eqx.tree_at(lambda s: s.gravity, scene, scene.gravity * weight)
+        return sj.simulate(scene, cases.times(0.5, 2), rtol=1e-10, atol=1e-13).position("rocker")[-1, 2]
 
     slope = float(jax.jit(jax.jacfwd(height))(1.0))
+    height = jax.jit(height)
     h = 1e-4
     difference = (8 * (height(1 + h) - height(1 - h)) - (height(1 + 2 * h) - height(1 - 2 * h))) / (12 * h)
     assert abs(slope) > 1e-3
     assert slope == pytest.approx(float(difference), rel=1e-6)
-
-
-def test_sensitivities_stay_on_the_constraints():
-    # Of a pendulum on a hinge, by its own length: the constraint holds for every length, so its derivative is zero.
-    def violation(length):
-        body = sj.Body(0.5, (1e-3, 2e-3, 1.5e-3), position=jnp.stack([length, 0.0 * length, 0.0 * length]))
-        hinge = sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-        run = sj.simulate(sj.Scene({"bob": body}, {"hinge": hinge}, drift=sj.Projection()), cases.times(0.5, 2))
-        x, z = run.position("bob")[-1, 0], run.position("bob")[-1, 2]
-        return x * x + z * z - length * length, x
-
-    gap, x = jax.jit(jax.jacfwd(violation))(0.1)
-    assert abs(float(gap)) < 1e-13
-    assert abs(float(x)) > 0.1
 
 
 def test_reverse_mode_by_checkpoints_passes_through_the_projection():
