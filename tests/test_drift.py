@@ -200,17 +200,18 @@ def door(n_hinges: int, drift) -> sj.Scene:
     return sj.Scene({"bob": body}, hinges, drift=drift)
 
 
-@pytest.mark.parametrize("control", ["baumgarte", "projection"])
-@pytest.mark.parametrize("scalar", [True, False])
-def test_redundant_constraints_do_no_harm(control, scalar):
-    one, two = (
-        sj.simulate(door(n, CONTROLS[control]), cases.times(0.5, 6), rtol=1e-9, scalar=scalar).require_success()
-        for n in (1, 2)
-    )
-    np.testing.assert_allclose(two.position("bob"), one.position("bob"), rtol=0, atol=1e-11)
-    assert np.asarray(two.constraint_violation).max() < (ROUNDING if control == "projection" else 1e-8)
-    load = sum(np.asarray(two.reaction(name)) for name in ("hinge_0", "hinge_1"))
-    np.testing.assert_allclose(load, one.reaction("hinge_0"), rtol=0, atol=1e-7)
+def test_redundant_constraints_do_no_harm_to_the_correction():
+    # The two hinges ask for the same five equations: the correction is that of one hinge.
+    found = []
+    for n_hinges in (1, 2):
+        system = sj.compile_scene(door(n_hinges, sj.Projection())).system
+        y = cases.displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 3, 1e-6)
+        for _ in range(2):
+            y = np.asarray(corrected(system, 0.0, jnp.asarray(y)))
+        assert max(np.abs(v).max() for v in violations(system, y)) < ROUNDING
+        found.append(y)
+    np.testing.assert_allclose(found[1][7:], found[0][7:], rtol=0, atol=1e-8)
+    assert np.abs(found[0][7:]).max() > 0.1
 
 
 @pytest.mark.slow

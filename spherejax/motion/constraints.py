@@ -1,8 +1,8 @@
 """The constraint equations of a system, and the augmented system of Newton and Euler (Eqs 1 and 2).
 
 The augmented system [M D^T; D 0]{a; lambda} = {g; gamma} is reduced to the constraints: with the inverse of the
-block-diagonal mass matrix, S lambda = D M^-1 g - gamma for S = D M^-1 D^T, symmetric and positive definite (where
-constraints are redundant, by a regularization that shares the load among them); then a = M^-1 (g - D^T lambda).
+block-diagonal mass matrix, S lambda = D M^-1 g - gamma for S = D M^-1 D^T, symmetric and positive definite when no
+constraint is redundant; then a = M^-1 (g - D^T lambda).
 """
 
 from typing import NamedTuple
@@ -16,10 +16,6 @@ from spherejax.motion.loads import Wrenches
 from spherejax.physics.bodies import GROUND, inverse_inertia_in_world
 from spherejax.physics.joints import ConstraintRows
 from spherejax.physics.joints.places import Motions
-
-REGULARIZATION = 1e-13
-"""Relative enlargement of the diagonal of D M^-1 D^T, so that redundant equations do no harm: far above rounding, and
-far below any tolerance. Being relative to each entry it is the same in all units of the equations."""
 
 
 class InverseMass(NamedTuple):
@@ -127,7 +123,7 @@ def inverse_masses(system: System, motions: Motions) -> dict[str, InverseMass]:
 
 
 def constraint_mobility(constraints: ConstraintSet, masses: dict[str, InverseMass]) -> Float[Array, "n n"]:
-    """S = D M^-1 D^T, assembled from the blocks of joints that share a body, and regularized."""
+    """S = D M^-1 D^T, assembled from the blocks of joints that share a body."""
     sizes = {joint: rows.residual.shape[0] for joint, rows in constraints.rows.items()}
     blocks = {(a, b): jnp.zeros((sizes[a], sizes[b])) for a in sizes for b in sizes}
     for body, mass in masses.items():
@@ -138,8 +134,7 @@ def constraint_mobility(constraints: ConstraintSet, masses: dict[str, InverseMas
                 blocks[a, b] = blocks[a, b] + block @ column
     if not sizes:
         return jnp.zeros((0, 0))
-    mobility = jnp.concatenate([jnp.concatenate([blocks[a, b] for b in sizes], 1) for a in sizes])
-    return mobility * (1 + REGULARIZATION * jnp.eye(mobility.shape[0]))
+    return jnp.concatenate([jnp.concatenate([blocks[a, b] for b in sizes], 1) for a in sizes])
 
 
 class Solution(NamedTuple):

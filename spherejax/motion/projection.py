@@ -23,6 +23,11 @@ from spherejax.motion.programs import program_for
 from spherejax.physics.joints.places import Motions
 from spherejax.physics.state import State, pack, unpack
 
+REGULARIZATION = 1e-13
+"""Relative enlargement of the diagonal of D M^-1 D^T, so that redundant equations do no harm. Being relative to each
+entry, it is the same in all units of the equations. It leaves 1e-10 of a violation: nothing in a correction, but in the
+accelerations themselves it would be seen (1e-10 m on the four-bar)."""
+
 BodySteps = Float[Array, "b 6"]
 """A change of position [m] and rotation [rad], or of the velocities [m/s, rad/s], of each body, world axes."""
 
@@ -32,7 +37,9 @@ def least_correction(
 ) -> BodySteps:
     """M^-1 D^T (D M^-1 D^T)^-1 times a violation: what to take from the bodies so that it vanishes."""
     masses = inverse_masses(system, motions)
-    multipliers = symmetric_solve(constraint_mobility(constraints, masses), violation)
+    mobility = constraint_mobility(constraints, masses)
+    mobility = mobility * (1 + REGULARIZATION * jnp.eye(mobility.shape[0]))
+    multipliers = symmetric_solve(mobility, violation)
     return jnp.stack([masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses])
 
 
