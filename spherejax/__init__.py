@@ -20,7 +20,14 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
 from spherejax import gallery
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
-from spherejax.model.scene import Baumgarte, Scene
+from spherejax.model.drift import (
+    AbstractDriftControl,
+    Baumgarte,
+    NoDriftControl,
+    PostStabilization,
+    Projection,
+)
+from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.modes import Mode
@@ -73,6 +80,7 @@ from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
 
 __all__ = [
+    "AbstractDriftControl",
     "AbstractElastomer",
     "AbstractFilmBoundary",
     "AbstractForce",
@@ -106,8 +114,11 @@ __all__ = [
     "Material",
     "MatrixElastomer",
     "Mode",
+    "NoDriftControl",
     "NotScalarizable",
     "PinkusSternlicht",
+    "PostStabilization",
+    "Projection",
     "RadialElastomer",
     "Requirement",
     "Response",

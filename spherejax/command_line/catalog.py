@@ -1,4 +1,4 @@
-"""Names that the command line knows: scenes, joint models, laws and solvers; and `spherejax list`."""
+"""Names that the command line knows: scenes, joint models, laws, solvers, drift controls; and `spherejax list`."""
 
 import argparse
 from collections.abc import Callable, Mapping
@@ -47,6 +47,13 @@ SOLVERS = {
     "rodas5p": (sj.Rodas5P, "linearly implicit, order 5: the choice for stiff scenes"),
 }
 
+DRIFT_CONTROLS = {
+    "baumgarte": (sj.Baumgarte, "feedback of the violations in the equations, alpha = beta = 5 1/s"),
+    "projection": (sj.Projection, "every step ends on the constraints, to rounding"),
+    "post-stabilization": (sj.PostStabilization, "one Newton correction after each step"),
+    "none": (sj.NoDriftControl, "the equations as they are"),
+}
+
 UNITS = {
     "mu": "-", "mu_kinetic": "-", "mu_static": "-", "v0": "m/s", "v1": "m/s", "kappa": "s/m",
     "restitution": "-",
@@ -56,7 +63,7 @@ UNITS = {
 
 DESCRIPTION = """\
 Name everything that can be asked for: scenes, joint models, force laws with their parameters and
-defaults, and solvers.
+defaults, solvers and drift controls.
 """
 
 EPILOG = """example:
@@ -68,7 +75,7 @@ def add_list(commands) -> None:
     """The command `list`."""
     parser = commands.add_parser(
         "list",
-        help="name the scenes, joint models, laws and solvers",
+        help="name the scenes, joint models, laws, solvers and drift controls",
         description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -90,6 +97,8 @@ def list_names(options: argparse.Namespace) -> int:
     print_table("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
     print_table("Elastomers (--elastomer)", ("name", "parameters and defaults"), _with_parameters(ELASTOMERS))
     print_table("Solvers (--solver)", ("name", "what"), [(name, what) for name, (_, what) in SOLVERS.items()])
+    controls = [(name, what) for name, (_, what) in DRIFT_CONTROLS.items()]
+    print_table("Drift control (--drift)", ("name", "what"), controls)
     return 0
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import spherejax as sj
-from spherejax.command_line.catalog import SCENES, SOLVERS
+from spherejax.command_line.catalog import DRIFT_CONTROLS, SCENES, SOLVERS
 from spherejax.command_line.models import add_joint_options, model_from
 from spherejax.command_line.printing import print_table
 
@@ -23,6 +23,7 @@ EPILOG = """examples:
   spherejax run four-bar --joint dry --clearance 1e-4 --normal lankarani-nikravesh --friction threlfall \\
       --t1 0.2 --rtol 1e-9 --out run.nc
   spherejax run four-bar --joint bushing --stiffness 1e5 --dt 1e-3 --out run.csv
+  spherejax run four-bar --t1 1000 --samples 101 --drift projection
 """
 
 
@@ -48,6 +49,9 @@ def add_run(commands) -> None:
         "--max-steps", type=int, default=20_000_000, metavar="N", help="give up beyond (default: 20000000)"
     )
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    times.add_argument(
+        "--drift", choices=DRIFT_CONTROLS, default="baumgarte", help="drift control (default: baumgarte)"
+    )
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
@@ -58,7 +62,7 @@ def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
     from spherejax.output.io import save, writable
 
-    scene = SCENES[options.scene](model_from(options))
+    scene = SCENES[options.scene](model_from(options), drift=DRIFT_CONTROLS[options.drift][0]())
     ts = sample_times(options)
     if options.out is not None:
         writable(options.out, overwrite=options.overwrite)
@@ -116,7 +120,9 @@ def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
         ("time of the first run, with compilation [s]", f"{seconds:.2f}"),
         ("mechanical energy lost at the end [mJ]", f"{1e3 * (energy[0] - energy[-1]):.6g}"),
         ("largest acceleration at the samples [m/s^2]", f"{peaks[body]:.4g} ({body})"),
+        ("drift control", type(run.system.drift).__name__),
         ("largest constraint violation", f"{float(np.max(np.asarray(run.constraint_violation))):.2e}"),
+        ("largest violation of the velocities", f"{float(np.max(np.asarray(run.velocity_violation))):.2e}"),
     ]
     for name in run.system.force_joints:
         distance = np.linalg.norm(np.asarray(run.eccentricity(name)), axis=1)

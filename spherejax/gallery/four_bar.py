@@ -1,11 +1,12 @@
 """The spatial four-bar mechanism of the paper (section 5.1, Tables 1 to 3)."""
 
-from spherejax.model.scene import Baumgarte, Scene
+from spherejax.model.drift import AbstractDriftControl
+from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints import AbstractSphericalModel, Ideal, Revolute, Spherical
 
 
-def four_bar(model: AbstractSphericalModel | None = None, *, drift: Baumgarte | None = None) -> Scene:
+def four_bar(model: AbstractSphericalModel | None = None, *, drift: AbstractDriftControl | None = None) -> Scene:
     """Crank, coupler and rocker, released from rest under gravity.
 
     The crank turns about the world's x axis at the origin, the rocker about the y axis at (-0.040, -0.085, 0) m; the

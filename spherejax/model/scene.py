@@ -6,37 +6,11 @@ import equinox as eqx
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, SceneError, enforce
-from spherejax.foundations.types import Number, Numeric
+from spherejax.foundations.types import Numeric
+from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractJoint, Revolute, Spherical
-
-
-class Baumgarte(eqx.Module):
-    """Baumgarte's stabilization: D a = gamma - 2 alpha Phi_dot - beta^2 Phi (Eq. 2).
-
-    Attributes:
-        alpha: feedback of the velocity violation [1/s]; it also pulls quaternions back to unit norm.
-        beta: feedback of the position violation [1/s].
-
-    Zero switches the feedback off. Defaults from Table 3 of the paper.
-    """
-
-    alpha: Number = 5.0
-    beta: Number = 5.0
-
-    def requirements(self) -> list[Requirement]:
-        """Non-negative rates."""
-        return [
-            Requirement(
-                name,
-                value,
-                (value >= 0) & (value < np.inf),
-                "be finite and not negative [1/s]",
-                "Give zero to switch the feedback off.",
-            )
-            for name, value in (("alpha", self.alpha), ("beta", self.beta))
-        ]
 
 
 class Scene(eqx.Module):
@@ -48,7 +22,8 @@ class Scene(eqx.Module):
         forces: force elements by name.
         gravity: acceleration of gravity, world axes [m/s^2], shape (3,).
         ground_points: points fixed in the world by name, world axes [m].
-        drift: how drift off the constraints is held back.
+        drift: how drift off the constraints is held back: `Baumgarte()` (default), `Projection()`,
+            `PostStabilization()` or `NoDriftControl()`.
 
     Scenes are pytrees: every physical number in them is a leaf that can be swept, batched and differentiated.
     """
@@ -58,7 +33,7 @@ class Scene(eqx.Module):
     forces: Mapping[str, AbstractForce]
     gravity: Numeric
     ground_points: Mapping[str, Numeric]
-    drift: Baumgarte
+    drift: AbstractDriftControl
 
     def __init__(
         self,
@@ -68,7 +43,7 @@ class Scene(eqx.Module):
         *,
         gravity: Sequence[float] = (0.0, 0.0, -9.81),
         ground_points: Mapping[str, Numeric] | None = None,
-        drift: Baumgarte | None = None,
+        drift: AbstractDriftControl | None = None,
     ):
         self.bodies = dict(bodies)
         self.joints = dict(joints or {})
@@ -109,6 +84,7 @@ def check_scene(scene: Scene) -> list:
     Raises:
         SceneError: naming the joint, body or force, the value and the remedy.
     """
+    _check_drift(scene)
     _check_names(scene)
     _check_connected(scene)
     return [condition for place, required in _requirements(scene) for condition in enforce(place, required)]
@@ -133,6 +109,14 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
         yield f"joint {name!r}", joint.requirements()
     for name, force in scene.forces.items():
         yield f"force {name!r}", force.requirements()
+
+
+def _check_drift(scene: Scene) -> None:
+    if not isinstance(scene.drift, AbstractDriftControl):
+        raise SceneError(
+            f"drift = {scene.drift!r} is no drift control; give Baumgarte(), Projection(), PostStabilization(), "
+            "NoDriftControl(), or an AbstractDriftControl of your own"
+        )
 
 
 def _check_names(scene: Scene) -> None:

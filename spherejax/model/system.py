@@ -11,7 +11,8 @@ import numpy as np
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Numeric
-from spherejax.model.scene import Baumgarte, Scene, check_scene
+from spherejax.model.drift import AbstractDriftControl
+from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractPlacedJoint, PlacedRevolute, PlacedSpherical
@@ -54,7 +55,7 @@ class System(eqx.Module):
     joints: dict[str, AbstractPlacedJoint]
     forces: dict[str, AbstractForce]
     gravity: Numeric
-    drift: Baumgarte
+    drift: AbstractDriftControl
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
 

@@ -16,12 +16,12 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError, concretely, is_concrete
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
-from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.constraints import assembly_set, constraint_mobility, inverse_masses
+from spherejax.motion.constraints import assembly_set, velocity_violation
 from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import Program, program_for
+from spherejax.motion.projection import least_correction, without_velocities
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, pack, unpack
 
 N_NEWTON_STEPS = 8
@@ -29,9 +29,6 @@ N_NEWTON_STEPS = 8
 
 CLOSING_TOLERANCE = 1e-9
 """Largest constraint residual [m or 1] of a start that counts as consistent."""
-
-RELATIVE_REGULARIZATION = 1e-13
-"""Added to the diagonal of D M^-1 D^T, relative to its mean, so that redundant equations do no harm."""
 
 
 class Assembly(NamedTuple):
@@ -169,43 +166,24 @@ def newton_step(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array
     """Move the bodies by -M^-1 D^T (D M^-1 D^T)^-1 Phi."""
     del t
     state = unpack(system.layout, y)
-    steps = _least_correction(system, state, lambda constraints, motions: constraints.residual)
-    position, quaternion = [], []
-    for i, step in enumerate(steps.values()):
-        position.append(state.position[i] - step[:3])
-        turned = quaternion_product(quaternion_from_rotation_vector(-step[3:]), state.quaternion[i])
-        quaternion.append(normalized(turned))
-    return pack(state._replace(position=jnp.stack(position), quaternion=jnp.stack(quaternion)))
+    motions = body_motions(system, state)
+    constraints = assembly_set(system, motions)
+    steps = least_correction(system, motions, constraints, constraints.residual)
+    turned = [
+        normalized(quaternion_product(quaternion_from_rotation_vector(-turn), p))
+        for p, turn in zip(state.quaternion, steps[:, 3:], strict=True)
+    ]
+    return pack(state._replace(position=state.position - steps[:, :3], quaternion=jnp.stack(turned)))
 
 
 def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
     """Remove the part of the velocities that violates the constraints."""
     del t
     state = unpack(system.layout, y)
-
-    def violation(constraints, motions):
-        velocities = {
-            name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in system.bodies
-        }
-        return constraints.times(velocities)
-
-    steps = jnp.stack(list(_least_correction(system, state, violation).values()))
-    return pack(
-        state._replace(velocity=state.velocity - steps[:, :3], angular_velocity=state.angular_velocity - steps[:, 3:])
-    )
-
-
-def _least_correction(system: System, state: State, violation) -> dict[str, Float[Array, "6"]]:
     motions = body_motions(system, state)
     constraints = assembly_set(system, motions)
-    masses = inverse_masses(system, motions)
-    mobility = constraint_mobility(constraints, masses)
-    size = mobility.shape[0]
-    if size == 0:
-        return {name: jnp.zeros(6) for name in masses}
-    mobility = mobility + RELATIVE_REGULARIZATION * jnp.trace(mobility) / size * jnp.eye(size)
-    multipliers = symmetric_solve(mobility, violation(constraints, motions))
-    return {name: masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses}
+    violation = velocity_violation(constraints, motions)
+    return pack(without_velocities(state, least_correction(system, motions, constraints, violation)))
 
 
 def _difference(a: Float[Array, "b 4"], b: Float[Array, "b 4"]) -> Float[Array, "b 4"]:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.model.system import System
 from spherejax.motion.loads import Wrenches
-from spherejax.physics.bodies import inverse_inertia_in_world
+from spherejax.physics.bodies import GROUND, inverse_inertia_in_world
 from spherejax.physics.joints import ConstraintRows
 from spherejax.physics.joints.places import Motions
 
@@ -104,6 +104,16 @@ def _collected(system: System, rows: dict[str, ConstraintRows | None]) -> Constr
     return ConstraintSet(kept, {name: system.joints[name].bodies for name in kept})
 
 
+def velocity_violation(constraints: ConstraintSet, motions: Motions) -> Float[Array, " n"]:
+    """Phi_dot = D v [m/s or 1/s]."""
+    velocities = {
+        name: jnp.concatenate([motion.velocity, motion.angular_velocity])
+        for name, motion in motions.items()
+        if name != GROUND
+    }
+    return constraints.times(velocities)
+
+
 def inverse_masses(system: System, motions: Motions) -> dict[str, InverseMass]:
     """The inverse mass matrix, body by body."""
     return {
@@ -142,19 +152,16 @@ class Solution(NamedTuple):
 def constrained_accelerations(
     system: System, motions: Motions, constraints: ConstraintSet, applied: Wrenches
 ) -> Solution:
-    """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with Baumgarte's feedback."""
+    """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with the drift control's feedback."""
     loads = {name: jnp.concatenate([applied[name].force, applied[name].moment]) for name in system.bodies}
     desired = desired_accelerations(system, motions, constraints)
     return solve_augmented(constraints, inverse_masses(system, motions), loads, desired)
 
 
 def desired_accelerations(system: System, motions: Motions, constraints: ConstraintSet) -> Float[Array, " n"]:
-    """Right side of D a = gamma - 2 alpha Phi_dot - beta^2 Phi [m/s^2 or 1/s^2]."""
-    velocities = {
-        name: jnp.concatenate([motions[name].velocity, motions[name].angular_velocity]) for name in system.bodies
-    }
-    alpha, beta = system.drift.alpha, system.drift.beta
-    return constraints.bias - 2 * alpha * constraints.times(velocities) - beta * beta * constraints.residual
+    """Right side of D a = gamma - feedback [m/s^2 or 1/s^2]."""
+    violation = velocity_violation(constraints, motions)
+    return constraints.bias - system.drift.acceleration_feedback(constraints.residual, violation)
 
 
 def solve_augmented(

@@ -72,6 +72,6 @@ def _position_rate(system: System, evaluation: Evaluation, name: str) -> Float[A
 
 
 def orientation_rate(system: System, quaternion: Quaternion, angular_velocity: Vector3) -> Float[Array, "4"]:
-    """Quaternion rate; the quaternion is pulled back to unit norm like any other constraint."""
+    """Quaternion rate; feedback pulls the quaternion to unit norm like any other constraint."""
     excess = quaternion @ quaternion - 1
-    return quaternion_rate(quaternion, angular_velocity) - system.drift.alpha * excess * quaternion
+    return quaternion_rate(quaternion, angular_velocity) - system.drift.norm_feedback * excess * quaternion

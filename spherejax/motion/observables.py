@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.system import System
+from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
@@ -113,8 +114,5 @@ def _violations(evaluation: Evaluation) -> tuple[Scalar, Scalar]:
     constraints = evaluation.constraints
     if not constraints.rows:
         return jnp.zeros(()), jnp.zeros(())
-    velocities = {
-        name: jnp.concatenate([evaluation.motions[name].velocity, evaluation.motions[name].angular_velocity])
-        for name in evaluation.solution.accelerations
-    }
-    return jnp.max(jnp.abs(constraints.residual)), jnp.max(jnp.abs(constraints.times(velocities)))
+    rates = velocity_violation(constraints, evaluation.motions)
+    return jnp.max(jnp.abs(constraints.residual)), jnp.max(jnp.abs(rates))

@@ -1,6 +1,7 @@
 """Simulate a scene: the adapter between the equations of motion and diffrax."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.types import Flag, Numeric
+from spherejax.model.drift import NoDriftControl
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble, assemble_now
@@ -21,7 +23,9 @@ from spherejax.motion.contacts import crossings, initial_memory, memory_after_st
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
 from spherejax.motion.programs import program_for
+from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.automatic import Choice, choose_solver
+from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
 from spherejax.motion.status import SimulationError, SimulationWarning, Status, status_of
 from spherejax.motion.trajectory import Statistics, Trajectory
@@ -182,6 +186,18 @@ class Outcome(eqx.Module):
     assembly: Assembly
 
 
+def _correction(plan: Plan, system: System) -> Callable | None:
+    n_corrections = system.drift.n_corrections
+    return correction_of(plan.structure, plan.scalar, n_corrections) if n_corrections else None
+
+
+def _samples(ts, correct: Callable | None) -> diffrax.SubSaveAt:
+    """The states at the sample times; they lie within steps, and are corrected like their ends."""
+    if correct is None:
+        return diffrax.SubSaveAt(ts=ts)
+    return diffrax.SubSaveAt(ts=ts, fn=lambda t, y, args: correct(args, t, y))
+
+
 @eqx.filter_jit
 def _integrate(
     plan: Plan,
@@ -204,6 +220,8 @@ def _integrate(
     rate = program_for(state_rate, plan.structure, plan.scalar)
     contacts = contacts_of(plan.structure, plan.scalar) if system.contact_joints else None
     solver = with_structure(options.solver, plan.structure) if plan.scalar else options.solver
+    correct = _correction(plan, system)
+    solver = solver if correct is None else CorrectingSolver(solver, correct)
     solver = solver if contacts is None else MemorySolver(solver, contacts)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
@@ -214,7 +232,7 @@ def _integrate(
         y0=y0,
         args=Parameters(theta, rate.ahead(theta)),
         saveat=diffrax.SaveAt(
-            subs=[diffrax.SubSaveAt(ts=jnp.minimum(ts, t1)), diffrax.SubSaveAt(t1=True)], solver_state=True
+            subs=[_samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
         ),
         stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
         adjoint=options.adjoint,
@@ -306,7 +324,7 @@ def as_ideal(system: System) -> System:
         for name, joint in system.joints.items()
         if not isinstance(joint, PlacedSpherical) or joint.starts_concentric or joint.model.is_ideal
     }
-    return System(system.bodies, joints, {}, system.gravity, system.drift, (), False)
+    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 
 
 def _start_now(system: System) -> Assembly | None:

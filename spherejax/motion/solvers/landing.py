@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
+
 LANDING_WINDOW = 1e-8
 """A step has landed when the crossing function is within this of zero, on the far side: for a clearance of 0.1 mm
 a penetration of 1e-12 m, at which the contact force is below a micronewton."""
@@ -41,7 +43,7 @@ class Contacts(NamedTuple):
         return jnp.stack([y[entry] > 0 for entry in self.onset_entries])
 
 
-class MemorySolver(diffrax.AbstractWrappedSolver):
+class MemorySolver(AbstractForwardingSolver):
     """A solver that updates the contact memory after each step and counts onsets.
 
     Attributes:
@@ -51,54 +53,6 @@ class MemorySolver(diffrax.AbstractWrappedSolver):
 
     solver: diffrax.AbstractSolver
     contacts: Contacts = eqx.field(static=True)
-
-    @property
-    def term_structure(self):
-        """As the wrapped solver's."""
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        """As the wrapped solver's."""
-        return self.solver.interpolation_cls
-
-    @property
-    def term_compatible_contr_kwargs(self):
-        """As the wrapped solver's."""
-        return self.solver.term_compatible_contr_kwargs
-
-    @property
-    def root_finder(self):
-        """As the wrapped solver's, if it is implicit."""
-        solver: Any = self.solver
-        return solver.root_finder
-
-    @property
-    def root_find_max_steps(self):
-        """As the wrapped solver's, if it is implicit."""
-        solver: Any = self.solver
-        return solver.root_find_max_steps
-
-    @property
-    def scan_kind(self):
-        """As the wrapped solver's, if it is a Runge-Kutta method."""
-        return getattr(self.solver, "scan_kind", None)
-
-    def order(self, terms):
-        """As the wrapped solver's."""
-        return self.solver.order(terms)
-
-    def strong_order(self, terms):
-        """As the wrapped solver's."""
-        return self.solver.strong_order(terms)
-
-    def error_order(self, terms):
-        """As the wrapped solver's."""
-        return self.solver.error_order(terms)
-
-    def func(self, terms, t0, y0, args):
-        """As the wrapped solver's."""
-        return self.solver.func(terms, t0, y0, args)
 
     def init(self, terms, t0, t1, y0, args):
         """The wrapped solver's state, and no onset yet."""

@@ -1,0 +1,86 @@
+"""Onto the constraints: the least change of positions and velocities, in the metric of masses and inertias."""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.rotation import normalized, quaternion_rate
+from spherejax.foundations.symmetric_solve import symmetric_solve
+from spherejax.foundations.types import Scalar
+from spherejax.model.system import Structure, System
+from spherejax.motion.constraints import (
+    ConstraintSet,
+    constraint_mobility,
+    constraint_set,
+    inverse_masses,
+    velocity_violation,
+)
+from spherejax.motion.dynamics import body_motions
+from spherejax.motion.programs import program_for
+from spherejax.physics.joints.places import Motions
+from spherejax.physics.state import State, pack, unpack
+
+REGULARIZATION = 1e-13
+"""Relative enlargement of the diagonal of D M^-1 D^T, so that redundant equations do no harm. Being relative to each
+entry, it is the same in all units of the equations. It leaves 1e-10 of a violation: nothing in a correction, but in the
+accelerations themselves it would be seen (1e-10 m on the four-bar)."""
+
+BodySteps = Float[Array, "b 6"]
+"""A change of position [m] and rotation [rad], or of the velocities [m/s, rad/s], of each body, world axes."""
+
+
+def least_correction(
+    system: System, motions: Motions, constraints: ConstraintSet, violation: Float[Array, " n"]
+) -> BodySteps:
+    """M^-1 D^T (D M^-1 D^T)^-1 times a violation: what to take from the bodies so that it vanishes."""
+    masses = inverse_masses(system, motions)
+    mobility = constraint_mobility(constraints, masses)
+    mobility = mobility * (1 + REGULARIZATION * jnp.eye(mobility.shape[0]))
+    multipliers = symmetric_solve(mobility, violation)
+    return jnp.stack([masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses])
+
+
+def without_velocities(state: State, steps: BodySteps) -> State:
+    """The state with its velocities diminished."""
+    return state._replace(
+        velocity=state.velocity - steps[:, :3], angular_velocity=state.angular_velocity - steps[:, 3:]
+    )
+
+
+def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " size"]:
+    """Unit quaternions, then one Newton correction of the positions and one of the velocities; memory and work stay.
+
+    Both corrections use the same S, of the state before: in a scalar program it is factorized once.
+    """
+    del t
+    state = unpack(system.layout, y)
+    state = state._replace(quaternion=jnp.stack([normalized(p) for p in state.quaternion]))
+    motions = body_motions(system, state)
+    constraints = constraint_set(system, motions)
+    moved = _moved_back(state, least_correction(system, motions, constraints, constraints.residual))
+    motions_moved = body_motions(system, moved)
+    violation = velocity_violation(constraint_set(system, motions_moved), motions_moved)
+    return pack(without_velocities(moved, least_correction(system, motions, constraints, violation)))
+
+
+def _moved_back(state: State, steps: BodySteps) -> State:
+    """Bodies displaced by minus the steps; small rotations need neither sine nor cosine."""
+    quaternions = [
+        normalized(p + quaternion_rate(p, -turn)) for p, turn in zip(state.quaternion, steps[:, 3:], strict=True)
+    ]
+    return state._replace(position=state.position - steps[:, :3], quaternion=jnp.stack(quaternions))
+
+
+@lru_cache(maxsize=64)
+def correction_of(structure: Structure, use_scalars: bool, n_corrections: int) -> Callable:
+    """The drift control's correction of a state, for the integrator: a function of (parameters, t, y)."""
+    program = program_for(corrected, structure, use_scalars)
+
+    def correct(parameters, t, y):
+        # A loop with a fixed number of turns: reverse mode passes through it, and lanes of a batch stay together.
+        return jax.lax.fori_loop(0, n_corrections, lambda _, y: program(parameters.theta, t, y), y)
+
+    return correct

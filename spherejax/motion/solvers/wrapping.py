@@ -1,0 +1,61 @@
+"""A diffrax solver around another: what passes through unchanged."""
+
+from typing import Any
+
+import diffrax
+
+
+class AbstractForwardingSolver(diffrax.AbstractWrappedSolver):
+    """A solver that makes the steps of another one, and changes what is at their ends.
+
+    Attributes:
+        solver: the solver that makes the steps.
+    """
+
+    @property
+    def term_structure(self):
+        """As the wrapped solver's."""
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):
+        """As the wrapped solver's."""
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self):
+        """As the wrapped solver's."""
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def root_finder(self):
+        """As the wrapped solver's, if it is implicit."""
+        solver: Any = self.solver
+        return solver.root_finder
+
+    @property
+    def root_find_max_steps(self):
+        """As the wrapped solver's, if it is implicit."""
+        solver: Any = self.solver
+        return solver.root_find_max_steps
+
+    @property
+    def scan_kind(self):
+        """As the wrapped solver's, if it is a Runge-Kutta method."""
+        return getattr(self.solver, "scan_kind", None)
+
+    def order(self, terms):
+        """As the wrapped solver's."""
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        """As the wrapped solver's."""
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        """As the wrapped solver's."""
+        return self.solver.error_order(terms)
+
+    def func(self, terms, t0, y0, args):
+        """As the wrapped solver's."""
+        return self.solver.func(terms, t0, y0, args)
