@@ -84,7 +84,7 @@ def simulate(
     _check_tolerances(rtol, atol)
     compiled = compile_scene(scene, track_work=track_work)
     system = compiled.system
-    choice = Choice(solver, f"{type(solver).__name__}: as asked for") if solver is not None else choose_solver(system)
+    choice = Choice(solver, f"{type(solver).__name__}: as asked for") if solver is not None else choose_solver(system, rtol)
     if stepsize_controller is None:
         stepsize_controller = diffrax.PIDController(rtol=jnp.asarray(rtol), atol=jnp.asarray(atol))
     structure, theta = flatten_system(system)
