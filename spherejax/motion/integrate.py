@@ -39,7 +39,10 @@ class Plan:
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
         """All numbers of the system, from those that are traced and those that are known."""
-        return known.at[np.array(self.unknown, int)].set(values) if self.unknown else known
+        # Picked from both, not scattered: XLA:CPU (jax 0.10) fails to compile the derivative of a scatter that it fuses.
+        source = np.arange(known.shape[0])
+        source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
+        return jnp.concatenate([known, values])[source]
 
 
 class Options(eqx.Module):
@@ -100,15 +103,13 @@ def integrate(
 ) -> Outcome:
     """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
     theta = plan.theta(values, known)
-    system = plan.structure.system(theta)
-    assembly = assemble(*flatten_system(as_ideal(system))) if start is None else start
+    assembly, y0 = beginning(plan, theta, start)
     is_closed = assembly.residual_after < CLOSING_TOLERANCE
-    y0 = initial_state(system, assembly)
     may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
     # A lane that cannot run must not hold up the others: it gets an interval of length zero.
     t1 = jnp.where(may_run, ts[-1], ts[0])
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    contacts = contacts_of(plan.structure, plan.scalar) if system.contact_joints else None
+    contacts = contacts_of(plan.structure, plan.scalar)
     solver = options.solver if contacts is None else MemorySolver(options.solver, contacts)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
@@ -135,10 +136,19 @@ def integrate(
     return Outcome(ys, reached, status, _statistics(solution, options.solver, contacts), assembly)
 
 
+def beginning(plan: Plan, theta: Float[Array, " p"], start: Assembly | None) -> tuple[Assembly, Float[Array, " size"]]:
+    """The consistent start, assembled unless it is given, and the flat state there."""
+    system = plan.structure.system(theta)
+    assembly = assemble(*flatten_system(as_ideal(system))) if start is None else start
+    return assembly, initial_state(system, assembly)
+
+
 @lru_cache(maxsize=64)
-def contacts_of(structure: Structure, scalar: bool) -> Contacts:
-    """The contacts of a system as programs, for the integrator."""
+def contacts_of(structure: Structure, scalar: bool) -> Contacts | None:
+    """The contacts of a system as programs, for the integrator; None for a system without."""
     example = jax.eval_shape(structure.system, jax.ShapeDtypeStruct((_n_numbers(structure),), jnp.float64))
+    if not example.contact_joints:
+        return None
     layout, n_contacts = example.layout, len(example.contact_joints)
     crossing = program_for(crossings, structure, scalar)
     slopes = program_for(onset_slopes, structure, scalar)
