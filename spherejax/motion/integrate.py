@@ -39,7 +39,7 @@ class Plan:
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
         """All numbers of the system, from those that are traced and those that are known."""
-        # Picked from both, not scattered: XLA:CPU (jax 0.10) fails to compile the derivative of a scatter that it fuses.
+        # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
         source = np.arange(known.shape[0])
         source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
         return jnp.concatenate([known, values])[source]
