@@ -1,11 +1,13 @@
 """Derivatives of impacting motions: by every number, through many impacts, to 1e-6 at the default tolerance."""
 
 import bouncing
+import cases
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import reduction
 from bouncing import SCALE, VALUES
 
 import spherejax as sj
@@ -135,11 +137,15 @@ def _score(x, ts):
     return jnp.sum(planar_states(x, ts)[1:, :5] / SCALE)
 
 
-def test_reverse_equals_forward_and_vmap_equals_loop(jacobian_at, sample_times):
-    ts = jnp.asarray(sample_times)
+def test_reverse_equals_forward(jacobian_at, sample_times):
     _, slopes = jacobian_at(1e-8)
     forward = np.sum(slopes[:, :, :5] / SCALE[:, None], (0, 1, 2))
-    assert np.asarray(jax.grad(_score)(ZERO, ts)) == pytest.approx(forward, rel=1e-12)
+    assert np.asarray(jax.grad(_score)(ZERO, jnp.asarray(sample_times))) == pytest.approx(forward, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_vmap_of_a_gradient_equals_a_loop(sample_times):
+    ts = jnp.asarray(sample_times)
     lanes = 1e-3 * np.random.default_rng(0).standard_normal((2, len(VALUES)))
     batched = np.asarray(jax.vmap(jax.grad(_score), (0, None))(lanes, ts))
     looped = np.stack([jax.grad(_score)(lane, ts) for lane in lanes])
@@ -161,3 +167,72 @@ def test_explicit_methods_control_the_sensitivities():
     assert has_controlled_sensitivities(diffrax.Dopri8())
     assert not has_controlled_sensitivities(sj.Rodas5P())
     assert not has_controlled_sensitivities(diffrax.Kvaerno5())
+
+
+@pytest.mark.slow
+def test_a_four_bar_with_friction_by_every_number_of_the_joint():
+    """Through 11 impacts, against differences of the event-exact reduction, which are good to about 4e-7."""
+    values, h, t_end = {"clearance": 1e-4, "restitution": 0.9, "mu": 0.1}, 1e-4, 0.05
+
+    def rocker_z(x):
+        c, restitution, mu = (value * (1 + x[i]) for i, value in enumerate(values.values()))
+        normal, friction = sj.LankaraniNikravesh(restitution=restitution), sj.Threlfall(mu=mu, v1=1e-3)
+        scene = cases.exact_four_bar(sj.Dry(clearance=c, normal=normal, friction=friction))
+        return sj.simulate(scene, cases.times(t_end)).position("rocker")[-1, 2]
+
+    def reference(name, step):
+        joint = reduction.DryJoint(**{**values, name: values[name] * (1 + step)})
+        return reduction.dry_motion(t_end, joint, rtol=1e-13, atol=1e-17)[0]
+
+    found = jax.jacfwd(rocker_z)(jnp.zeros(len(values)))
+    for slope, name in zip(found, values, strict=True):
+        low2, low, high, high2 = (reference(name, k * h) for k in (-2, -1, 1, 2))
+        assert float(slope) == pytest.approx((low2 - 8 * low + 8 * high - high2) / (12 * h), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_bristles_begin_to_move_at_the_onset():
+    """Their sensitivities jump at an onset by their speed times the delay."""
+    ts, h, number = jnp.array([0.0, *AFTER.values()]), 1e-3, jnp.eye(len(VALUES))
+
+    def states(x, rtol):
+        return planar_states(x, ts, rtol, friction=lambda mu: sj.LuGre(mu_kinetic=mu, mu_static=1.5 * mu))
+
+    _, push = jax.linearize(lambda x: states(x, 1e-9), ZERO)
+    slopes = np.stack([push(e) for e in number], -1)[1:, :5]
+    plain = jax.jit(states)
+    columns = []
+    for e in number:
+        low2, low, high, high2 = (np.asarray(plain(k * h * e, 1e-12)) for k in (-2, -1, 1, 2))
+        columns.append((low2 - 8 * low + 8 * high - high2) / (12 * h))
+    expected = np.stack(columns, -1)[1:, :5]
+    for found, differences in zip(slopes, expected, strict=True):
+        assert relative(found, differences).max() < 1e-5
+
+
+@pytest.mark.slow
+def test_own_solver_and_controller_control_the_sensitivities_too(reference_slopes):
+    ts = jnp.array([0.0, *AFTER.values()])
+    size = sj.simulate(ball_scene(VALUES), ts[:1]).ys.shape[1]
+    controller = diffrax.PIDController(rtol=1e-8, atol=jnp.full(size, 1e-12), pcoeff=0.3, icoeff=0.4)
+    options = {"solver": diffrax.Tsit5(), "stepsize_controller": controller}
+    _, push = jax.linearize(lambda x: planar_states(x, ts, **options), ZERO)
+    slopes = np.stack([push(e) for e in jnp.eye(len(VALUES))], -1)[1:, :5]
+    for found, expected in zip(slopes, reference_slopes.states, strict=True):
+        assert relative(found, expected).max() < 1e-6
+
+
+@pytest.mark.slow
+def test_a_derivative_that_was_not_reached_is_not_zero(sample_times):
+    """The sensitivities need shorter steps; where max_steps ends them early the derivative is NaN, not wrong."""
+    ts = jnp.array([0.0, *AFTER.values()])
+    n_steps = int(sj.simulate(ball_scene(VALUES), ts, atol=1e-12).stats.n_steps)
+    states, slope = jax.jvp(lambda x: planar_states(x, ts, max_steps=n_steps + 5), (ZERO,), (jnp.ones_like(ZERO),))
+    assert np.isfinite(states).all()
+    assert np.isfinite(slope[0]).all()
+    assert np.isnan(slope[-1]).all()
+    # A sample that the run itself did not reach is NaN and constant.
+    with pytest.warns(sj.SimulationWarning):
+        states, slope = jax.jvp(lambda x: planar_states(x, ts, max_steps=20), (ZERO,), (jnp.ones_like(ZERO),))
+    assert np.isnan(states[-1]).all()
+    assert not np.any(slope[-1])

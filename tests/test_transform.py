@@ -71,8 +71,8 @@ FAMILIES = {
     "ideal": Family(
         four_bar, {"mass": 0.1416, "inertia": 1.0, "length": 0.020, "gravity": 9.81}, 0.05, 1e-10, 1e-6, 1e-5
     ),
-    "dry": Family(dry, {"c": 1e-4, "radius": 0.010, "c_r": 0.9, **STEEL}, 0.02, 1e-11, 3e-3, 1e-6),
-    "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 3e-3, 1e-6),
+    "dry": Family(dry, {"c": 1e-4, "radius": 0.010, "c_r": 0.9, **STEEL}, 0.02, 1e-11, 1e-7, 1e-6),
+    "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 1e-7, 1e-6),
     "lubricated": Family(
         lubricated,
         {"c": 1e-4, "radius": 0.010, "viscosity": 0.4, "e_h0": 1e-6, "e_h1": 2e-6},

@@ -34,7 +34,7 @@ class Contacts(NamedTuple):
 
     crossings: Callable
     update: Callable
-    onset_entries: tuple[int | tuple[int, int], ...]
+    onset_entries: tuple[Any, ...]
 
     def is_touching(self, y: Float[Array, " size"]) -> Bool[Array, " n_contacts"]:
         """Which contacts are in contact mode."""
