@@ -165,7 +165,7 @@ def _check_tolerances(rtol, atol) -> None:
 
 
 def _reported(run: Trajectory, throw: bool) -> Trajectory:
-    if not is_concrete(run.status):
+    if not (is_concrete(run.status) and is_concrete(run.t_reached)):
         if throw:
             return eqx.error_if(
                 run, run.status != Status.SUCCEEDED, "a simulation did not reach its end; see Trajectory.status"
