@@ -65,14 +65,14 @@ def lubricated(c, radius, viscosity, e_h0, e_h1):
 
 
 STEEL = {"modulus": 207e9, "poisson": 0.3}
-# Behind an onset the sensitivity grows like the root of time, which no tolerance on the motion controls: derivatives
-# of impacting motions are good to about 1e-3 at rtol = 1e-11.
+# The agreement is that of the differences, which rounding and curvature spoil for numbers with little effect;
+# `test_sensitivities.py` measures the derivatives of impacting motions against a better reference.
 FAMILIES = {
     "ideal": Family(
         four_bar, {"mass": 0.1416, "inertia": 1.0, "length": 0.020, "gravity": 9.81}, 0.05, 1e-10, 1e-6, 1e-5
     ),
     "dry": Family(dry, {"c": 1e-4, "radius": 0.010, "c_r": 0.9, **STEEL}, 0.02, 1e-11, 3e-3, 1e-6),
-    "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 3e-3, 1e-6),
+    "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 2e-4, 1e-6),
     "lubricated": Family(
         lubricated,
         {"c": 1e-4, "radius": 0.010, "viscosity": 0.4, "e_h0": 1e-6, "e_h1": 2e-6},

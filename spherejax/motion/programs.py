@@ -35,9 +35,7 @@ class Program:
         scalar: the scalar program, or None on the array path.
     """
 
-    def __init__(
-        self, function: SystemFunction, structure: Structure, use_scalars: bool, y_size: Sizes, n_ahead: int
-    ):
+    def __init__(self, function: SystemFunction, structure: Structure, use_scalars: bool, y_size: Sizes, n_ahead: int):
         self.function = function
         self.structure = structure
         self.scalar: ScalarProgram | None = None

@@ -12,8 +12,8 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.assembly import assemble_now
 from spherejax.motion.dynamics import state_rate
+from spherejax.motion.integrate import as_ideal, initial_state
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import as_ideal, initial_state
 from spherejax.physics.joints import AbstractSphericalModel, Ideal, Spherical
 
 _REPEATS = 5

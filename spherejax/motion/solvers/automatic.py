@@ -94,7 +94,9 @@ def _rates_now(structure: Structure, numbers: bytes) -> np.ndarray:
     theta = np.frombuffer(numbers)
     system = structure.system(theta)
     described = [
-        np.concatenate([np.concatenate([np.asarray(b.position), np.asarray(b.quaternion)]) for b in system.bodies.values()]),
+        np.concatenate(
+            [np.concatenate([np.asarray(b.position), np.asarray(b.quaternion)]) for b in system.bodies.values()]
+        ),
         np.zeros(system.layout.size - system.layout.n_position),
     ]
     found = program_for(joint_actions, structure).compute(theta, 0.0, np.concatenate(described))

@@ -31,12 +31,12 @@ class Contacts(NamedTuple):
     Attributes:
         crossings: values and rates of the crossing functions, each of shape (n_contacts,).
         update: the flat state at the end of a step with its memory updated; takes (parameters, t, y_start, y_end).
-        onset_entries: index in the flat state of each contact's onset rate, which is zero in flight (static).
+        onset_entries: index in the state of each contact's onset rate, which is zero in flight (static).
     """
 
     crossings: Callable
     update: Callable
-    onset_entries: tuple[int, ...]
+    onset_entries: tuple[Any, ...]
 
     def is_touching(self, y: Float[Array, " size"]) -> Bool[Array, " n_contacts"]:
         """Which contacts are in contact mode."""

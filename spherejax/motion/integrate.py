@@ -1,0 +1,251 @@
+"""Integrate a compiled system: assemble the start, run diffrax, gather the outcome."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.types import Flag
+from spherejax.model.drift import NoDriftControl
+from spherejax.model.system import Structure, System, flatten_system
+from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble
+from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
+from spherejax.motion.dynamics import state_rate
+from spherejax.motion.implicit import with_structure
+from spherejax.motion.programs import program_for
+from spherejax.motion.projection import correction_of
+from spherejax.motion.solvers.correcting import CorrectingSolver
+from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
+from spherejax.motion.status import Status, status_of
+from spherejax.motion.trajectory import Statistics
+from spherejax.physics.joints import Ideal, PlacedSpherical
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is compiled for (static).
+
+    Attributes:
+        structure: structure of the system.
+        unknown: indices in theta of the numbers that are traced by the caller.
+        scalar: whether to run on the scalar program.
+    """
+
+    structure: Structure
+    unknown: tuple[int, ...]
+    scalar: bool
+
+    def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
+        """All numbers of the system, from those that are traced and those that are known."""
+        # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
+        source = np.arange(known.shape[0])
+        source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
+        return jnp.concatenate([known, values])[source]
+
+
+class Options(eqx.Module):
+    """How to integrate.
+
+    Attributes:
+        solver: diffrax solver.
+        controller: diffrax step-size controller.
+        adjoint: diffrax adjoint.
+        max_steps: largest number of steps.
+    """
+
+    solver: diffrax.AbstractSolver
+    controller: diffrax.AbstractAdaptiveStepSizeController
+    adjoint: diffrax.AbstractAdjoint
+    max_steps: int = eqx.field(static=True)
+
+
+class Parameters(NamedTuple):
+    """What the right-hand side is given besides time and state (diffrax's `args`).
+
+    Attributes:
+        theta: all numbers of the system.
+        ahead: what follows from them alone, evaluated once before the integration.
+    """
+
+    theta: Float[Array, " p"]
+    ahead: tuple[Array, ...]
+
+
+class Outcome(eqx.Module):
+    """What an integration returns.
+
+    Attributes:
+        ys: flat states at the sample times.
+        t_reached: time reached [s].
+        status: integer of `Status`.
+        stats: counts.
+        assembly: how the start was made consistent.
+    """
+
+    ys: Float[Array, "n size"]
+    t_reached: Float[Array, ""]
+    status: Array
+    stats: Statistics
+    assembly: Assembly
+
+
+@eqx.filter_jit
+def integrate(
+    plan: Plan,
+    options: Options,
+    values: Float[Array, " n_unknown"],
+    known: Float[Array, " p"],
+    ts: Float[Array, " n"],
+    start: Assembly | None,
+    values_are_legal: Flag,
+) -> Outcome:
+    """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
+    theta = plan.theta(values, known)
+    assembly, y0 = beginning(plan, theta, start)
+    is_closed = assembly.residual_after < CLOSING_TOLERANCE
+    may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
+    # A lane that cannot run must not hold up the others: it gets an interval of length zero.
+    t1 = jnp.where(may_run, ts[-1], ts[0])
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    contacts = contacts_of(plan.structure, plan.scalar)
+    correct = correction_for(plan)
+    solver = with_structure(options.solver, plan.structure) if plan.scalar else options.solver
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
+        wrapped(solver, correct, contacts),
+        t0=ts[0],
+        t1=t1,
+        dt0=None,
+        y0=y0,
+        args=Parameters(theta, rate.ahead(theta)),
+        saveat=diffrax.SaveAt(
+            subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
+        ),
+        stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
+        adjoint=options.adjoint,
+        max_steps=options.max_steps,
+        throw=False,
+    )
+    status = status_of(solution.result, values_are_legal, is_closed)
+    sampled: Any = solution.ys
+    times: Any = solution.ts
+    reached = times[1][0]
+    is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
+    ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
+    return Outcome(ys, reached, status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def correction_for(plan: Plan) -> Callable | None:
+    """The drift control's correction of a state, a function of (parameters, t, y); None where it corrects nothing."""
+    n_corrections = example_of(plan.structure).drift.n_corrections
+    return correction_of(plan.structure, plan.scalar, n_corrections) if n_corrections else None
+
+
+def wrapped(solver: diffrax.AbstractSolver, correct: Callable | None, contacts: Contacts | None):
+    """The solver with what happens at the end of each step: the drift control's correction, then contact events."""
+    solver = solver if correct is None else CorrectingSolver(solver, correct)
+    return solver if contacts is None else MemorySolver(solver, contacts)
+
+
+def samples(ts: Float[Array, " n"], correct: Callable | None) -> diffrax.SubSaveAt:
+    """The states at the sample times; they lie within steps, and are corrected like their ends."""
+    if correct is None:
+        return diffrax.SubSaveAt(ts=ts)
+    return diffrax.SubSaveAt(ts=ts, fn=lambda t, y, args: correct(args, t, y))
+
+
+def beginning(plan: Plan, theta: Float[Array, " p"], start: Assembly | None) -> tuple[Assembly, Float[Array, " size"]]:
+    """The consistent start, assembled unless it is given, and the flat state there."""
+    system = plan.structure.system(theta)
+    assembly = assemble(*flatten_system(as_ideal(system))) if start is None else start
+    return assembly, initial_state(system, assembly)
+
+
+@lru_cache(maxsize=64)
+def contacts_of(structure: Structure, scalar: bool) -> Contacts | None:
+    """The contacts of a system as programs, for the integrator; None for a system without."""
+    example = example_of(structure)
+    if not example.contact_joints:
+        return None
+    layout, n_contacts = example.layout, len(example.contact_joints)
+    crossing = program_for(crossings, structure, scalar)
+    slopes = program_for(onset_slopes, structure, scalar)
+    update = program_for(memory_after_step, structure, scalar, 2 * layout.size + n_contacts)
+
+    @jax.custom_jvp
+    def memory(theta, t, y_start, y_end):
+        return update(theta, t, jnp.concatenate([y_start, y_end, jnp.zeros(n_contacts)]))
+
+    @memory.defjvp
+    def memory_jvp(primals, tangents):
+        slope = jax.lax.stop_gradient(slopes(primals[0], primals[1], primals[3]))
+
+        def with_slope(theta, t, y_start, y_end):
+            return update(theta, t, jnp.concatenate([y_start, y_end, slope]))
+
+        return memory(*primals), jax.jvp(with_slope, primals, tangents)[1]
+
+    def crossing_at(args, t, y):
+        return crossing(args.theta, t, y)
+
+    def updated(args, t, y_start, y_end):
+        now = memory(args.theta, jnp.asarray(t, jnp.float64), y_start, y_end)
+        return jnp.concatenate([y_end[: layout.memory_start], now, y_end[layout.work_start :]])
+
+    slots = {slot.joint: slot for slot in example.memory_slots}
+    entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
+    return Contacts(crossing_at, updated, entries)
+
+
+def example_of(structure: Structure) -> System:
+    """A system of the structure, with shapes for numbers."""
+    n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
+    return jax.eval_shape(structure.system, jax.ShapeDtypeStruct((n_numbers,), jnp.float64))
+
+
+def as_ideal(system: System) -> System:
+    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
+    joints = {
+        name: eqx.tree_at(lambda j: j.model, joint, Ideal())
+        if isinstance(joint, PlacedSpherical) and joint.starts_concentric
+        else joint
+        for name, joint in system.joints.items()
+        if not isinstance(joint, PlacedSpherical) or joint.starts_concentric or joint.model.is_ideal
+    }
+    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
+
+
+def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
+    """The flat state at the start: the assembled motion, the contacts' memory, and no work."""
+    layout = system.layout
+    without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
+    memory = initial_memory(system, without_memory)
+    return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])
+
+
+def _statistics(solution: diffrax.Solution, solver, contacts: Contacts | None) -> Statistics:
+    n_steps = solution.stats["num_steps"]
+    n_onsets = jnp.zeros(0, jnp.int64) if contacts is None else count_of(solution.solver_state)
+    return Statistics(
+        n_steps,
+        solution.stats["num_accepted_steps"],
+        solution.stats["num_rejected_steps"],
+        n_steps * stages_of(solver),
+        n_onsets,
+    )
+
+
+def stages_of(solver: diffrax.AbstractSolver) -> int:
+    """Evaluations of the right-hand side in a step (an FSAL method counts its shared one once)."""
+    tableau = getattr(solver, "tableau", None)
+    if tableau is None:
+        return 1
+    n_stages = getattr(tableau, "num_stages", None) or getattr(tableau, "n_stages", 1)
+    return n_stages - 1 if getattr(tableau, "fsal", False) else n_stages

@@ -1,0 +1,237 @@
+"""Derivatives of impacting motions: by every number, through many impacts, to 1e-6 at the default tolerance."""
+
+import bouncing
+import cases
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reduction
+from bouncing import SCALE, VALUES
+
+import spherejax as sj
+from spherejax.motion.sensitivities import has_controlled_sensitivities
+
+IMPACTS = (1, 2, 10)
+AFTER = {1: 0.0040, 2: 0.0085, 10: 0.0600}
+"""Times in flight after so many impacts [s]; no onset or release is near."""
+CONTACT_SAMPLE = 3e-5  # [s] after an onset: in the middle of a contact
+
+
+def ball_scene(values, offset=bouncing.OFFSET, friction=None) -> sj.Scene:
+    c, restitution, modulus, mass, speed, radius, mu = values
+    steel = sj.Material(modulus, bouncing.POISSON)
+    model = sj.Dry(
+        clearance=c,
+        socket_radius=radius,
+        normal=sj.LankaraniNikravesh(restitution=restitution),
+        friction=sj.Threlfall(mu=mu, v1=bouncing.V1) if friction is None else friction(mu),
+        ball_material=steel,
+        socket_material=steel,
+    )
+    ball = sj.Body(
+        mass,
+        (bouncing.INERTIA,) * 3,
+        position=(0.0, offset, 0.0),
+        velocity=speed * jnp.array([1.0, 0.0, 0.0]),
+        points={"center": (0.0, 0.0, 0.0)},
+    )
+    return sj.Scene(
+        {"ball": ball},
+        {"joint": sj.Spherical("ground.socket", "ball.center", model, starts_concentric=False)},
+        gravity=(0.0, 0.0, 0.0),
+        ground_points={"socket": (0.0, 0.0, 0.0)},
+    )
+
+
+def planar_states(x, ts, rtol=1e-8, **options):
+    """(x, y, x_rate, y_rate, spin, onset rate) at the sample times, for the numbers `VALUES` (1 + x)."""
+    scene = {name: options.pop(name) for name in ("offset", "friction") if name in options}
+    run = sj.simulate(ball_scene(VALUES * (1 + x), **scene), ts, rtol=rtol, atol=rtol * 1e-4, **options)
+    plane = run.position("ball")[:, :2], run.velocity("ball")[:, :2], run.angular_velocity("ball")[:, 2:]
+    return jnp.concatenate([*plane, run.state.memory[:, :1]], 1)
+
+
+ZERO = jnp.zeros(len(VALUES))
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return bouncing.bounces(VALUES, list(AFTER.values()))
+
+
+@pytest.fixture(scope="module")
+def reference_slopes():
+    return bouncing.slopes(list(AFTER.values()), 3e-4)
+
+
+@pytest.fixture(scope="module")
+def sample_times(reference):
+    """For each of `IMPACTS`: its onset, an instant in the contact, and one in the flight behind it; 0 in front."""
+    onsets = reference.onset_times[np.array(IMPACTS) - 1]
+    return np.concatenate([[0.0], np.stack([onsets, onsets + CONTACT_SAMPLE, list(AFTER.values())], 1).ravel()])
+
+
+@pytest.fixture(scope="module")
+def jacobian_at(sample_times):
+    """States and their derivatives, shapes (impacts, instants, 6) and (impacts, instants, 6, numbers), at a tolerance.
+
+    Not under `jax.jit`: the tests then share the compiled parts.
+    """
+
+    def at(rtol):
+        states, push = jax.linearize(lambda x: planar_states(x, jnp.asarray(sample_times), rtol), ZERO)
+        slopes = np.stack([push(e) for e in jnp.eye(len(VALUES))], -1)
+        shape = (len(IMPACTS), 3, 6)
+        return np.asarray(states)[1:].reshape(shape), slopes[1:].reshape(*shape, -1)
+
+    return at
+
+
+def relative(found, expected):
+    """Largest error by number, relative to the number's largest effect; states are measured by `SCALE`."""
+    scale = SCALE[:, None]
+    return np.max(np.abs(found - expected) / scale, 0) / np.max(np.abs(expected) / scale, 0)
+
+
+def test_the_reference_knows_its_derivatives(reference, reference_slopes):
+    assert len(reference.onset_times) == 10
+    coarse = bouncing.slopes(list(AFTER.values()), 1e-3)
+    for i in range(len(IMPACTS)):
+        assert relative(coarse.states[i], reference_slopes.states[i]).max() < 2e-7
+    assert coarse.onset_times == pytest.approx(reference_slopes.onset_times, abs=2e-7 * 0.06)
+    assert coarse.onset_rates == pytest.approx(reference_slopes.onset_rates, abs=2e-7 * 0.05)
+
+
+@pytest.mark.parametrize(("rtol", "agreement"), [(1e-6, 1e-4), (1e-8, 1e-6), (1e-11, 2e-7)])
+def test_states_by_every_number(jacobian_at, reference_slopes, rtol, agreement):
+    _, slopes = jacobian_at(rtol)
+    errors = {n: relative(slopes[i, 2, :5], reference_slopes.states[i]).max() for i, n in enumerate(IMPACTS)}
+    assert max(errors.values()) < agreement, errors
+
+
+def test_times_and_rates_of_impacts_by_every_number(jacobian_at, reference, reference_slopes):
+    states, slopes = jacobian_at(1e-8)
+    for i, n in enumerate(IMPACTS):
+        position, velocity, by = states[i, 0, :2], states[i, 0, 2:4], slopes[i, 0, :2]
+        normal = position / np.linalg.norm(position)
+        by_penetration = normal @ by - VALUES[0] * np.eye(len(VALUES))[0]
+        by_time = -by_penetration / (normal @ velocity)
+        expected = reference_slopes.onset_times[n - 1]
+        assert by_time == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+        # The onset rate is remembered during the contact.
+        assert states[i, 1, 5] == pytest.approx(reference.onset_rates[n - 1], rel=1e-7)
+        expected = reference_slopes.onset_rates[n - 1]
+        assert slopes[i, 1, 5] == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+
+
+def test_the_outcome_is_that_of_the_plain_run(jacobian_at, sample_times):
+    states, _ = jacobian_at(1e-8)
+    plain = jax.jit(planar_states, static_argnames="rtol")(ZERO, jnp.asarray(sample_times), 1e-8)
+    assert states.reshape(-1, 6) == pytest.approx(np.asarray(plain)[1:], rel=1e-9, abs=1e-13)
+
+
+def _score(x, ts):
+    """A number made of the states at all samples but the start."""
+    return jnp.sum(planar_states(x, ts)[1:, :5] / SCALE)
+
+
+def test_reverse_equals_forward(jacobian_at, sample_times):
+    _, slopes = jacobian_at(1e-8)
+    forward = np.sum(slopes[:, :, :5] / SCALE[:, None], (0, 1, 2))
+    assert np.asarray(jax.grad(_score)(ZERO, jnp.asarray(sample_times))) == pytest.approx(forward, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_vmap_of_a_gradient_equals_a_loop(sample_times):
+    ts = jnp.asarray(sample_times)
+    lanes = 1e-3 * np.random.default_rng(0).standard_normal((2, len(VALUES)))
+    batched = np.asarray(jax.vmap(jax.grad(_score), (0, None))(lanes, ts))
+    looped = np.stack([jax.grad(_score)(lane, ts) for lane in lanes])
+    assert np.ptp(looped, 0).max() > 1e-3
+    assert batched == pytest.approx(looped, abs=1e-7 * np.abs(looped).max())
+
+
+@pytest.mark.parametrize("gap", [1e-6, 1e-10, 1e-13, 0.0])
+def test_grazing_onset_has_finite_derivatives(gap, sample_times):
+    """The ball starts near the surface (gap / clearance) and flies along it: the onset is ever slower."""
+    states, push = jax.linearize(
+        lambda x: planar_states(x, jnp.asarray(sample_times), offset=VALUES[0] * (1 - gap)), ZERO
+    )
+    assert np.isfinite(states).all()
+    assert np.all([np.isfinite(push(e)).all() for e in jnp.eye(len(VALUES))])
+
+
+def test_explicit_methods_control_the_sensitivities():
+    assert has_controlled_sensitivities(diffrax.Dopri8())
+    assert not has_controlled_sensitivities(sj.Rodas5P())
+    assert not has_controlled_sensitivities(diffrax.Kvaerno5())
+
+
+@pytest.mark.slow
+def test_a_four_bar_with_friction_by_every_number_of_the_joint():
+    """Through 11 impacts, against differences of the event-exact reduction, which are good to about 4e-7."""
+    values, h, t_end = {"clearance": 1e-4, "restitution": 0.9, "mu": 0.1}, 1e-4, 0.05
+
+    def rocker_z(x):
+        c, restitution, mu = (value * (1 + x[i]) for i, value in enumerate(values.values()))
+        normal, friction = sj.LankaraniNikravesh(restitution=restitution), sj.Threlfall(mu=mu, v1=1e-3)
+        scene = cases.exact_four_bar(sj.Dry(clearance=c, normal=normal, friction=friction))
+        return sj.simulate(scene, cases.times(t_end)).position("rocker")[-1, 2]
+
+    def reference(name, step):
+        joint = reduction.DryJoint(**{**values, name: values[name] * (1 + step)})
+        return reduction.dry_motion(t_end, joint, rtol=1e-13, atol=1e-17)[0]
+
+    found = jax.jacfwd(rocker_z)(jnp.zeros(len(values)))
+    for slope, name in zip(found, values, strict=True):
+        low2, low, high, high2 = (reference(name, k * h) for k in (-2, -1, 1, 2))
+        assert float(slope) == pytest.approx((low2 - 8 * low + 8 * high - high2) / (12 * h), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_bristles_begin_to_move_at_the_onset():
+    """Their sensitivities jump at an onset by their speed times the delay."""
+    ts, h, number = jnp.array([0.0, *AFTER.values()]), 1e-3, jnp.eye(len(VALUES))
+
+    def states(x, rtol):
+        return planar_states(x, ts, rtol, friction=lambda mu: sj.LuGre(mu_kinetic=mu, mu_static=1.5 * mu))
+
+    _, push = jax.linearize(lambda x: states(x, 1e-9), ZERO)
+    slopes = np.stack([push(e) for e in number], -1)[1:, :5]
+    plain = jax.jit(states)
+    columns = []
+    for e in number:
+        low2, low, high, high2 = (np.asarray(plain(k * h * e, 1e-12)) for k in (-2, -1, 1, 2))
+        columns.append((low2 - 8 * low + 8 * high - high2) / (12 * h))
+    expected = np.stack(columns, -1)[1:, :5]
+    for found, differences in zip(slopes, expected, strict=True):
+        assert relative(found, differences).max() < 1e-5
+
+
+@pytest.mark.slow
+def test_own_solver_and_controller_control_the_sensitivities_too(reference_slopes):
+    ts = jnp.array([0.0, *AFTER.values()])
+    size = sj.simulate(ball_scene(VALUES), ts[:1]).ys.shape[1]
+    controller = diffrax.PIDController(rtol=1e-9, atol=jnp.full(size, 1e-13), pcoeff=0.3, icoeff=0.4)
+    options = {"solver": diffrax.Tsit5(), "stepsize_controller": controller}
+    _, push = jax.linearize(lambda x: planar_states(x, ts, **options), ZERO)
+    slopes = np.stack([push(e) for e in jnp.eye(len(VALUES))], -1)[1:, :5]
+    for found, expected in zip(slopes, reference_slopes.states, strict=True):
+        assert relative(found, expected).max() < 1e-6
+
+
+@pytest.mark.slow
+def test_a_derivative_that_was_not_reached_is_not_zero():
+    """The sensitivities need shorter steps; where max_steps ends them early the derivative is NaN, not wrong."""
+    ts = jnp.array([0.0, *AFTER.values()])
+    n_steps = int(sj.simulate(ball_scene(VALUES), ts, atol=1e-12).stats.n_steps)
+    states, slope = jax.jvp(lambda x: planar_states(x, ts, max_steps=n_steps + 5), (ZERO,), (jnp.ones_like(ZERO),))
+    assert np.isfinite(states).all()
+    assert np.isfinite(slope[0]).all()
+    assert np.isnan(slope[-1]).all()
+    # A sample that the run itself did not reach is NaN and constant.
+    states, slope = jax.jvp(lambda x: planar_states(x, ts, max_steps=20), (ZERO,), (jnp.ones_like(ZERO),))
+    assert np.isnan(states[-1]).all()
+    assert not np.any(slope[-1])
