@@ -16,6 +16,7 @@ from spherejax.foundations.types import Flag
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble
+from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
@@ -117,22 +118,23 @@ def integrate(
     contacts = contacts_of(plan.structure, plan.scalar)
     correct = correction_for(plan)
     solver = with_structure(options.solver, plan.structure) if plan.scalar else options.solver
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
-        wrapped(solver, correct, contacts),
-        t0=ts[0],
-        t1=t1,
-        dt0=None,
-        y0=y0,
-        args=Parameters(theta, rate.ahead(theta)),
-        saveat=diffrax.SaveAt(
-            subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
-        ),
-        stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
-        adjoint=options.adjoint,
-        max_steps=options.max_steps,
-        throw=False,
-    )
+    with without_host_checks():
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
+            wrapped(solver, correct, contacts),
+            t0=ts[0],
+            t1=t1,
+            dt0=None,
+            y0=y0,
+            args=Parameters(theta, rate.ahead(theta)),
+            saveat=diffrax.SaveAt(
+                subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
+            ),
+            stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
+            adjoint=options.adjoint,
+            max_steps=options.max_steps,
+            throw=False,
+        )
     status = status_of(solution.result, values_are_legal, is_closed)
     sampled: Any = solution.ys
     times: Any = solution.ts

@@ -8,7 +8,8 @@ Rosenbrock method asks for k with (I - gamma h J) k = rhs. Accelerations and mul
 vanish, so J follows from the derivatives of r and s at frozen a and lambda. With z = (I - gamma h T_q)^-1 rhs_q,
 k_q = z + H k_v and H = gamma h (I - gamma h T_q)^-1 T, the velocities solve the saddle-point system
 
-    [M + gamma h (r_v + r_q H), D^T; D + gamma h (s_v + s_q H), 0]{k_v; mu} = {M rhs_v - gamma h r_q z; D rhs_v - gamma h s_q z}
+    [M + gamma h (r_v + r_q H), D^T; D + gamma h (s_v + s_q H), 0]{k_v; mu}
+        = {M rhs_v - gamma h r_q z; D rhs_v - gamma h s_q z}
 
 to which memory and work add rows of their own. It is sparse where the mechanism is, and eliminated as a scalar
 program without exchanging rows: M dominates what is not dissipative or elastic.

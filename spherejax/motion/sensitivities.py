@@ -30,6 +30,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
+from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import GRAZING_RATE
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.integrate import (
@@ -136,20 +137,21 @@ def _controlled_slopes(
     t1 = jnp.where(may_run, ts[-1], ts[0])
     contacts = None if contacts is None else _with_rows(contacts, rate)
     correct = _correcting_rows(correction_for(plan))
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, rows, args: _rows_rate(rate, args, t, rows)),
-        wrapped(options.solver, correct, contacts),
-        t0=ts[0],
-        t1=t1,
-        dt0=None,
-        y0=jnp.concatenate([y0[None], Y0]),
-        args=_linearized(parameters_of, values, scale),
-        saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
-        stepsize_controller=LandingController(_judging_rows(options.controller), contacts),  # pyright: ignore[reportCallIssue]
-        adjoint=options.adjoint,
-        max_steps=options.max_steps,
-        throw=False,
-    )
+    with without_host_checks():
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, rows, args: _rows_rate(rate, args, t, rows)),
+            wrapped(options.solver, correct, contacts),
+            t0=ts[0],
+            t1=t1,
+            dt0=None,
+            y0=jnp.concatenate([y0[None], Y0]),
+            args=_linearized(parameters_of, values, scale),
+            saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
+            stepsize_controller=LandingController(_judging_rows(options.controller), contacts),  # pyright: ignore[reportCallIssue]
+            adjoint=options.adjoint,
+            max_steps=options.max_steps,
+            throw=False,
+        )
     sampled: Any = solution.ys
     times: Any = solution.ts
     ys = jnp.where((ts <= times[1][0])[:, None, None], sampled[0][:, 1:], jnp.nan)

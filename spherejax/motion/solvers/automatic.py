@@ -93,13 +93,10 @@ def _may_be_stiff(joint) -> bool:
 def _rates_now(structure: Structure, numbers: bytes) -> np.ndarray:
     theta = np.frombuffer(numbers)
     system = structure.system(theta)
-    described = [
-        np.concatenate(
-            [np.concatenate([np.asarray(b.position), np.asarray(b.quaternion)]) for b in system.bodies.values()]
-        ),
-        np.zeros(system.layout.size - system.layout.n_position),
-    ]
-    found = program_for(joint_actions, structure).compute(theta, 0.0, np.concatenate(described))
+    places = [[*np.asarray(body.position), *np.asarray(body.quaternion)] for body in system.bodies.values()]
+    y = np.zeros(system.layout.size)
+    y[: system.layout.n_position] = np.concatenate(places)
+    found = program_for(joint_actions, structure).compute(theta, 0.0, y)
     decay, frequency = (np.max(np.abs(np.linalg.eigvals(matrices)), axis=1) for matrices in found)
     return np.nan_to_num(np.maximum(decay, np.sqrt(frequency)), nan=np.inf)
 
@@ -126,7 +123,9 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
         distance = USUAL_ECCENTRICITY_RATIO * getattr(joint.model, "clearance", SMALL_DEFLECTION)
         place = distance * (separation + SMALLEST * jnp.ones(3)) / (safe_norm(separation) + SMALLEST)
 
-        def force(e, rate, joint=joint, motion=motion, memory=state.memory[system.memory_of(name)]):
+        memory = state.memory[system.memory_of(name)]
+
+        def force(e, rate, joint=joint, motion=motion, memory=memory):
             return joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory).force
 
         stiffness, damping = jax.jacfwd(force, (0, 1))(place, jnp.zeros(3))
