@@ -39,7 +39,7 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", os.fspath(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     flags = os.environ.get("XLA_FLAGS", "")
     missing = [option for option in _LOOP_OPTIONS if option.split("=")[0] not in flags]
     if not missing:

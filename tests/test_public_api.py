@@ -77,7 +77,7 @@ def test_trajectory_offers(name):
 def test_statistics_offer(name):
     from spherejax.motion.trajectory import Statistics
 
-    assert name in Statistics._fields
+    assert name in Statistics.__dataclass_fields__
 
 
 @pytest.mark.parametrize(

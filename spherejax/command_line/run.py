@@ -44,7 +44,7 @@ def add_run(commands) -> None:
     sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001)")
     sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
     times.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
-    times.add_argument("--atol", type=float, default=1e-10, help="absolute tolerance of a step (default: 1e-10)")
+    times.add_argument("--atol", type=float, help="absolute tolerance of a step, one number (default: by the scene)")
     times.add_argument(
         "--max-steps", type=int, default=20_000_000, metavar="N", help="give up beyond (default: 20000000)"
     )

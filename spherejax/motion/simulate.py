@@ -1,6 +1,7 @@
 """Simulate a scene: the adapter between the equations of motion and diffrax."""
 
 import warnings
+from dataclasses import replace
 
 import diffrax
 import equinox as eqx
@@ -18,6 +19,7 @@ from spherejax.motion.integrate import Options, Plan, as_ideal, integrate
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
+from spherejax.motion.tolerances import Tolerances, component_tolerances
 from spherejax.motion.trajectory import Trajectory
 from spherejax.runtime import require_float64
 
@@ -30,7 +32,7 @@ def simulate(
     ts: Float[Array, " n"],
     *,
     rtol: float = 1e-8,
-    atol: float = 1e-10,
+    atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
@@ -47,7 +49,9 @@ def simulate(
 
     Other args:
         rtol: relative tolerance of a step.
-        atol: absolute tolerance of a step, in the units of the state (m, m/s, rad/s, 1).
+        atol: absolute tolerance of a step, one number for all entries of the state (m, m/s, rad/s, 1). With None each
+            kind of entry has its own, by the scales of the scene, and positions are judged against the clearance; see
+            `spherejax.motion.tolerances`. `run.stats.explanation` says what was used.
         solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why).
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
             are landed on whichever controller judges the errors.
@@ -83,7 +87,13 @@ def simulate(
         Choice(solver, f"{type(solver).__name__}: as asked for") if solver is not None else choose_solver(system, rtol)
     )
     if stepsize_controller is None:
-        stepsize_controller = diffrax.PIDController(rtol=jnp.asarray(rtol), atol=jnp.asarray(atol))
+        tolerances = _tolerances(system, choice.solver, rtol, atol)
+        stepsize_controller = diffrax.PIDController(
+            rtol=jnp.asarray(tolerances.rtol), atol=jnp.asarray(tolerances.atol)
+        )
+        explanation = f"{choice.reason}; {tolerances.description}; first step by trial (Hairer)"
+    else:
+        explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
     structure, theta = flatten_system(system)
     start = _start_now(system)
     known, unknown = _split(system)
@@ -109,7 +119,7 @@ def simulate(
         ts=ts,
         ys=outcome.ys,
         system=system,
-        stats=outcome.stats,
+        stats=replace(outcome.stats, explanation=explanation),
         status=outcome.status,
         t_reached=outcome.t_reached,
         assembly=outcome.assembly if start is None else start,
@@ -163,8 +173,17 @@ def _check_tolerances(rtol, atol) -> None:
             f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
             f"{SMALLEST_TOLERANCE:.0e}"
         )
-    if is_concrete(atol) and not float(atol) > 0:
+    if atol is not None and is_concrete(atol) and not float(atol) > 0:
         raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
+
+
+def _tolerances(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
+    if atol is not None:
+        return Tolerances(rtol, atol, "tolerances as asked for")
+    if isinstance(solver, diffrax.AbstractImplicitSolver):
+        # Their root finders take their tolerances from the controller, as numbers.
+        return Tolerances(rtol, 1e-2 * rtol, "atol 1e-2 rtol in all units")
+    return component_tolerances(system, rtol)
 
 
 def _reported(run: Trajectory, throw: bool) -> Trajectory:

@@ -1,7 +1,7 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Statistics(NamedTuple):
+class Statistics(eqx.Module):
     """What a run cost.
 
     Attributes:
@@ -33,6 +33,7 @@ class Statistics(NamedTuple):
         n_rejected: steps repeated, for their error or to land on a contact onset or release.
         n_evaluations: evaluations of the right-hand side; for an implicit method without its Newton iterations.
         n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
+        explanation: which method and which tolerances were used, and why (static).
     """
 
     n_steps: Int[Array, ""]
@@ -40,6 +41,7 @@ class Statistics(NamedTuple):
     n_rejected: Int[Array, ""]
     n_evaluations: Int[Array, ""]
     n_onsets: Int[Array, " n_contacts"]
+    explanation: str = eqx.field(static=True, default="")
 
 
 class Trajectory(eqx.Module):

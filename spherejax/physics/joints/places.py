@@ -110,6 +110,11 @@ class PlacedSpherical(AbstractPlacedJoint):
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
 
+    @property
+    def points(self):
+        """The centers of socket and ball, on their bodies."""
+        return self.socket_place, self.ball_place
+
     def constraint_rows(self, motions):
         """Three equations for an ideal joint, none for the others."""
         return self.coincidence(motions) if self.model.is_ideal else None
@@ -206,6 +211,11 @@ class PlacedRevolute(AbstractPlacedJoint):
     places: tuple[Numeric, Numeric]
     perpendiculars: tuple[Numeric, Numeric]
     axis: Numeric
+
+    @property
+    def points(self):
+        """The joint's point on each body."""
+        return self.places
 
     def constraint_rows(self, motions):
         """The points coincide and the axis stays perpendicular to two directions."""

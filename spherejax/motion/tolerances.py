@@ -1,0 +1,95 @@
+"""Tolerances per component: what counts as an error in a position, a velocity, a memory, in the scales of the scene.
+
+One relative and one absolute tolerance treat an eccentricity of 1e-7 m like the positions of 0.1 m that it is the
+difference of. Here each kind of component has a scale of its own, and positions of a scene with clearances are judged
+against the clearance.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.types import Number
+from spherejax.model.system import System
+
+ABSOLUTE_SHARE = 1e-2
+"""Absolute tolerance of a component as a share of the relative one times its scale."""
+
+CLEARANCES = 1e4
+"""Positions are judged as if they were at most this many clearances."""
+
+SMALLEST_LENGTH = 1e-3
+"""Scale [m] of a scene that shows no length of its own."""
+
+
+class Tolerances(NamedTuple):
+    """Tolerances of each entry of the flat state, for `diffrax.PIDController`.
+
+    Attributes:
+        rtol: relative, shape (size,) or a number.
+        atol: absolute, in the units of the entry, shape (size,) or a number.
+        description: in words.
+    """
+
+    rtol: Any
+    atol: Any
+    description: str
+
+
+def component_tolerances(system: System, rtol: Number) -> Tolerances:
+    """Tolerances by the scales of a scene.
+
+    With the length L (the farthest position or joint place), the speed V = (g L)^(1/2) + the largest initial speeds,
+    and the energy m V^2 (m: all masses):
+
+        positions    rtol min(1, 1e4 c / L) relative, 1e-2 of that times L absolute; c is the smallest clearance
+        quaternions  rtol, 1e-2 rtol
+        velocities   rtol, 1e-2 rtol V;  angular velocities  rtol, 1e-2 rtol V / L
+        memory       as velocities;  work  rtol, 1e-2 rtol m V^2
+    """
+    length, speed, clearance = _scales(system)
+    xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance)) else jnp
+    fine = xp.minimum(1.0, CLEARANCES * clearance / length)
+    energy = sum(body.mass for body in system.bodies.values()) * speed * speed
+    relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
+    scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, speed, energy)
+    text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"
+    if xp is np:
+        text += (
+            f" (positions {rtol * float(fine):.0e}), atol {ABSOLUTE_SHARE * rtol * float(fine * length):.0e} m, "
+            f"{ABSOLUTE_SHARE * rtol * float(speed):.0e} m/s, {ABSOLUTE_SHARE * rtol * float(speed / length):.0e} rad/s"
+        )
+    return Tolerances(rtol * relative, ABSOLUTE_SHARE * rtol * scales, text)
+
+
+def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
+    """The flat vector with one number for each kind of component."""
+    layout = system.layout
+    n = layout.n_bodies
+    q = xp.concatenate([position * xp.ones((n, 3)), quaternion * xp.ones((n, 4))], 1).ravel()
+    v = xp.concatenate([velocity * xp.ones((n, 3)), angular_velocity * xp.ones((n, 3))], 1).ravel()
+    return xp.concatenate([q, v, memory * xp.ones(layout.n_memory), work * xp.ones(layout.n_work)])
+
+
+def _scales(system: System):
+    """Length [m], speed [m/s] and smallest clearance [m] of a scene; the clearance is infinite where there is none."""
+    joints = list(system.joints.values())
+    places = [place for joint in joints for place in joint.points]
+    vectors = [body.position for body in system.bodies.values()] + places
+    velocities = [body.velocity for body in system.bodies.values()]
+    spins = [body.angular_velocity for body in system.bodies.values()]
+    clearances = [joint.model.clearance for joint in joints if hasattr(getattr(joint, "model", None), "clearance")]
+    known = all(is_concrete(value) for value in [*vectors, *velocities, *spins, *clearances, system.gravity])
+    xp: Any = np if known else jnp
+
+    def largest(vectors):
+        return xp.max(xp.stack([xp.sqrt(xp.sum(xp.asarray(v) ** 2)) for v in vectors]))
+
+    length = xp.maximum(largest(vectors), SMALLEST_LENGTH)
+    speed = xp.sqrt(largest([system.gravity]) * length) + largest(velocities) + largest(spins) * length
+    speed = xp.where(speed > 0, speed, 1.0)
+    clearance = xp.min(xp.stack([xp.asarray(c) for c in clearances])) if clearances else np.inf
+    return length, speed, clearance
