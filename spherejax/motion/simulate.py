@@ -131,8 +131,16 @@ class Plan:
     scalar: bool
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
-        """All numbers of the system, from those that are traced and those that are known."""
-        return known.at[np.array(self.unknown, int)].set(values) if self.unknown else known
+        """All numbers of the system, from those that are traced and those that are known.
+
+        A gather, not a scatter: XLA (jaxlib 0.10) aborts the process where it fuses a scatter of the values and one of
+        their tangents into one loop with two outputs, as it does for `jax.jit(jax.value_and_grad(...))`.
+        """
+        if not self.unknown:
+            return known
+        order = np.arange(known.shape[0])
+        order[np.array(self.unknown, int)] = known.shape[0] + np.arange(len(self.unknown))
+        return jnp.concatenate([known, values])[order]
 
 
 class Options(eqx.Module):
