@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
 
 
 class NotScalarizable(Exception):  # noqa: N818 - it says what it is
@@ -274,16 +275,19 @@ def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
 
 
 def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
-    """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution."""
+    """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution.
+
+    Redundant rows are left out as in `symmetric_solve`.
+    """
     size = len(matrix)
     order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
     s = [[int(matrix[max(i, j), min(i, j)]) for j in order] for i in order]
     x = [[int(node) for node in right_side[i]] for i in order]
-    one = graph.constant(1, FLOAT)
+    diagonal = [s[j][j] for j in range(size)]
     inverse_pivots = []
     factors: list[dict[int, int]] = []
     for j in range(size):
-        inverse_pivot = graph.div(one, s[j][j])
+        inverse_pivot = _inverse_pivot(graph, s[j][j], diagonal[j])
         below = {i: graph.mul(s[i][j], inverse_pivot) for i in range(j + 1, size) if not graph.is_value(s[i][j], 0)}
         for i in below:
             for k in below:
@@ -301,6 +305,16 @@ def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.n
     for position, row in enumerate(order):
         solution[row] = x[position]
     return solution
+
+
+def _inverse_pivot(graph: Graph, pivot: int, diagonal: int) -> int:
+    """1 / pivot, or 0 for a redundant row; the guarded divisor keeps derivatives finite."""
+    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
+    if pivot == diagonal:
+        return graph.div(one, pivot)
+    smallest = graph.mul(diagonal, graph.constant(REDUNDANT_PIVOT, FLOAT))
+    is_redundant = graph.apply(jax.lax.le_p, (pivot, smallest), BOOL, ())
+    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
 
 
 def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:
