@@ -1,4 +1,4 @@
-"""Small scenes whose numbers are traced, so that one compiled program serves many hard cases; and what all must obey."""
+"""Small scenes with traced numbers, so that one compiled program serves many hard cases; and what all must obey."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

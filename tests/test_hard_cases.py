@@ -234,6 +234,28 @@ def test_film_pressed_on_from_the_wall_finishes_or_is_diagnosed():
     assert found.t_reached > 1e-5
 
 
+FILM_SMOOTH = {
+    # Sinks from the center. Below rtol = 1e-10 the film's rate, 1e7 per second, turns rounding into rejected steps.
+    "from the center": (0.05, {"vx": 1e-3}, 1e-4),
+    "viscosity 1e-3": (2e-3, {"vx": 1e-3, "viscosity": 1e-3}, 1e-4),
+    "viscosity 10": (0.05, {"vx": 1e-3, "viscosity": 10.0}, 1e-4),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*FILM_SMOOTH, *FILM_CASES])
+def test_gradient_of_a_film(name):
+    names = ["clearance", "viscosity", "mass", "gravity", "vx"]
+    if name in FILM_CASES:
+        t_end, changes = FILM_CASES[name]
+        assert np.isfinite(hard.gradient(FILM, names, t_end, rtol=1e-8, **changes)).all()
+        return
+    t_end, changes, agreement = FILM_SMOOTH[name]
+    found = hard.gradient(FILM, names, t_end, **changes)
+    expected = hard.differences(FILM, names, t_end, rtol=1e-10, step=1e-4, **changes)
+    assert hard.disagreement(found, expected) < agreement
+
+
 # Bushing ------------------------------------------------------------------------------------------------------------
 
 
