@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
 
 
 class NotScalarizable(Exception):  # noqa: N818 - it says what it is
@@ -274,16 +275,19 @@ def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
 
 
 def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
-    """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution."""
+    """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution.
+
+    Redundant rows are left out as in `symmetric_solve`.
+    """
     size = len(matrix)
     order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
     s = [[int(matrix[max(i, j), min(i, j)]) for j in order] for i in order]
     x = [[int(node) for node in right_side[i]] for i in order]
-    one = graph.constant(1, FLOAT)
+    diagonal = [s[j][j] for j in range(size)]
     inverse_pivots = []
     factors: list[dict[int, int]] = []
     for j in range(size):
-        inverse_pivot = graph.div(one, s[j][j])
+        inverse_pivot = _inverse_pivot(graph, s[j][j], diagonal[j])
         below = {i: graph.mul(s[i][j], inverse_pivot) for i in range(j + 1, size) if not graph.is_value(s[i][j], 0)}
         for i in below:
             for k in below:
@@ -303,6 +307,16 @@ def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.n
     return solution
 
 
+def _inverse_pivot(graph: Graph, pivot: int, diagonal: int) -> int:
+    """1 / pivot, or 0 for a redundant row; the guarded divisor keeps derivatives finite."""
+    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
+    if pivot == diagonal:
+        return graph.div(one, pivot)
+    smallest = graph.mul(diagonal, graph.constant(REDUNDANT_PIVOT, FLOAT))
+    is_redundant = graph.apply(jax.lax.le_p, (pivot, smallest), BOOL, ())
+    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
+
+
 def _general_solve(graph, inputs, parameters, shapes, dtypes):
     del parameters, dtypes
     matrix, right_side = inputs
@@ -312,22 +326,31 @@ def _general_solve(graph, inputs, parameters, shapes, dtypes):
 
 
 def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
-    """L U elimination, unrolled, with rows and columns in an order that keeps structural zeros."""
+    """L U elimination, unrolled, with rows and columns in an order that keeps structural zeros.
+
+    A row without a diagonal entry gets its pivot from the rows before it; where their contributions cancel, the row is
+    redundant and left out, as in `symmetric_solve`.
+    """
     size = len(matrix)
     order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
     a = [[int(matrix[i, j]) for j in order] for i in order]
     x = [int(right_side[i]) for i in order]
-    one = graph.constant(1, FLOAT)
+    zero = graph.constant(0, FLOAT)
+    contributed = {i: zero for i in range(size) if graph.is_value(a[i][i], 0)}
     inverse_pivots = []
     for j in range(size):
-        inverse_pivots.append(graph.div(one, a[j][j]))
+        inverse_pivots.append(_inverse_of_contributions(graph, a[j][j], contributed.get(j)))
         right_of_pivot = [k for k in range(j + 1, size) if not graph.is_value(a[j][k], 0)]
         for i in range(j + 1, size):
             if graph.is_value(a[i][j], 0):
                 continue
             factor = graph.mul(a[i][j], inverse_pivots[j])
             for k in right_of_pivot:
-                a[i][k] = graph.sub(a[i][k], graph.mul(factor, a[j][k]))
+                product = graph.mul(factor, a[j][k])
+                a[i][k] = graph.sub(a[i][k], product)
+                if k == i and i in contributed:
+                    size_of = graph.apply(jax.lax.abs_p, (product,), FLOAT, ())
+                    contributed[i] = graph.add(contributed[i], size_of)
             x[i] = graph.sub(x[i], graph.mul(factor, x[j]))
     for j in reversed(range(size)):
         for k in range(j + 1, size):
@@ -336,6 +359,17 @@ def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray)
     solution = np.empty(size, np.int64)
     solution[order] = x
     return solution
+
+
+def _inverse_of_contributions(graph: Graph, pivot: int, contributed: int | None) -> int:
+    """1 / pivot, or 0 where what made the pivot has cancelled; None: the row has a diagonal entry of its own."""
+    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
+    if contributed is None:
+        return graph.div(one, pivot)
+    magnitude = graph.apply(jax.lax.abs_p, (pivot,), FLOAT, ())
+    smallest = graph.mul(contributed, graph.constant(REDUNDANT_PIVOT, FLOAT))
+    is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
+    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
 
 
 def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:

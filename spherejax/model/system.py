@@ -49,6 +49,7 @@ class System(eqx.Module):
         drift: drift control.
         memory_slots: where the joints' memory is; empty where no law needs one.
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
+        refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
     """
 
     bodies: dict[str, Body]
@@ -58,6 +59,7 @@ class System(eqx.Module):
     drift: AbstractDriftControl
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
+    refines_constraints: bool = eqx.field(static=True, default=False)
 
     @property
     def layout(self) -> Layout:
@@ -135,8 +137,21 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
         if names:
             slots.append(MemorySlot(name, start, names))
             start += len(names)
-    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work)
+    refines = _masses_are_far_apart(bodies)
+    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines)
     return Compiled(system, conditions)
+
+
+LARGE_MASS_RATIO = 1e4
+"""From this ratio of masses on, rounding in the constraint forces disturbs the light body."""
+
+
+def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
+    """Whether masses differ so much, or may, being traced."""
+    masses = [body.mass for body in bodies.values()]
+    if not all(is_concrete(mass) for mass in masses):
+        return True
+    return bool(max(masses) > LARGE_MASS_RATIO * min(masses))
 
 
 def _with_array_fields(body: Body) -> Body:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import System
 from spherejax.motion.dynamics import body_motions, state_rate
@@ -92,14 +93,30 @@ def penetration_rate(motion: RelativeMotion) -> Scalar:
 
 
 def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
-    """The memory at the start: flight, or, for a ball that starts beyond the surface, an onset at that instant."""
+    """The memory at the start: flight, or, for a ball that starts beyond the surface, the onset that led there."""
     motions = relative_motions(system, y)
     parts = []
     for slot in system.memory_slots:
         start = jnp.zeros(len(slot.names))
         if slot.joint in motions:
             model, motion = system.spherical(slot.joint).model, motions[slot.joint]
-            rate = penetration_rate(motion)
-            start = jnp.where(model.crossing(motion).value > 0, model.memory_at_onset(rate), start)
+            onset = model.memory_at_onset(earlier_onset_rate(system, slot.joint, motion, start))
+            start = jnp.where(model.crossing(motion).value > 0, onset, start)
         parts.append(start)
     return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+
+def earlier_onset_rate(system: System, joint: str, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar:
+    """The normal velocity [m/s] with which a ball that starts beyond the surface has come there.
+
+        m v^2 / 2 = m delta_dot^2 / 2 + (energy stored at the penetration delta)
+
+    with m the reduced mass of the two bodies: a free impact without losses. A ball that starts at rest in static
+    contact would otherwise have an onset of no speed, and the hysteresis damping, which divides by it, no bound.
+
+    Limits: |delta_dot| at delta = 0, with derivative 0 where that vanishes as well.
+    """
+    rate = penetration_rate(motion)
+    energy = system.spherical(joint).model.respond(motion, memory).elastic_energy
+    masses = [system.bodies[name].mass for name in system.joints[joint].bodies if name in system.bodies]
+    return safe_sqrt(rate * rate + 2 * energy * sum(1 / jnp.asarray(mass) for mass in masses))

@@ -128,8 +128,8 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
         keep, next_t0, next_t1, made_jump, inner, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state.inner
         )
-        size = t1 - t0
-        has_stalled = ~keep & (jnp.abs(size) <= 4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1)))
+        size, shortest = t1 - t0, shortest_step(t0, t1)
+        has_stalled = ~keep & (jnp.abs(size) <= shortest)
         result = diffrax.RESULTS.where(
             has_stalled & (result == diffrax.RESULTS.successful), diffrax.RESULTS.dt_min_reached, result
         )
@@ -138,7 +138,9 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
             return keep, next_t0, next_t1, made_jump, state, result
         was_touching = self.contacts.is_touching(y0)
         fraction = _fraction_to_crossing(self.contacts, t0, t1, y0, y1_candidate, args, was_touching)
-        must_land = keep & (fraction < 1)
+        # Where the rounding of time leaves no instant between the start and the end, the step has landed.
+        landing = t0 + jnp.maximum(fraction * size, shortest)
+        must_land = keep & (fraction < 1) & (landing < t1)
         keep = keep & ~must_land
         is_touching = self.contacts.is_touching(y1_candidate)
         has_landed = keep & jnp.any(was_touching != is_touching)
@@ -150,7 +152,7 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
         next_t0 = jnp.where(must_land, t0, next_t0)
         next_t1 = jnp.where(
             must_land,
-            t0 + fraction * size,
+            landing,
             jnp.where(has_landed & (first_after != 0), t1 + first_after, next_t1),
         )
         state = LandingState(
@@ -160,6 +162,11 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
             is_landing=jnp.asarray(must_land),
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
+
+
+def shortest_step(t0, t1) -> Float[Array, ""]:
+    """Steps of at most this [s] are lost in the rounding of time: four units in the last place."""
+    return 4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
 
 
 def _fraction_to_crossing(contacts: Contacts, t0, t1, y0, y1, args, was_touching) -> Float[Array, ""]:
