@@ -1,0 +1,138 @@
+"""The automatic choice of method and tolerances: what it is, that it is explained, and that it can be overridden."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.solvers.automatic import _rates_now, choose_solver, explicit_rate_limit
+from spherejax.motion.tolerances import component_tolerances
+
+
+def system_of(model, **options):
+    return compile_scene(sj.gallery.four_bar(model, **options)).system
+
+
+def chosen(model, rtol=1e-8):
+    return type(choose_solver(system_of(model), rtol).solver)
+
+
+def test_an_explicit_method_where_nothing_is_stiff():
+    assert chosen(sj.Ideal()) is diffrax.Dopri8
+    assert chosen(sj.Dry(1e-4, friction=sj.Threlfall())) is diffrax.Dopri8
+    assert chosen(sj.Bushing(1e6, 1e-4)) is diffrax.Dopri8
+
+
+def test_a_stiff_method_for_films_and_stiff_bushings():
+    assert chosen(sj.Lubricated(1e-4)) is sj.Rodas5P
+    assert chosen(sj.Bushing(1e6, 1e-1)) is sj.Rodas5P
+    assert chosen(sj.Bushing(1e8, 1e-2)) is sj.Rodas5P
+
+
+def test_the_choice_depends_on_the_tolerance():
+    """At a loose tolerance a stiff method needs few steps, while stability holds the explicit one to as many."""
+    assert chosen(sj.Bushing(1e6, 1e-2), 1e-10) is diffrax.Dopri8
+    assert chosen(sj.Bushing(1e6, 1e-2), 1e-5) is sj.Rodas5P
+    assert explicit_rate_limit(1e-10) > explicit_rate_limit(1e-8) > explicit_rate_limit(1e-6)
+
+
+def test_rate_of_an_elastomer_between_free_bodies():
+    """Two masses m1, m2 and an elastomer: decay k b (1/m1 + 1/m2), frequency (k (1/m1 + 1/m2))^(1/2)."""
+
+    def rate(k, b):
+        body = {"c": (0.0, 0.0, 0.0)}
+        scene = sj.Scene(
+            {"a": sj.Body(2.0, (1e-3,) * 3, points=body), "b": sj.Body(3.0, (1e-3,) * 3, points=body)},
+            {"j": sj.Spherical("a.c", "b.c", sj.Bushing(k, b))},
+        )
+        structure, theta = flatten_system(compile_scene(scene).system)
+        return float(_rates_now(structure, theta.tobytes())[0])
+
+    mobility = 1 / 2.0 + 1 / 3.0
+    assert rate(1e6, 1e-2) == pytest.approx(1e4 * mobility, rel=1e-9)
+    assert rate(1e6, 0.0) == pytest.approx((1e6 * mobility) ** 0.5, rel=1e-9)
+
+
+def test_traced_numbers_are_not_looked_at():
+    @jax.jit
+    def reasons(k):
+        bushing = choose_solver(system_of(sj.Bushing(k, 1e-2)))
+        film = choose_solver(system_of(sj.Lubricated(1e-4, viscosity=k)))
+        assert isinstance(bushing.solver, diffrax.Dopri8)
+        assert "traced" in bushing.reason
+        assert isinstance(film.solver, sj.Rodas5P)
+        assert "traced" in film.reason
+        return k
+
+    reasons(1e6)
+
+
+def test_the_run_explains_method_and_tolerances():
+    scene = sj.gallery.four_bar(sj.Bushing(1e6, 1e-4))
+    ts = jnp.array([0.0, 0.005])
+    run = sj.simulate(scene, ts, rtol=1e-6)
+    for said in ("Dopri8", "coupler_rocker", "per second", "rtol 1e-06", "m/s", "rad/s"):
+        assert said in run.stats.explanation
+    asked = sj.simulate(scene, ts, rtol=1e-6, atol=1e-8, solver=diffrax.Tsit5())
+    assert "Tsit5: as asked for" in asked.stats.explanation
+    assert "tolerances as asked for" in asked.stats.explanation
+    constant = sj.simulate(scene, ts, stepsize_controller=diffrax.PIDController(rtol=1e-5, atol=1e-7))
+    assert "PIDController: as asked for" in constant.stats.explanation
+
+
+def test_positions_are_judged_against_the_clearance():
+    fine, usual = (component_tolerances(system_of(sj.Dry(c)), 1e-8) for c in (1e-6, 1e-4))
+    layout = system_of(sj.Dry(1e-4)).layout
+    assert fine.rtol[0] < 0.2 * usual.rtol[0]
+    assert fine.rtol[0] * 0.2 < 1e-2 * 1e-6  # a hundredth of the clearance, at a position of 0.2 m
+    np.testing.assert_array_equal(fine.rtol[layout.n_position :], usual.rtol[layout.n_position :])
+    np.testing.assert_array_equal(fine.rtol[3:7], usual.rtol[3:7])  # the quaternion
+    assert np.all(usual.atol > 0)
+    assert usual.atol.shape == usual.rtol.shape == (layout.size,)
+
+
+def test_small_clearance_is_resolved_at_a_usual_tolerance():
+    """Clearance 1 um: penetrations of 1e-8 m beside positions of 0.1 m; against a run a hundred times tighter."""
+    scene = sj.gallery.four_bar(sj.Dry(1e-6, friction=sj.Threlfall()))
+    ts = jnp.linspace(0.0, 0.01, 11)
+    usual, tight = (sj.simulate(scene, ts, rtol=rtol).require_success() for rtol in (1e-8, 1e-11))
+    error = np.max(np.abs(usual.eccentricity("coupler_rocker") - tight.eccentricity("coupler_rocker")))
+    assert error < 1e-3 * 1e-6
+    assert int(usual.stats.n_onsets[0]) == int(tight.stats.n_onsets[0]) > 0
+
+
+def test_tolerances_follow_traced_numbers():
+    def first_rtol(c):
+        return jnp.asarray(component_tolerances(system_of(sj.Dry(c)), 1e-8).rtol)[0]
+
+    traced = jax.vmap(first_rtol)(jnp.array([1e-6, 1e-4]))
+    concrete = [first_rtol(c) for c in (1e-6, 1e-4)]
+    np.testing.assert_allclose(traced, concrete, rtol=1e-12)
+
+
+def test_a_traced_tolerance_and_a_derivative_together():
+    ts = jnp.array([0.0, 0.005])
+
+    @jax.jit
+    def slope(k, rtol):
+        def height(k):
+            return sj.simulate(sj.gallery.four_bar(sj.Bushing(k, 1e-4)), ts, rtol=rtol).position("rocker")[-1, 2]
+
+        return jax.jvp(height, (k,), (1.0,))
+
+    value, derivative = slope(1e6, 1e-8)
+    other, _ = slope(1e6 + 100.0, 1e-8)
+    assert float(derivative) == pytest.approx(float(other - value) / 100.0, rel=1e-2)
+
+
+def test_the_compiled_run_does_not_call_back_into_python():
+    """JAX's persistent cache keeps no program that does."""
+
+    def height(c):
+        scene = sj.gallery.four_bar(sj.Dry(c, friction=sj.Threlfall()))
+        return sj.simulate(scene, jnp.array([0.0, 0.005])).position("rocker")[-1, 2]
+
+    assert "callback" not in jax.jit(height).lower(1e-4).as_text()
