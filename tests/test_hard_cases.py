@@ -173,14 +173,7 @@ def test_gradient_of_dry_contact_meets_differences(name):
 FINITE = [name for name in DRY_CASES if name not in ("long chatter", "at rest for 10 s", "1000 impacts all around")]
 
 
-UNSEEN = pytest.mark.xfail(
-    strict=True,
-    reason="friction's slope times the step exceeds what an explicit method bears, and only the sensitivities feel it: "
-    "the sliding velocity is exactly zero, so the step-size control, which judges values, sees nothing",
-)
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=UNSEEN if n == "100 m/s" else ()) for n in FINITE])
+@pytest.mark.parametrize("name", FINITE)
 def test_gradient_of_dry_contact_is_finite(name):
     t_end, changes = DRY_CASES[name]
     assert np.isfinite(hard.gradient(DRY, DRY_NUMBERS, min(t_end, 0.2), rtol=1e-8, **changes)).all()

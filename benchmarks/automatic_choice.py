@@ -1,0 +1,111 @@
+"""The automatic choice of method against every method by hand: is it ever more than twice as slow as the best?
+
+    python benchmarks/automatic_choice.py
+
+Four-bar, 0.2 s. The methods are those of `METHODS`. Times are those of a compiled call on one core; the ratio is that
+of the chosen method's time to the fastest of those that reach the end. The error is the largest of the rocker's height
+at 5 samples against a run of the same equations at rtol 1e-11.
+"""
+
+from machine import median_seconds, use_one_core, write
+
+use_one_core()
+
+import diffrax  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import spherejax as sj  # noqa: E402
+from spherejax.model.system import compile_scene  # noqa: E402
+from spherejax.motion.solvers.automatic import choose_solver  # noqa: E402
+
+METHODS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5(), "Rodas5P": sj.Rodas5P(), "Ros34PW2": sj.Ros34PW2()}
+TS = jnp.linspace(0.0, 0.2, 5)
+MAX_STEPS = 200_000
+
+FAMILIES = {
+    "bushing k={} b={}": (
+        lambda k, b: sj.Bushing(k, b),
+        [(1e5, 1e-3), (1e6, 1e-4), (1e6, 1e-3), (1e6, 1e-2), (1e6, 1e-1), (1e8, 1e-4), (1e8, 1e-2)],
+    ),
+    "film c={} viscosity={}": (
+        lambda c, viscosity: sj.Lubricated(c, viscosity=viscosity),
+        [(1e-4, 0.4), (1e-4, 0.04), (1e-4, 4.0), (5e-5, 0.4), (2e-4, 0.4)],
+    ),
+    "friction c={} mu={}": (
+        lambda c, mu: sj.Dry(c, friction=sj.Threlfall(mu=mu)),
+        [(1e-4, 0.1), (2e-5, 0.1), (5e-4, 0.3)],
+    ),
+    "ideal": (lambda: sj.Ideal(), [()]),
+}
+
+
+def programs(build):
+    """For each method a compiled function from the model's numbers and the tolerance to heights, steps and status."""
+
+    def program(method):
+        @jax.jit
+        def run(numbers, rtol):
+            scene = sj.gallery.four_bar(build(*numbers))
+            motion = sj.simulate(scene, TS, rtol=rtol, atol=1e-2 * rtol, solver=method, max_steps=MAX_STEPS)
+            return motion.position("rocker")[:, 2], motion.stats.n_steps, motion.status
+
+        return run
+
+    return {name: program(method) for name, method in METHODS.items()}
+
+
+def reference_of(runs, numbers):
+    """The heights of the first tight run that reaches its end."""
+    for run in runs.values():
+        heights, _, status = run(numbers, 1e-11)
+        if int(status) == 0:
+            return np.asarray(heights)
+    raise RuntimeError(f"no tight run of {numbers} reaches its end")
+
+
+def rows_of(label, build, numbers, runs):
+    reference = reference_of(runs, numbers)
+    system = compile_scene(sj.gallery.four_bar(build(*numbers))).system
+    for rtol in (1e-4, 1e-6, 1e-8):
+        choice = type(choose_solver(system, rtol).solver).__name__
+        seconds, rows = {}, []
+        for name, run in runs.items():
+            heights, n_steps, status = run(numbers, rtol)
+            if int(status) == 0:
+                seconds[name] = median_seconds(lambda run=run: jax.block_until_ready(run(numbers, rtol)))  # noqa: B023
+            rows.append(
+                {
+                    "case": label,
+                    "rtol": f"{rtol:.0e}",
+                    "method": name,
+                    "milliseconds": f"{seconds[name] * 1e3:.2f}" if name in seconds else "",
+                    "steps": int(n_steps),
+                    "error_m": f"{np.max(np.abs(np.asarray(heights) - reference)):.1e}" if name in seconds else "",
+                    "chosen": "yes" if name == choice else "",
+                    "ratio_to_best": "",
+                }
+            )
+        best = min(seconds.values())
+        for row in rows:
+            if row["method"] in seconds:
+                row["ratio_to_best"] = f"{seconds[row['method']] / best:.2f}"
+            print(row, flush=True)
+        yield from rows
+
+
+def main() -> None:
+    rows = []
+    for title, (build, cases) in FAMILIES.items():
+        runs = programs(build)
+        for numbers in cases:
+            label = title.format(*(f"{value:g}" for value in numbers))
+            rows.extend(rows_of(label, build, tuple(map(float, numbers)), runs))
+    write("automatic_choice", "python benchmarks/automatic_choice.py", rows)
+    worst = max((row for row in rows if row["chosen"]), key=lambda row: float(row["ratio_to_best"] or "inf"))
+    print(f"worst of the choices: {worst['ratio_to_best']} times the best, {worst['case']} at rtol {worst['rtol']}")
+
+
+if __name__ == "__main__":
+    main()
