@@ -101,14 +101,14 @@ def hooks_of(structure: Structure):
 def inexact_hooks_of(structure: Structure):
     """The functions `jacobian` and `factorize` of a system for a W-method: the joint forces alone are implicit.
 
-    None on the array path. A system with bristles, whose rate is as stiff as a joint force, gets the exact ones.
+    A system with bristles, whose rate is as stiff as a joint force, gets the exact ones; None on the array path.
     """
     layout, _ = sizes_of(structure)
     rate = program_for(state_rate, structure)
     stage = program_for(solve_inexact_stage, structure, True, (layout.size, 1, layout.size), 4)
     product = program_for(inexact_product, structure, True, (layout.size, layout.size))
     if rate.scalar is None or stage.scalar is None or product.scalar is None:
-        return None
+        return hooks_of(structure)
     if np.any(rate.scalar.dependence(_STATE)[layout.memory_start : layout.work_start]):
         return hooks_of(structure)
 

@@ -24,7 +24,8 @@ Sources: G. Steinebach, "Order reduction of ROW methods for DAEs and method of l
 numerical benchmarks within the Julia Differential Equations package", BIT Numerical Mathematics 63:27, 2023
 (Rodas5P). The decimals of both are those of OrdinaryDiffEq.jl. J. Rang, L. Angermann, "New Rosenbrock W-methods of
 order 3 for partial differential algebraic equations of index 1", BIT Numerical Mathematics 45:761-787, 2005
-(ROS34PW2). E. Hairer, G. Wanner, "Solving Ordinary Differential Equations II", 2nd edition, Springer 1996, sections IV.7 and VI.4.
+(ROS34PW2). E. Hairer, G. Wanner, "Solving Ordinary Differential Equations II", 2nd edition, Springer 1996, sections
+IV.7 and VI.4.
 """
 
 from typing import NamedTuple
@@ -218,11 +219,14 @@ RODAS5P = RosenbrockTableau(
 )
 
 
-def from_classical(order: int, alpha: np.ndarray, Gamma: np.ndarray, b: np.ndarray, b_embedded: np.ndarray):
-    """The tableau of a method with four stages from its classical coefficients (Hairer & Wanner, section IV.7).
+def w_method(
+    order: int, alpha: np.ndarray, Gamma: np.ndarray, b: np.ndarray, b_embedded: np.ndarray
+) -> RosenbrockTableau:
+    """The tableau of a W-method with four stages from its classical coefficients (Hairer & Wanner, section IV.7).
 
-    The dense output y + sum_i b_i(theta) h k_i is the cubic one that has order 2 with any matrix, sum b_i = theta,
-    sum b_i c_i = theta^2 / 2, sum b_i d_i = 0, and integrates functions of time to order 3, sum b_i c_i^2 = theta^3 / 3.
+    The dense output y + sum_i b_i(theta) h f_i is the cubic one of order 2 with any matrix (sum b_i = theta,
+    sum b_i c_i = theta^2 / 2, sum b_i d_i = 0) that integrates functions of time to order 3 (sum b_i c_i^2 =
+    theta^3 / 3). For ROS34PW2 it has order 3 with the exact matrix.
     """
     c, d = alpha.sum(1), Gamma.sum(1)
     inverse = np.linalg.inv(Gamma)
@@ -242,7 +246,7 @@ def from_classical(order: int, alpha: np.ndarray, Gamma: np.ndarray, b: np.ndarr
     )
 
 
-ROS34PW2 = from_classical(
+ROS34PW2 = w_method(
     order=3,
     alpha=lower_triangular(
         [0.87173304301691801],
