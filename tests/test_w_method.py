@@ -324,6 +324,7 @@ def test_agrees_with_a_method_of_high_order(name):
     for tol in (1e-4, 1e-6):
         run = sj.simulate(scene, ts, rtol=tol, atol=1e-3 * tol, solver=sj.Ros34PW2())
         assert int(run.status) == sj.Status.SUCCEEDED
+        assert int(run.stats.n_evaluations) == 4 * int(run.stats.n_steps)
         errors.append(np.abs(run.position("rocker") - wanted).max())
     assert errors[0] < 1e-5
     assert errors[1] < 1e-7

@@ -188,7 +188,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
             rhs = h * f_i + _combine(C_i, stages) + d_i.astype(y.dtype) * slope
             return stages.at[i].set(gamma * solve(rhs)), None
 
-        n_stages = self.tableau.c.shape[0]
+        n_stages = self.tableau.n_stages
         rows = (jnp.arange(n_stages), self.tableau.A, self.tableau.C, self.tableau.c, self.tableau.d)
         return lax.scan(stage, jnp.zeros((n_stages, *y.shape), y.dtype), jax.tree.map(jnp.asarray, rows))[0]
 

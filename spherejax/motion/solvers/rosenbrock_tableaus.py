@@ -54,6 +54,11 @@ class RosenbrockTableau(NamedTuple):
     H: np.ndarray
     """(number of terms, s): weights of the dense output."""
 
+    @property
+    def n_stages(self) -> int:
+        """s, which is also the number of evaluations of f in a step."""
+        return len(self.c)
+
 
 def lower_triangular(*rows: list[float]) -> np.ndarray:
     """The square matrix whose row i + 1 begins with the i + 1 numbers `rows[i]`, zero elsewhere."""
