@@ -33,7 +33,7 @@ from spherejax.motion.assembly import Assembly
 from spherejax.motion.modes import Mode
 from spherejax.motion.programs import ArrayPathWarning
 from spherejax.motion.simulate import simulate
-from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P
+from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.bodies import Body
@@ -125,6 +125,7 @@ __all__ = [
     "Revolute",
     "Rodas4P",
     "Rodas5P",
+    "Ros34PW2",
     "ScalarProgram",
     "Scene",
     "SceneError",

@@ -45,6 +45,7 @@ SOLVERS = {
     "kvaerno5": (diffrax.Kvaerno5, "implicit, order 5, Newton iterations"),
     "rodas4p": (sj.Rodas4P, "linearly implicit, order 4, no iterations"),
     "rodas5p": (sj.Rodas5P, "linearly implicit, order 5: the choice for stiff scenes"),
+    "ros34pw2": (sj.Ros34PW2, "linearly implicit, order 3: fastest on stiff scenes at low accuracy"),
 }
 
 DRIFT_CONTROLS = {

@@ -6,13 +6,15 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
-from spherejax.motion.programs import Program, program_for
+from spherejax.motion.low_rank import inexact_product, solve_inexact_stage
+from spherejax.motion.programs import program_for
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 
 
@@ -36,7 +38,7 @@ def with_structure(solver: Any, structure: Structure) -> Any:
     """A Rosenbrock method with the system's own linear algebra; any other solver, or one with its own, unchanged."""
     if not isinstance(solver, AbstractRosenbrock) or solver.jacobian is not None:
         return solver
-    hooks = hooks_of(structure)
+    hooks = inexact_hooks_of(structure) if solver.tolerates_inexact_jacobian else hooks_of(structure)
     if hooks is None:
         return solver
     return eqx.tree_at(lambda s: (s.jacobian, s.factorize), solver, hooks, is_leaf=lambda x: x is None)
@@ -77,7 +79,10 @@ def hooks_of(structure: Structure):
         theta, factors, t, known = fixed
         return stage.inside(theta, factors, t, (*known, rhs))
 
-    solution = _differentiable(rate, eliminate)
+    def multiply(theta, t, y, vector):
+        return jax.jvp(lambda y: rate(theta, t, y), (y,), (vector,))[1]
+
+    solution = _differentiable(multiply, eliminate)
 
     def factorize(at: Linearization, gamma_h: Scalar):
         theta, t, y, fixed_gamma_h = jax.lax.stop_gradient((at.theta, at.t, at.y, gamma_h))
@@ -92,11 +97,59 @@ def hooks_of(structure: Structure):
     return jacobian, factorize
 
 
-def _differentiable(rate: Program, eliminate):
+@lru_cache(maxsize=64)
+def inexact_hooks_of(structure: Structure):
+    """The functions `jacobian` and `factorize` of a system for a W-method: the joint forces alone are implicit.
+
+    A system with bristles, whose rate is as stiff as a joint force, gets the exact ones; None on the array path.
+    """
+    layout, _ = sizes_of(structure)
+    rate = program_for(state_rate, structure)
+    stage = program_for(solve_inexact_stage, structure, True, (layout.size, 1, layout.size), 4)
+    product = program_for(inexact_product, structure, True, (layout.size, layout.size))
+    if rate.scalar is None or stage.scalar is None or product.scalar is None:
+        return hooks_of(structure)
+    if np.any(rate.scalar.dependence(_STATE)[layout.memory_start : layout.work_start]):
+        return hooks_of(structure)
+
+    def jacobian(t, y, args):
+        return (args.theta, t, y), jnp.zeros_like(y)
+
+    def multiply(theta, t, y, vector):
+        return product(theta, t, (y, vector))
+
+    def eliminate(fixed, rhs):
+        theta, factors, t, known = fixed
+        return stage.inside(theta, factors, t, (*known, rhs))
+
+    solution = _differentiable(multiply, eliminate)
+
+    def factorize(at, gamma_h: Scalar):
+        theta, t, y, fixed_gamma_h = jax.lax.stop_gradient((*at, gamma_h))
+        known = (y, fixed_gamma_h[None])
+        fixed = (theta, stage.ahead(theta, t, known), t, known)
+
+        def solve(rhs):
+            return solution(fixed, (*at, gamma_h), rhs)
+
+        return solve, jnp.array(True)
+
+    return jacobian, factorize
+
+
+_STATE = 2
+"""Leaf of the arguments (theta, t, y) that is the state."""
+
+
+def _differentiable(multiply, eliminate):
     """The function (fixed, (theta, t, y, gamma_h), rhs) -> k with (I - gamma h J) k = rhs, with a derivative rule.
 
-    dk = (I - gamma h J)^-1 (d rhs + d(gamma h) J k + gamma h dJ k), with the same elimination; dJ k is a second
-    derivative of the right-hand side along k, and nothing is differentiated through the elimination.
+    dk = (I - gamma h J)^-1 (d rhs + d(gamma h) J k + gamma h dJ k), with the same elimination: nothing is
+    differentiated through it.
+
+    Args:
+        multiply: (theta, t, y, k) -> J k, for the J that `eliminate` solves with.
+        eliminate: (fixed, rhs) -> k.
     """
 
     @jax.custom_jvp
@@ -111,7 +164,7 @@ def _differentiable(rate: Program, eliminate):
         k = eliminate(fixed, rhs)
 
         def along_k(theta, t, y):
-            return jax.jvp(lambda y: rate(theta, t, y), (y,), (k,))[1]
+            return multiply(theta, t, y, k)
 
         slope, bend = jax.jvp(along_k, (theta, t, y), (theta_dot, t_dot, y_dot))
         return k, eliminate(fixed, rhs_dot + gamma_h_dot * slope + gamma_h * bend)

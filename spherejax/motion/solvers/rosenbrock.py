@@ -1,10 +1,11 @@
-"""Rosenbrock methods for stiff equations, as diffrax solvers: `Rodas4P` and `Rodas5P`.
+"""Rosenbrock methods for stiff equations, as diffrax solvers: `Rodas4P`, `Rodas5P` and `Ros34PW2`.
 
 They are linearly implicit: a step costs one Jacobian, one factorization and s - 1 evaluations of the vector
 field, and has no iteration that could fail to converge. The equations, letters and sources are in
 `rosenbrock_tableaus`.
 
-The order of the methods rests on the exact Jacobian: one that is merely close lowers it.
+The order of Rodas4P and Rodas5P rests on the exact Jacobian: one that is merely close lowers it. Ros34PW2 keeps its
+order with any.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.motion.solvers.dense_lu import dense_solver
-from spherejax.motion.solvers.rosenbrock_tableaus import RODAS4P, RODAS5P, RosenbrockTableau
+from spherejax.motion.solvers.rosenbrock_tableaus import RODAS4P, RODAS5P, ROS34PW2, RosenbrockTableau
 
 Vector = Float[Array, " n"]
 LinearSolve = Callable[[Vector], Vector]
@@ -96,6 +97,9 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
     factorize: eqx.AbstractVar[Callable[[Any, Scalar], tuple[LinearSolve, Flag]]]
     tangents_per_pass: eqx.AbstractVar[int]
 
+    tolerates_inexact_jacobian: ClassVar[bool] = False
+    """Whether the order holds with any matrix for the Jacobian and any vector for the derivative by time."""
+
     term_structure: ClassVar = ODETerm
     interpolation_cls: ClassVar = RosenbrockInterpolation
 
@@ -139,7 +143,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
 
         y1 = y + _combine(self.tableau.b, stages)
         valid = regular & jnp.all(jnp.isfinite(stages))
-        error = jnp.where(valid, stages[-1], jnp.inf)
+        error = jnp.where(valid, _combine(self.tableau.e, stages), jnp.inf)
         bends = tuple(unravel(_combine(row, stages)) for row in self.tableau.H)
         dense = dict(y0=y0, y1=unravel(y1), bends=bends)
         return unravel(y1), unravel(error), dense, None, RESULTS.successful
@@ -184,7 +188,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
             rhs = h * f_i + _combine(C_i, stages) + d_i.astype(y.dtype) * slope
             return stages.at[i].set(gamma * solve(rhs)), None
 
-        n_stages = self.tableau.c.shape[0]
+        n_stages = self.tableau.n_stages
         rows = (jnp.arange(n_stages), self.tableau.A, self.tableau.C, self.tableau.c, self.tableau.d)
         return lax.scan(stage, jnp.zeros((n_stages, *y.shape), y.dtype), jax.tree.map(jnp.asarray, rows))[0]
 
@@ -239,6 +243,29 @@ class Rodas5P(AbstractRosenbrock):
     """
 
     tableau: ClassVar[RosenbrockTableau] = RODAS5P
+
+    jacobian: Callable[[Scalar, PyTree, Any], tuple[Any, Array]] | None = None
+    factorize: Callable[[Any, Scalar], tuple[LinearSolve, Flag]] = factorize_dense
+    tangents_per_pass: int = eqx.field(default=64, static=True)
+
+
+@final
+class Ros34PW2(AbstractRosenbrock):
+    """ROS34PW2: a W-method of order 3(2), 4 stages, L-stable, dense output of order 2.
+
+    For low accuracy, relative tolerances of about 1e-3 to 1e-5, and cheap approximations of the Jacobian.
+
+    Attributes:
+        jacobian: As for `Rodas4P`, but neither J nor f_t need be exact: the order holds with any, the stability where
+            J has what is stiff.
+        factorize: As for `Rodas4P`.
+        tangents_per_pass: As for `Rodas4P`.
+
+    Source: Rang & Angermann (2005), see `rosenbrock_tableaus`.
+    """
+
+    tableau: ClassVar[RosenbrockTableau] = ROS34PW2
+    tolerates_inexact_jacobian: ClassVar[bool] = True
 
     jacobian: Callable[[Scalar, PyTree, Any], tuple[Any, Array]] | None = None
     factorize: Callable[[Any, Scalar], tuple[LinearSolve, Flag]] = factorize_dense

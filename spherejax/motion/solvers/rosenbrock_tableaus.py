@@ -1,4 +1,4 @@
-"""The coefficients of two Rosenbrock methods, Rodas4P and Rodas5P.
+"""The coefficients of Rosenbrock methods: Rodas4P, Rodas5P and ROS34PW2.
 
 A Rosenbrock method solves, in each stage i of a step of size h from (t, y), one linear system with one and
 the same matrix. In the form that needs no product with the Jacobian J (Hairer & Wanner, section IV.7),
@@ -6,9 +6,11 @@ the same matrix. In the form that needs no product with the Jacobian J (Hairer &
     (I/gamma - h J) k_i = h f(t + c_i h, y + sum_j A_ij k_j) + sum_j C_ij k_j + d_i h^2 f_t,    j < i
     y_new = y + sum_i b_i k_i
 
-with J = df/dy and f_t = df/dt at (t, y). Both methods are stiffly accurate: the last stage is evaluated at
-the embedded solution of the order below, y_new differs from it by k_s alone, and hence k_s is the error
-estimate. Both are L-stable: for f = lambda y, y_new -> 0 as h lambda -> infinity.
+with J = df/dy and f_t = df/dt at (t, y). The error estimate is sum_i e_i k_i. All are stiffly accurate and L-stable:
+for f = lambda y, y_new -> 0 as h lambda -> infinity. In Rodas4P and Rodas5P the last stage is evaluated at the
+embedded solution of the order below and y_new differs from it by k_s alone, so that k_s is the error estimate.
+ROS34PW2 is a W-method: it keeps its order whatever matrix stands for J, and whatever vector for f_t; exact ones make
+it stable on stiff equations.
 
 The dense output at t + theta h is, with u_j = sum_i H_ji k_i and Horner's scheme inside the brackets,
 
@@ -20,8 +22,10 @@ sum_j alpha_ij and d_i = sum_j Gamma_ij (Hairer & Wanner, section IV.7).
 Sources: G. Steinebach, "Order reduction of ROW methods for DAEs and method of lines applications", Preprint
 1741, TH Darmstadt, 1995 (Rodas4P). G. Steinebach, "Construction of Rosenbrock-Wanner method Rodas5P and
 numerical benchmarks within the Julia Differential Equations package", BIT Numerical Mathematics 63:27, 2023
-(Rodas5P). The decimals are those of OrdinaryDiffEq.jl. E. Hairer,
-G. Wanner, "Solving Ordinary Differential Equations II", 2nd edition, Springer 1996, sections IV.7 and VI.4.
+(Rodas5P). The decimals of both are those of OrdinaryDiffEq.jl. J. Rang, L. Angermann, "New Rosenbrock W-methods of
+order 3 for partial differential algebraic equations of index 1", BIT Numerical Mathematics 45:761-787, 2005
+(ROS34PW2). E. Hairer, G. Wanner, "Solving Ordinary Differential Equations II", 2nd edition, Springer 1996, sections
+IV.7 and VI.4.
 """
 
 from typing import NamedTuple
@@ -33,7 +37,7 @@ class RosenbrockTableau(NamedTuple):
     """The coefficients of a method with s stages, in the letters of the module docstring; dimensionless."""
 
     order: int
-    """Order p of y_new; the embedded solution has order p - 1."""
+    """Order p of y_new; the embedded solution and the dense output have order p - 1."""
     gamma: float
     A: np.ndarray
     """(s, s), strictly lower triangular."""
@@ -41,12 +45,19 @@ class RosenbrockTableau(NamedTuple):
     """(s, s), strictly lower triangular."""
     b: np.ndarray
     """(s,); the last entry is one."""
+    e: np.ndarray
+    """(s,): weights of the error estimate."""
     c: np.ndarray
     """(s,)"""
     d: np.ndarray
     """(s,)"""
     H: np.ndarray
-    """(p - 2, s); the dense output has order p - 1."""
+    """(number of terms, s): weights of the dense output."""
+
+    @property
+    def n_stages(self) -> int:
+        """s, which is also the number of evaluations of f in a step."""
+        return len(self.c)
 
 
 def lower_triangular(*rows: list[float]) -> np.ndarray:
@@ -75,6 +86,7 @@ RODAS4P = RosenbrockTableau(
         [34.62605830930532, 15.30084976114473, 56.99955578662667, 18.40807009793095, -5.714285714285717],
     ),
     b=np.array([-7.170454962423024, -4.741636671481785, -16.31002631330971, -1.062004044111401, 1.0, 1.0]),
+    e=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
     c=np.array([0.0, 0.75, 0.21, 0.63, 1.0, 1.0]),
     d=np.array([0.25, -0.5, -0.023504, -0.0362, 0.0, 0.0]),
     H=np.array(
@@ -161,6 +173,7 @@ RODAS5P = RosenbrockTableau(
             1.0,
         ]
     ),
+    e=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
     c=np.array([0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0, 1.0, 1.0]),
     d=np.array(
         [
@@ -208,4 +221,49 @@ RODAS5P = RosenbrockTableau(
             ],
         ]
     ),
+)
+
+
+def w_method(
+    order: int, alpha: np.ndarray, Gamma: np.ndarray, b: np.ndarray, b_embedded: np.ndarray
+) -> RosenbrockTableau:
+    """The tableau of a W-method with four stages from its classical coefficients (Hairer & Wanner, section IV.7).
+
+    The dense output y + sum_i b_i(theta) h f_i is the cubic one of order 2 with any matrix (sum b_i = theta,
+    sum b_i c_i = theta^2 / 2, sum b_i d_i = 0) that integrates functions of time to order 3 (sum b_i c_i^2 =
+    theta^3 / 3). For ROS34PW2 it has order 3 with the exact matrix.
+    """
+    c, d = alpha.sum(1), Gamma.sum(1)
+    inverse = np.linalg.inv(Gamma)
+    conditions = np.stack([np.ones_like(c), c, d, c**2])
+    wanted = np.array([[1.0, 0.0, 0.0], [0.0, 1 / 2, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1 / 3]])
+    _, square, cube = np.linalg.solve(conditions, wanted).T
+    return RosenbrockTableau(
+        order=order,
+        gamma=float(Gamma[0, 0]),
+        A=alpha @ inverse,
+        C=np.diag(np.diag(inverse)) - inverse,
+        b=b @ inverse,
+        e=(b - b_embedded) @ inverse,
+        c=c,
+        d=d,
+        H=np.stack([-square - cube, -cube]) @ inverse,
+    )
+
+
+ROS34PW2 = w_method(
+    order=3,
+    alpha=lower_triangular(
+        [0.87173304301691801],
+        [0.84457060015369423, -0.11299064236484185],
+        [0.0, 0.0, 1.0],
+    ),
+    Gamma=0.43586652150845900 * np.eye(4)
+    + lower_triangular(
+        [-0.87173304301691801],
+        [-0.90338057013044082, 0.054180672388095326],
+        [0.24212380706095346, -1.2232505839045147, 0.54526025533510214],
+    ),
+    b=np.array([0.24212380706095346, -1.2232505839045147, 1.5452602553351020, 0.43586652150845900]),
+    b_embedded=np.array([0.37810903145819369, -0.096042292212423178, 0.5, 0.21793326075422950]),
 )
