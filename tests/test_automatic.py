@@ -35,7 +35,7 @@ def test_a_stiff_method_for_films_and_stiff_bushings():
 def test_the_choice_depends_on_the_tolerance():
     """At a loose tolerance a stiff method needs few steps, while stability holds the explicit one to as many."""
     assert chosen(sj.Bushing(1e6, 1e-2), 1e-10) is diffrax.Dopri8
-    assert chosen(sj.Bushing(1e6, 1e-2), 1e-5) is sj.Rodas5P
+    assert chosen(sj.Bushing(1e6, 1e-2), 1e-5) is sj.Ros34PW2
     assert explicit_rate_limit(1e-10) > explicit_rate_limit(1e-8) > explicit_rate_limit(1e-6)
 
 

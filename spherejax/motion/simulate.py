@@ -103,7 +103,7 @@ def simulate(
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
     run_of = integrate_with_sensitivities if by_sensitivities and unknown else integrate
     options = Options(choice.solver, stepsize_controller, adjoint, max_steps)
-    conditions = [*compiled.conditions, jnp.all(jnp.diff(ts) > 0)]
+    conditions = [*compiled.conditions, jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions))
     values = jnp.asarray(theta)[np.array(unknown, int)] if unknown else jnp.zeros(0)
     try:

@@ -51,9 +51,10 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
         memory       as velocities;  work  rtol, 1e-2 rtol m V^2
     """
     length, speed, clearance = _scales(system)
-    xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance)) else jnp
+    masses = [body.mass for body in system.bodies.values()]
+    xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance, *masses)) else jnp
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
-    energy = sum(body.mass for body in system.bodies.values()) * speed * speed
+    energy = sum(masses) * speed * speed
     relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
     scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, speed, energy)
     text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"

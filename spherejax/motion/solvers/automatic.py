@@ -17,24 +17,45 @@ from spherejax.motion.constraints import constraint_set, inverse_masses, solve_a
 from spherejax.motion.dynamics import body_motions
 from spherejax.motion.loads import applied_wrenches
 from spherejax.motion.programs import program_for
-from spherejax.motion.solvers.rosenbrock import Rodas5P
+from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.physics.joints import Bushing, Lubricated, PlacedSpherical
 from spherejax.physics.state import VELOCITY_SIZE, unpack
 
 STABILITY_BOUND = 6.0
 """Dopri8 is stable for steps of up to about this over the fastest rate of decay."""
 
-PRICE_RATIO = 2.25
-"""What a step of Rodas5P costs, in steps of Dopri8 (the four-bar: 10.6 against 4.7 microseconds)."""
-
-STIFF_STEPS_PER_SECOND = 5000.0
-"""Steps that Rodas5P takes for a second of a mechanism at rtol 1e-8; 2.9 times as many for two digits more."""
+LOOSE_RTOL = 1e-6
+"""From this tolerance up, a W-method of order 3 with its cheap steps beats Rodas5P."""
 
 USUAL_ECCENTRICITY_RATIO = 0.5
 """Where in its clearance a lubricated ball is looked at."""
 
 SMALL_DEFLECTION = 1e-6
 """Deflection [m] at which an elastomer is looked at."""
+
+
+class StiffMethod(NamedTuple):
+    """A stiff method and what it costs, measured on the four-bar.
+
+    Attributes:
+        solver: the method.
+        price: of a step, in steps of Dopri8.
+        steps_per_second: steps for a second of motion at rtol 1e-6.
+        steps_per_decade: factor of these for each digit more.
+    """
+
+    solver: diffrax.AbstractSolver
+    price: float
+    steps_per_second: float
+    steps_per_decade: float
+
+    def cost(self, rtol: float) -> float:
+        """Cost of a second of motion, in steps of Dopri8."""
+        return self.price * self.steps_per_second * self.steps_per_decade ** np.log10(1e-6 / rtol)
+
+
+LOOSE = StiffMethod(Ros34PW2(), 0.65, 3200.0, 2.0)
+TIGHT = StiffMethod(Rodas5P(), 2.25, 1800.0, 1.7)
 
 
 class Choice(NamedTuple):
@@ -50,7 +71,7 @@ class Choice(NamedTuple):
 
 
 def choose_solver(system: System, rtol=1e-8) -> Choice:
-    """Choose between an explicit method (Dopri8) and a stiff one (Rodas5P) by what they would cost.
+    """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
     film or an elastomer acts on the bodies that it joins; a stiff one needs the steps of its accuracy. Contacts are
@@ -64,25 +85,33 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
     stiff_models = [name for name in system.force_joints if _may_be_stiff(system.joints[name])]
     if not stiff_models:
         return Choice(diffrax.Dopri8(), "Dopri8: no joint has a film or an elastomer")
+    known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
+    stiff = stiff_method(known_rtol).solver
+    name_of_stiff = type(stiff).__name__
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
         films = [name for name in stiff_models if isinstance(system.spherical(name).model, Lubricated)]
         if films:
-            return Choice(Rodas5P(), f"Rodas5P: joint {films[0]!r} has a film; its numbers are traced")
+            return Choice(stiff, f"{name_of_stiff}: joint {films[0]!r} has a film; its numbers are traced")
         return Choice(diffrax.Dopri8(), f"Dopri8: joint {stiff_models[0]!r} has an elastomer; its numbers are traced")
     rates = dict(zip(system.force_joints, _rates_now(structure, theta.tobytes()), strict=True))
     name = max(stiff_models, key=lambda joint: rates[joint])
-    limit = explicit_rate_limit(float(rtol) if is_concrete(rtol) else 1e-8)
+    limit = explicit_rate_limit(known_rtol)
     what = f"joint {name!r} acts at about {rates[name]:.1e} per second"
     if rates[name] > limit:
-        return Choice(Rodas5P(), f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
+        reason = f"{name_of_stiff}: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
+        return Choice(stiff, reason)
     return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol")
 
 
+def stiff_method(rtol: float) -> StiffMethod:
+    """The cheaper stiff method at a tolerance."""
+    return LOOSE if rtol >= LOOSE_RTOL else TIGHT
+
+
 def explicit_rate_limit(rtol: float) -> float:
-    """The rate [1/s] at which both methods cost the same, by the constants above."""
-    stiff_steps = STIFF_STEPS_PER_SECOND * (1e-8 / rtol) ** (np.log10(2.9) / 2)
-    return float(STABILITY_BOUND * PRICE_RATIO * stiff_steps)
+    """The rate [1/s] at which the explicit and the stiff method cost the same."""
+    return float(STABILITY_BOUND * stiff_method(rtol).cost(rtol))
 
 
 def _may_be_stiff(joint) -> bool:
