@@ -15,7 +15,7 @@ from spherejax.motion.dynamics import state_rate
 from spherejax.motion.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
 from spherejax.motion.low_rank import inexact_product, solve_inexact_stage
 from spherejax.motion.programs import program_for
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, factorize_dense
 
 
 class Linearization(NamedTuple):
@@ -36,7 +36,9 @@ class Linearization(NamedTuple):
 
 def with_structure(solver: Any, structure: Structure) -> Any:
     """A Rosenbrock method with the system's own linear algebra; any other solver, or one with its own, unchanged."""
-    if not isinstance(solver, AbstractRosenbrock) or solver.jacobian is not None:
+    if not isinstance(solver, AbstractRosenbrock):
+        return solver
+    if solver.jacobian is not None or solver.factorize is not factorize_dense:
         return solver
     hooks = inexact_hooks_of(structure) if solver.tolerates_inexact_jacobian else hooks_of(structure)
     if hooks is None:
