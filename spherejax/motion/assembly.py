@@ -7,14 +7,14 @@ otherwise.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, concretely, is_concrete
+from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import Structure, System
@@ -85,7 +85,7 @@ def _assembled(structure: Structure, numbers: bytes) -> Assembly:
     """Kept: studies of joint models start from the same geometry again and again."""
     theta = np.frombuffer(numbers)
     step, project, residual = _programs(structure)
-    described = concretely(lambda numbers: described_state(structure.system(numbers)), theta)
+    described = program_for(_described, structure).compute(theta, 0.0, np.zeros(_n_start(structure)))
     moved = described
     for _ in range(N_NEWTON_STEPS):
         gaps = residual.compute(theta, 0.0, moved)
@@ -94,13 +94,7 @@ def _assembled(structure: Structure, numbers: bytes) -> Assembly:
         moved = step.compute(theta, 0.0, moved)
     moved = project.compute(theta, 0.0, moved)
     before, gaps = residual.compute(theta, 0.0, described), residual.compute(theta, 0.0, moved)
-    assembly = concretely(
-        lambda *values: _report(values[0], values[1], _largest(values[2]), _largest(values[3])),
-        described,
-        moved,
-        before,
-        gaps,
-    )
+    assembly = _report(described, moved, _largest(before, np), _largest(gaps, np), np)
     if not assembly.residual_after < CLOSING_TOLERANCE:
         size_of = {name: float(np.nan_to_num(np.max(np.abs(gap)), nan=np.inf)) for name, gap in gaps.items()}
         worst = max(size_of, key=lambda name: size_of[name])
@@ -123,21 +117,33 @@ def _programs(structure: Structure) -> tuple[Program, Program, Program]:
     return step, project, residual
 
 
-def _report(described, moved, before, after) -> Assembly:
+def _described(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    del t, y
+    return described_state(system)
+
+
+def _n_start(structure: Structure) -> int:
+    """Length of a flat state without memory: the programs of assembly are made for systems that have none."""
+    numbers = jax.ShapeDtypeStruct((sum(int(np.prod(shape)) for shape in structure.shapes),), jnp.float64)
+    return jax.eval_shape(structure.system, numbers).layout.size
+
+
+def _report(described, moved, before, after, xp: Any = jnp) -> Assembly:
+    """The report, in JAX, or in NumPy where everything is known: at once, without compiling anything."""
     n = described.shape[0] // (POSITION_SIZE + VELOCITY_SIZE)
     start, end = unpack(Layout(n), described), unpack(Layout(n), moved)
     return Assembly(
         moved,
         before,
         after,
-        _norms(end.position - start.position),
-        2 * _norms(_difference(end.quaternion, start.quaternion)),
-        _norms(end.velocity - start.velocity),
+        _norms(end.position - start.position, xp),
+        2 * _norms(_difference(end.quaternion, start.quaternion, xp), xp),
+        _norms(end.velocity - start.velocity, xp),
     )
 
 
-def _largest(gaps: dict[str, Float[Array, " n"]]) -> Scalar:
-    return jnp.max(jnp.concatenate([jnp.zeros(1), *(jnp.abs(gap) for gap in gaps.values())]))
+def _largest(gaps: dict[str, Float[Array, " n"]], xp: Any = jnp) -> Scalar:
+    return xp.max(xp.concatenate([xp.zeros(1), *(xp.abs(gap) for gap in gaps.values())]))
 
 
 def described_state(system: System) -> Float[Array, " n"]:
@@ -186,11 +192,11 @@ def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> F
     return pack(without_velocities(state, least_correction(system, motions, constraints, violation)))
 
 
-def _difference(a: Float[Array, "b 4"], b: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
+def _difference(a: Float[Array, "b 4"], b: Float[Array, "b 4"], xp: Any) -> Float[Array, "b 4"]:
     """The shorter of a - b and a + b: q and -q are the same rotation."""
-    return jnp.where(jnp.sum(a * b, -1, keepdims=True) < 0, a + b, a - b)
+    return xp.where(xp.sum(a * b, -1, keepdims=True) < 0, a + b, a - b)
 
 
-def _norms(rows: Float[Array, "b n"]) -> Float[Array, " b"]:
-    square = jnp.sum(rows * rows, -1)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+def _norms(rows: Float[Array, "b n"], xp: Any) -> Float[Array, " b"]:
+    square = xp.sum(rows * rows, -1)
+    return xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
