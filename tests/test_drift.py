@@ -16,9 +16,9 @@ from spherejax.model.system import flatten_system
 from spherejax.motion.assembly import assemble_now
 from spherejax.motion.constraints import constraint_set, velocity_violation
 from spherejax.motion.dynamics import body_motions, state_rate
+from spherejax.motion.integrate import as_ideal
 from spherejax.motion.programs import program_for
 from spherejax.motion.projection import corrected
-from spherejax.motion.simulate import as_ideal
 from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.state import unpack
 

@@ -163,6 +163,6 @@ def test_an_effect_adds_and_takes_nothing_from_the_others():
 
 def _start(system):
     from spherejax.motion.assembly import assemble_now
-    from spherejax.motion.simulate import as_ideal
+    from spherejax.motion.integrate import as_ideal
 
     return assemble_now(*flatten_system(as_ideal(system)))

@@ -140,7 +140,7 @@ def test_forward_derivative_meets_finite_differences(name):
         # By parameter, against its largest effect; positions and velocities have their own scales.
         # Positions by parameter, against its own effect; velocities, which feel the film's switch, against the largest.
         errors.append([_relative(jacobian[:3], differences[:3]), _relative(jacobian[3:], differences[3:], pooled=True)])
-    error = np.min(errors, axis=0).max(0)
+    error = np.nanmin(errors, axis=0).max(0)  # the longest steps leave the range of the numbers
     assert (error < family.agreement).all(), dict(zip(family.values, error, strict=True))
 
 

@@ -13,9 +13,9 @@ import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import hooks_of, inexact_hooks_of, with_structure
+from spherejax.motion.integrate import Parameters
 from spherejax.motion.low_rank import inexact_product, solve_inexact_stage
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import Parameters
 from spherejax.motion.solvers.rosenbrock_tableaus import ROS34PW2
 
 Y0 = np.array([1.0, 0.5])

@@ -82,7 +82,8 @@ def _scales(system: System):
     vectors = [body.position for body in system.bodies.values()] + places
     velocities = [body.velocity for body in system.bodies.values()]
     spins = [body.angular_velocity for body in system.bodies.values()]
-    clearances = [joint.model.clearance for joint in joints if hasattr(getattr(joint, "model", None), "clearance")]
+    models: list[Any] = [getattr(joint, "model", None) for joint in joints]
+    clearances = [model.clearance for model in models if hasattr(model, "clearance")]
     known = all(is_concrete(value) for value in [*vectors, *velocities, *spins, *clearances, system.gravity])
     xp: Any = np if known else jnp
 

@@ -39,6 +39,11 @@ class AbstractPlacedJoint(eqx.Module):
 
     bodies: eqx.AbstractVar[tuple[str, str]]
 
+    @property
+    @abc.abstractmethod
+    def points(self) -> tuple[Numeric, Numeric]:
+        """The joint's point on each body, body axes [m]."""
+
     @abc.abstractmethod
     def constraint_rows(self, motions: Motions) -> ConstraintRows | None:
         """The joint's constraint equations, or None."""
@@ -111,7 +116,7 @@ class PlacedSpherical(AbstractPlacedJoint):
     starts_concentric: bool = eqx.field(static=True)
 
     @property
-    def points(self):
+    def points(self) -> tuple[Numeric, Numeric]:
         """The centers of socket and ball, on their bodies."""
         return self.socket_place, self.ball_place
 
@@ -213,7 +218,7 @@ class PlacedRevolute(AbstractPlacedJoint):
     axis: Numeric
 
     @property
-    def points(self):
+    def points(self) -> tuple[Numeric, Numeric]:
         """The joint's point on each body."""
         return self.places
 
