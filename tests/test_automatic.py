@@ -9,6 +9,7 @@ import pytest
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.solvers.automatic import _rates_now, choose_solver, explicit_rate_limit
+from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.tolerances import component_tolerances
 
 
@@ -126,6 +127,28 @@ def test_a_traced_tolerance_and_a_derivative_together():
     value, derivative = slope(1e6, 1e-8)
     other, _ = slope(1e6 + 100.0, 1e-8)
     assert float(derivative) == pytest.approx(float(other - value) / 100.0, rel=1e-2)
+
+
+def test_default_root_finders_are_replaced_and_others_kept():
+    import optimistix
+
+    replaced = with_converging_root_finder(diffrax.Kvaerno5(), 1e-6)
+    assert isinstance(replaced.root_finder, optimistix.Chord)
+    assert float(replaced.root_finder.rtol) == pytest.approx(1e-7)
+    own = diffrax.Kvaerno5(root_finder=diffrax.VeryChord(rtol=1e-9, atol=1e-9))
+    newton = diffrax.Kvaerno3(root_finder=optimistix.Newton(rtol=1e-9, atol=1e-9))
+    explicit = diffrax.Dopri8()
+    for solver in (own, newton, explicit):
+        assert with_converging_root_finder(solver, 1e-6) is solver
+
+
+@pytest.mark.slow
+def test_an_implicit_method_converges_on_a_stiff_bushing():
+    scene, ts = sj.gallery.four_bar(sj.Bushing(1e6, 1e-2)), jnp.linspace(0.0, 0.02, 5)
+    run = sj.simulate(scene, ts, rtol=1e-6, atol=1e-8, solver=diffrax.Kvaerno5()).require_success()
+    tight = sj.simulate(scene, ts, rtol=1e-10).require_success()
+    assert int(run.stats.n_rejected) < int(run.stats.n_accepted)
+    np.testing.assert_allclose(run.position("rocker"), tight.position("rocker"), atol=1e-6)
 
 
 def test_the_compiled_run_does_not_call_back_into_python():

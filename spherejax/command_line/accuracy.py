@@ -65,7 +65,7 @@ def add_accuracy(commands) -> None:
         nargs="+",
         choices=SOLVERS,
         metavar="NAME",
-        help=f"integrators: {', '.join(SOLVERS)} (default: tsit5 dopri8 rodas4p rodas5p kvaerno5)",
+        help=f"integrators: {', '.join(SOLVERS)} (default: tsit5 dopri8 rodas4p rodas5p ros34pw2 kvaerno5)",
     )
     study.add_argument(
         "--tolerances", nargs="+", type=float, metavar="R", help="relative tolerances (default: 1e-4 1e-5 ... 1e-10)"

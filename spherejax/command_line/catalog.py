@@ -42,7 +42,7 @@ SOLVERS = {
     "tsit5": (diffrax.Tsit5, "explicit, order 5"),
     "dopri5": (diffrax.Dopri5, "explicit, order 5"),
     "dopri8": (diffrax.Dopri8, "explicit, order 8: the choice for scenes that are not stiff"),
-    "kvaerno5": (diffrax.Kvaerno5, "implicit, order 5, Newton iterations"),
+    "kvaerno5": (diffrax.Kvaerno5, "implicit, order 5, chord iterations that converge below the step's tolerance"),
     "rodas4p": (sj.Rodas4P, "linearly implicit, order 4, no iterations"),
     "rodas5p": (sj.Rodas5P, "linearly implicit, order 5: the choice for stiff scenes"),
     "ros34pw2": (sj.Ros34PW2, "linearly implicit, order 3: fastest on stiff scenes at low accuracy"),

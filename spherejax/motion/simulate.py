@@ -18,6 +18,7 @@ from spherejax.motion.assembly import Assembly, assemble_now
 from spherejax.motion.integrate import Options, Plan, as_ideal, integrate
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
+from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.tolerances import Tolerances, component_tolerances
 from spherejax.motion.trajectory import Trajectory
@@ -52,7 +53,8 @@ def simulate(
         atol: absolute tolerance of a step, one number for all entries of the state (m, m/s, rad/s, 1). With None each
             kind of entry has its own, by the scales of the scene, and positions are judged against the clearance; see
             `spherejax.motion.tolerances`. `run.stats.explanation` says what was used.
-        solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why).
+        solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why). An implicit method
+            whose root finder is diffrax's default gets one that converges on stiff mechanisms.
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
             are landed on whichever controller judges the errors.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
@@ -102,7 +104,7 @@ def simulate(
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
     run_of = integrate_with_sensitivities if by_sensitivities and unknown else integrate
-    options = Options(choice.solver, stepsize_controller, adjoint, max_steps)
+    options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps)
     conditions = [*compiled.conditions, jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions))
     values = jnp.asarray(theta)[np.array(unknown, int)] if unknown else jnp.zeros(0)
