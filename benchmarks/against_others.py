@@ -1,6 +1,6 @@
 """Work against precision: spherejax and what a careful user would write, the same equations, one core each.
 
-    python benchmarks/against_others.py                       # every case, about 6 minutes
+    python benchmarks/against_others.py                       # every case, a quarter of an hour
     python benchmarks/against_others.py ideal dry_short       # some cases
     python benchmarks/against_others.py --quick               # three tolerances
     python benchmarks/against_others.py --figure              # only draw the figure from the CSV files
