@@ -39,14 +39,18 @@ from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce, AppliedWrench, Wrench
 from spherejax.physics.joints import (
+    AbstractJoint,
+    AbstractPlacedJoint,
     AbstractSphericalModel,
     Bushing,
+    ConstraintRows,
     Dry,
     Ideal,
     Lubricated,
     Response,
     Revolute,
     Spherical,
+    differentiated_rows,
 )
 from spherejax.physics.laws import (
     AbstractElastomer,
@@ -86,7 +90,9 @@ __all__ = [
     "AbstractForce",
     "AbstractFrictionLaw",
     "AbstractHysteresisLaw",
+    "AbstractJoint",
     "AbstractNormalLaw",
+    "AbstractPlacedJoint",
     "AbstractSphericalModel",
     "AbstractStaticFriction",
     "Ambrosio",
@@ -98,6 +104,7 @@ __all__ = [
     "Body",
     "BrownMcPhee",
     "Bushing",
+    "ConstraintRows",
     "Coulomb",
     "CurveElastomer",
     "Dry",
@@ -141,6 +148,7 @@ __all__ = [
     "WorkPrecision",
     "Wrench",
     "compile_scene",
+    "differentiated_rows",
     "effects",
     "gallery",
     "runtime",
