@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 import spherejax as sj
 from spherejax.files.dimensions import FIELDS
-from spherejax.files.fields import Quantity
 from spherejax.files.kinds import kebab, kinds_of, parameters_of
 from spherejax.files.objects import same
+from spherejax.files.quantities import Quantity
 
 
 @pytest.fixture

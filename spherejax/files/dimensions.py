@@ -5,23 +5,12 @@ An argument that is missing here cannot be written in a file; a test compares th
 
 from collections.abc import Mapping
 
-from spherejax.files.fields import (
-    BodyName,
-    BodyNames,
-    Either,
-    Field,
-    Part,
-    Plain,
-    PointName,
-    Points,
-    Quantity,
-    listed,
-    matrix,
-    number,
-    vector,
-)
+from spherejax.files.fields import Field, Plain
+from spherejax.files.names import BodyNames, End, PointName
+from spherejax.files.parts import Either, OwnFunction, Part, Parts
+from spherejax.files.quantities import Coefficients, Points, Quantity, listed, matrix, number, vector
 from spherejax.model.drift import Baumgarte, NoDriftControl, PostStabilization, Projection
-from spherejax.physics import forces, joints, laws
+from spherejax.physics import forces, functions, joints, laws
 from spherejax.physics.bodies import Body
 
 Fields = Mapping[str, Field]
@@ -115,9 +104,9 @@ LAWS: Mapping[type, Fields] = {
 
 FORCES: Mapping[type, Fields] = {
     forces.AppliedWrench: {
-        "body": BodyName(),
-        "force": vector("N"),
-        "moment": vector("N m"),
+        "body": End(),
+        "force": Either(vector("N"), Part(OwnFunction)),
+        "moment": Either(vector("N m"), Part(OwnFunction)),
         "place": vector("m"),
         "in_body_axes": Plain(bool),
     },
@@ -130,6 +119,36 @@ DRIFT_CONTROLS: Mapping[type, Fields] = {
     Projection: {},
 }
 
-FIELDS: Mapping[type, Fields] = {Body: BODY, **JOINTS, **MODELS, **LAWS, **FORCES, **DRIFT_CONTROLS}
+_ARGUMENT, _VALUE = number("{of_argument}"), number("{of_value}")
 
-__all__ = ["FIELDS", "Either", "Fields"]
+FUNCTIONS: Mapping[type, Fields] = {
+    functions.Constant: {"value": _VALUE},
+    functions.Linear: {"slope": number("({of_value})/({of_argument})"), "offset": _VALUE},
+    functions.Polynomial: {"coefficients": Coefficients(), "center": _ARGUMENT},
+    functions.Sine: {
+        "amplitude": _VALUE,
+        "frequency": number("1/({of_argument})"),
+        "phase": number("rad"),
+        "offset": _VALUE,
+    },
+    functions.Step: {"at": _ARGUMENT, "before": _VALUE, "after": _VALUE},
+    functions.SmoothStep: {"start": _ARGUMENT, "end": _ARGUMENT, "before": _VALUE, "after": _VALUE},
+    functions.Bump: {"height": _VALUE, "start": _ARGUMENT, "length": _ARGUMENT},
+    functions.Table: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
+    functions.SmoothTable: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
+    functions.Piecewise: {"breaks": listed("{of_argument}"), "pieces": Parts(functions.AbstractFunction)},
+    functions.Sum: {"terms": Parts(functions.AbstractFunction)},
+}
+
+ALSO: Mapping[type, tuple[type, ...]] = {}
+"""Members of a family that are not derived from it."""
+
+FIELDS: Mapping[type, Fields] = {
+    Body: BODY,
+    **JOINTS,
+    **MODELS,
+    **LAWS,
+    **FORCES,
+    **FUNCTIONS,
+    **DRIFT_CONTROLS,
+}
