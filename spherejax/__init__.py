@@ -37,7 +37,16 @@ from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce, AppliedWrench, Wrench
+from spherejax.physics.forces import (
+    AbstractForce,
+    AppliedWrench,
+    BumpStop,
+    ShockAbsorber,
+    SpringDamper,
+    TorsionalSpring,
+    Tyre,
+    Wrench,
+)
 from spherejax.physics.functions import (
     AbstractFunction,
     Bump,
@@ -114,6 +123,7 @@ __all__ = [
     "Body",
     "BrownMcPhee",
     "Bump",
+    "BumpStop",
     "Bushing",
     "Constant",
     "Coulomb",
@@ -150,6 +160,7 @@ __all__ = [
     "ScalarProgram",
     "Scene",
     "SceneError",
+    "ShockAbsorber",
     "SimulationError",
     "SimulationWarning",
     "Sine",
@@ -157,13 +168,16 @@ __all__ = [
     "SmoothTable",
     "Sommerfeld",
     "Spherical",
+    "SpringDamper",
     "Status",
     "Step",
     "Sum",
     "System",
     "Table",
     "Threlfall",
+    "TorsionalSpring",
     "Trajectory",
+    "Tyre",
     "UserFunction",
     "VectorElastomer",
     "WorkPrecision",

@@ -2,5 +2,18 @@
 
 from spherejax.physics.forces.applied import AppliedWrench
 from spherejax.physics.forces.base import AbstractForce, Wrench
+from spherejax.physics.forces.bump_stop import BumpStop
+from spherejax.physics.forces.spring_damper import ShockAbsorber, SpringDamper
+from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.tyre import Tyre
 
-__all__ = ["AbstractForce", "AppliedWrench", "Wrench"]
+__all__ = [
+    "AbstractForce",
+    "AppliedWrench",
+    "BumpStop",
+    "ShockAbsorber",
+    "SpringDamper",
+    "TorsionalSpring",
+    "Tyre",
+    "Wrench",
+]
