@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
-from spherejax.physics.bodies import Body
+from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
@@ -163,7 +163,7 @@ class Tyre(AbstractForce):
         remedy = "Name a point of a moving body."
         road = self.road if isinstance(self.road, AbstractFunction) else None
         return [
-            Requirement("center", self.center, body_of(self.center) != "ground", "be on a moving body", remedy),
+            Requirement("center", self.center, body_of(self.center) != GROUND, "be on a moving body", remedy),
             positive("radius", self.radius, "m"),
             finite("speed", self.speed),
             *self._law.requirements(),
@@ -171,9 +171,9 @@ class Tyre(AbstractForce):
         ]
 
     @property
-    def body_names(self) -> tuple[str]:
-        """The wheel."""
-        return (body_of(self.center),)
+    def body_names(self) -> tuple[str, str]:
+        """The wheel, and the ground that carries the road."""
+        return body_of(self.center), GROUND
 
     @property
     def _law(self) -> OneSided:
