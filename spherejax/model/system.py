@@ -131,7 +131,7 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # state is the same inside and outside a compiled program.
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
     joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
-    forces = {name: scene.forces[name] for name in sorted(scene.forces)}
+    forces = {name: scene.forces[name].placed(scene.bodies, scene.find) for name in sorted(scene.forces)}
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
