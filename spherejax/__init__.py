@@ -18,6 +18,7 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
 from spherejax import gallery
+from spherejax.files import SceneFile, SimulationSettings, load_scene, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from spherejax.model.drift import (
@@ -206,7 +207,9 @@ __all__ = [
     "Scene",
     "SceneError",
     "ShockAbsorber",
+    "SceneFile",
     "SimulationError",
+    "SimulationSettings",
     "SimulationWarning",
     "Sine",
     "SmoothStep",
@@ -236,7 +239,10 @@ __all__ = [
     "draw",
     "effects",
     "gallery",
+    "load_scene",
+    "read_scene_file",
     "runtime",
+    "save_scene",
     "scalarize",
     "simulate",
     "work_precision",
