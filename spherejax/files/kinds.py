@@ -109,10 +109,17 @@ def keys_of(cls: type) -> list[tuple[str, str]]:
     return [
         (
             f"{name} *" if name in needed else name,
-            field.what + (f", {defaults[name]} by default" if name in defaults else ""),
+            field.what + (f", {_plain(defaults[name])} by default" if name in defaults else ""),
         )
         for name, field in fields_of(cls).items()
     ]
+
+
+def _plain(value: Any) -> str:
+    """A default as it is written in a file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
 def family_names() -> list[tuple[str, type]]:
@@ -120,7 +127,7 @@ def family_names() -> list[tuple[str, type]]:
     found: dict[type, str] = {}
     for cls, fields in FIELDS.items():
         for name, field in fields.items():
-            if isinstance(field, Part) and field.family not in found:
+            if isinstance(field, Part) and field.family not in found and field.family is not OwnFunction:
                 found[field.family] = f"{words_of(field.family)}: {name} = {{ kind = ... }} of {kebab(cls.__name__)}"
     top: list[tuple[str, type]] = [
         ("[joints.NAME]", AbstractJoint), ("[forces.NAME]", AbstractForce), ("drift", AbstractDriftControl),
@@ -172,23 +179,29 @@ def _users_own(kind: str, family: type, folder: Path, place: Place) -> Any:
     except Exception as error:  # whatever the user's code raises
         place.fail(f"{kind!r} cannot be imported: {type(error).__name__}: {error}")
     found = getattr(module, name, None)
-    takes_callables = family in (AbstractFunction, OwnFunction)
-    if takes_callables and (inspect.isfunction(found) or (inspect.isclass(found) and _has_call(found))):
-        return found
-    if not inspect.isclass(found):
-        classes = [key for key, value in vars(module).items() if inspect.isclass(value) and issubclass(value, family)]
-        place.fail(f"{where} has no class {name!r}; {one_of(classes, name)}")
-    if not issubclass(found, family):
-        place.fail(f"{kind!r} is no {words_of(family)}; derive the class from {family.__name__}")
+    if not (inspect.isclass(found) or inspect.isfunction(found)):
+        offered = [key for key, value in vars(module).items() if _serves_as(value, family)]
+        what = "function or class" if family in TAKE_CALLABLES else "class"
+        place.fail(f"{where} has no {what} {name!r}; {one_of(offered, name)}")
+    if not _serves_as(found, family):
+        remedy = "give a function" if family in TAKE_CALLABLES else f"derive a class from {family.__name__}"
+        place.fail(f"{kind!r} is no {words_of(family)}; {remedy}")
     if inspect.isabstract(found):
         lacking = sorted(getattr(found, "__abstractmethods__", ()))
         place.fail(f"{kind!r} is abstract; it lacks {', '.join(lacking)}")
     return found
 
 
-def _has_call(cls: type) -> bool:
-    """Whether objects of a class can be called; the class itself always can."""
-    return any("__call__" in vars(base) for base in cls.__mro__)
+TAKE_CALLABLES = (AbstractFunction, OwnFunction)
+"""Families for which any function, or class whose objects can be called, will do."""
+
+
+def _serves_as(found: Any, family: type) -> bool:
+    """Whether something in a user's file is a member of a family."""
+    if not inspect.isclass(found):
+        return inspect.isfunction(found) and family in TAKE_CALLABLES
+    has_call = any("__call__" in vars(base) for base in found.__mro__)
+    return issubclass(found, family) or (family in TAKE_CALLABLES and has_call)
 
 
 def _module_at(path: Path) -> ModuleType:

@@ -10,6 +10,9 @@ from spherejax.files.place import Place
 from spherejax.files.units import PURE, UnitError, in_si, measured
 from spherejax.foundations.checks import SceneError, is_concrete
 
+_WITHOUT_BRACKETS = str.maketrans("", "", "(){}")
+"""For units that refer to others, e.g. `"({of_value})/({of_argument})"`, in lists."""
+
 
 @dataclass(frozen=True)
 class Quantity(Field):
@@ -26,7 +29,7 @@ class Quantity(Field):
     @property
     def what(self) -> str:
         """The unit and the shape."""
-        unit = "any unit" if self.si is None else "-" if self.si == PURE else self.si
+        unit = "any unit" if self.si is None else "-" if self.si == PURE else self.si.translate(_WITHOUT_BRACKETS)
         if self.shapes is None or self.shapes == ((),):
             return f"[{unit}]"
         return f"{' or '.join(_shape_text(shape) for shape in self.shapes)} [{unit}]"
