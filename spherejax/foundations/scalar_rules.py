@@ -224,7 +224,7 @@ def _rows(array: np.ndarray, axes) -> tuple[np.ndarray, tuple[int, ...]]:
     kept = [axis for axis in range(array.ndim) if axis not in axes]
     shape = tuple(array.shape[axis] for axis in kept)
     count = int(np.prod([array.shape[axis] for axis in axes]))
-    return array.transpose([*kept, *axes]).reshape(-1, count), shape
+    return array.transpose([*kept, *axes]).reshape(int(np.prod(shape)), count), shape
 
 
 def _reduction(combine, start):
