@@ -18,6 +18,7 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
 from spherejax import gallery
+from spherejax.files import SceneFile, SimulationSettings, load_scene, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from spherejax.model.drift import (
@@ -32,10 +33,12 @@ from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.modes import Mode
 from spherejax.motion.programs import ArrayPathWarning
+from spherejax.motion.redundancy import ConstraintReport, constraint_report
 from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
+from spherejax.output.drawing import draw
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -63,17 +66,34 @@ from spherejax.physics.functions import (
     UserFunction,
 )
 from spherejax.physics.joints import (
+    AbstractCurve,
     AbstractJoint,
     AbstractPlacedJoint,
     AbstractSphericalModel,
     Bushing,
+    Circle,
     ConstraintRows,
+    Cylindrical,
+    Distance,
+    DistanceDriver,
     Dry,
+    Fixed,
+    Harmonic,
     Ideal,
+    ImplicitCurve,
+    Line,
     Lubricated,
+    PointOnCurve,
+    PointOnPlane,
+    PositionDriver,
+    Prismatic,
     Response,
     Revolute,
+    RotationDriver,
     Spherical,
+    TranslationDriver,
+    Uniform,
+    Universal,
     differentiated_rows,
 )
 from spherejax.physics.laws import (
@@ -87,12 +107,14 @@ from spherejax.physics.laws import (
     BengisuAkay,
     BrownMcPhee,
     Coulomb,
+    CrossElastomer,
     CurveElastomer,
     ExactRestitution,
     Flores,
     Gonthier,
     Guembel,
     Hertz,
+    HingeElastomer,
     HuntCrossley,
     LankaraniNikravesh,
     LuGre,
@@ -108,6 +130,7 @@ from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
 
 __all__ = [
+    "AbstractCurve",
     "AbstractDriftControl",
     "AbstractElastomer",
     "AbstractFilmBoundary",
@@ -131,19 +154,30 @@ __all__ = [
     "Bump",
     "BumpStop",
     "Bushing",
+    "Circle",
     "Constant",
+    "ConstraintReport",
     "ConstraintRows",
     "Coulomb",
+    "CrossElastomer",
     "CurveElastomer",
+    "Cylindrical",
+    "Distance",
+    "DistanceDriver",
     "Dry",
     "ExactRestitution",
+    "Fixed",
     "Flores",
     "Gonthier",
     "Guembel",
+    "Harmonic",
     "Hertz",
+    "HingeElastomer",
     "HuntCrossley",
     "Ideal",
+    "ImplicitCurve",
     "LankaraniNikravesh",
+    "Line",
     "Linear",
     "LuGre",
     "Lubricated",
@@ -154,8 +188,12 @@ __all__ = [
     "NotScalarizable",
     "Piecewise",
     "PinkusSternlicht",
+    "PointOnCurve",
+    "PointOnPlane",
     "Polynomial",
+    "PositionDriver",
     "PostStabilization",
+    "Prismatic",
     "Projection",
     "RadialElastomer",
     "Requirement",
@@ -164,11 +202,14 @@ __all__ = [
     "Rodas4P",
     "Rodas5P",
     "Ros34PW2",
+    "RotationDriver",
     "ScalarProgram",
     "Scene",
     "SceneError",
+    "SceneFile",
     "ShockAbsorber",
     "SimulationError",
+    "SimulationSettings",
     "SimulationWarning",
     "Sine",
     "SmoothStep",
@@ -184,16 +225,24 @@ __all__ = [
     "Threlfall",
     "TorsionalSpring",
     "Trajectory",
+    "TranslationDriver",
     "Tyre",
+    "Uniform",
+    "Universal",
     "UserFunction",
     "VectorElastomer",
     "WorkPrecision",
     "Wrench",
     "compile_scene",
+    "constraint_report",
     "differentiated_rows",
+    "draw",
     "effects",
     "gallery",
+    "load_scene",
+    "read_scene_file",
     "runtime",
+    "save_scene",
     "scalarize",
     "simulate",
     "work_precision",
