@@ -36,7 +36,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
-from spherejax.output.drawing import draw
+from spherejax.output.drawing import animate, draw
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce, AppliedWrench, Wrench
 from spherejax.physics.joints import (
@@ -141,6 +141,7 @@ __all__ = [
     "VectorElastomer",
     "WorkPrecision",
     "Wrench",
+    "animate",
     "compile_scene",
     "draw",
     "effects",
