@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractPlacedJoint, PlacedRevolute, PlacedSpherical
+from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
 from spherejax.physics.state import Layout
 
 
@@ -70,11 +70,7 @@ class System(eqx.Module):
     @property
     def force_joints(self) -> tuple[str, ...]:
         """Names of the joints that answer with a force."""
-        return tuple(
-            name
-            for name, joint in self.joints.items()
-            if isinstance(joint, PlacedSpherical) and not joint.model.is_ideal
-        )
+        return tuple(name for name, joint in self.joints.items() if joint.answers_with_force)
 
     @property
     def contact_joints(self) -> tuple[str, ...]:
@@ -90,7 +86,12 @@ class System(eqx.Module):
     @property
     def n_constraints(self) -> int:
         """Number of constraint equations."""
-        return sum(_n_rows(joint) for joint in self.joints.values())
+        return sum(joint.n_rows for joint in self.joints.values())
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether a joint prescribes a motion as a function of time."""
+        return any(joint.is_driven for joint in self.joints.values())
 
     def memory_of(self, joint: str) -> slice:
         """The joint's entries in the memory; an empty slice without memory."""
@@ -130,7 +131,8 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # state is the same inside and outside a compiled program.
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
     joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
-    forces = {name: scene.forces[name] for name in sorted(scene.forces)}
+    forces = {name: scene.forces[name].placed(scene.bodies, scene.find) for name in sorted(scene.forces)}
+    _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
         names = joint.model.memory_names if isinstance(joint, PlacedSpherical) else ()
@@ -140,6 +142,17 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     refines = _masses_are_far_apart(bodies)
     system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines)
     return Compiled(system, conditions)
+
+
+def _check_leaves(parts: dict[str, Any]) -> None:
+    """Parts that a user has written hold numbers; names and functions are structure."""
+    for place, part in parts.items():
+        for leaf in jax.tree.leaves(part):
+            if isinstance(leaf, str) or callable(leaf):
+                raise SceneError(
+                    f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
+                    "with equinox.field(static=True)"
+                )
 
 
 LARGE_MASS_RATIO = 1e4
@@ -157,12 +170,6 @@ def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
 def _with_array_fields(body: Body) -> Body:
     # Points are resolved into the joints; leaving them here would make unused numbers part of the program's shape.
     return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
-
-
-def _n_rows(joint: AbstractPlacedJoint) -> int:
-    if isinstance(joint, PlacedRevolute):
-        return 5
-    return 3 if isinstance(joint, PlacedSpherical) and joint.model.is_ideal else 0
 
 
 SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)
