@@ -37,6 +37,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
+from spherejax.output.drawing import draw
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -232,6 +233,7 @@ __all__ = [
     "compile_scene",
     "constraint_report",
     "differentiated_rows",
+    "draw",
     "effects",
     "gallery",
     "runtime",
