@@ -111,6 +111,13 @@ def test_options_come_before_the_file_and_the_file_before_the_defaults(written, 
     assert options["max_steps"] == 20_000_000
 
 
+def test_the_number_of_samples_asked_for_comes_before_their_interval_in_the_file(written, asked):
+    path = str(written(TEXT, ("samples = 5", 'dt = "1 ms"')))
+    assert cli.main(["run", path]) == 2
+    assert cli.main(["run", path, "--samples", "3"]) == 2
+    assert [len(ts) for _, ts, _ in asked] == [41, 3]
+
+
 def test_joint_options_replace_the_model_of_the_studied_joint_or_another(written, asked):
     path = str(written())
     dry = ("--joint", "dry", "--of", "shoulder", "--clearance", "2e-4")
