@@ -17,6 +17,7 @@ from spherejax.motion.constraints import constraint_set, inverse_masses, solve_a
 from spherejax.motion.dynamics import body_motions
 from spherejax.motion.loads import applied_wrenches
 from spherejax.motion.programs import program_for
+from spherejax.motion.solvers.force_rates import force_rates
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.physics.joints import Bushing, Lubricated, PlacedSpherical
 from spherejax.physics.state import VELOCITY_SIZE, unpack
@@ -32,6 +33,10 @@ USUAL_ECCENTRICITY_RATIO = 0.5
 
 SMALL_DEFLECTION = 1e-6
 """Deflection [m] at which an elastomer is looked at."""
+
+
+LITTLE_DAMPING = 0.02
+"""Ratio of decay to frequency (twice the damping ratio) below which a vibration by force elements is there to stay."""
 
 
 class StiffMethod(NamedTuple):
@@ -74,19 +79,29 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
     """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
-    film or an elastomer acts on the bodies that it joins; a stiff one needs the steps of its accuracy. Contacts are
-    left to the explicit method: they are short, and landed on. Numbers that are traced are not looked at: the choice
-    then rests on the models alone.
+    film or an elastomer acts on the bodies that it joins, or with which force elements act at the start; a stiff one
+    needs the steps of its accuracy. Contacts and stops are left to the explicit method: they are short, and landed on
+    or passed. Numbers that are traced are not looked at: the choice then rests on the models alone.
 
     Args:
         system: the system.
         rtol: relative tolerance of the run; 1e-8 is assumed when it is traced.
     """
+    known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
+    by_joints = _choice_by_joints(system, known_rtol)
+    if not system.forces:
+        return by_joints
+    by_forces = _choice_by_forces(system, known_rtol)
+    if not isinstance(by_forces.solver, diffrax.Dopri8):
+        return by_forces
+    return Choice(by_joints.solver, f"{by_joints.reason}; {by_forces.reason}")
+
+
+def _choice_by_joints(system: System, rtol: float) -> Choice:
     stiff_models = [name for name in system.force_joints if _may_be_stiff(system.joints[name])]
     if not stiff_models:
         return Choice(diffrax.Dopri8(), "Dopri8: no joint has a film or an elastomer")
-    known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
-    stiff = stiff_method(known_rtol).solver
+    stiff = stiff_method(rtol).solver
     name_of_stiff = type(stiff).__name__
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
@@ -96,12 +111,27 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
         return Choice(diffrax.Dopri8(), f"Dopri8: joint {stiff_models[0]!r} has an elastomer; its numbers are traced")
     rates = dict(zip(system.force_joints, _rates_now(structure, theta.tobytes()), strict=True))
     name = max(stiff_models, key=lambda joint: rates[joint])
-    limit = explicit_rate_limit(known_rtol)
+    limit = explicit_rate_limit(rtol)
     what = f"joint {name!r} acts at about {rates[name]:.1e} per second"
     if rates[name] > limit:
         reason = f"{name_of_stiff}: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
         return Choice(stiff, reason)
     return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol")
+
+
+def _choice_by_forces(system: System, rtol: float) -> Choice:
+    """Rodas5P where force elements are too fast for Dopri8: the W-method leaves them out of its Jacobian."""
+    structure, theta = flatten_system(system)
+    if not is_concrete(theta):
+        return Choice(diffrax.Dopri8(), "numbers of the scene are traced, and force elements not looked at")
+    decay, frequency = force_rates(system, structure, np.asarray(theta))
+    # A vibration without damping goes on for ever, and any method has to follow it.
+    rate = max(decay, frequency if decay > LITTLE_DAMPING * frequency else 0.0)
+    limit = STABILITY_BOUND * TIGHT.cost(rtol)
+    what = f"force elements act at about {rate:.1e} per second"
+    if rate > limit:
+        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
+    return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
 
 
 def stiff_method(rtol: float) -> StiffMethod:
