@@ -18,6 +18,7 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
 from spherejax import gallery
+from spherejax.files import SceneFile, SimulationSettings, load_scene, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from spherejax.model.drift import (
@@ -37,7 +38,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
-from spherejax.output.drawing import draw
+from spherejax.output.drawing import animate, draw
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -205,8 +206,10 @@ __all__ = [
     "ScalarProgram",
     "Scene",
     "SceneError",
+    "SceneFile",
     "ShockAbsorber",
     "SimulationError",
+    "SimulationSettings",
     "SimulationWarning",
     "Sine",
     "SmoothStep",
@@ -230,13 +233,17 @@ __all__ = [
     "VectorElastomer",
     "WorkPrecision",
     "Wrench",
+    "animate",
     "compile_scene",
     "constraint_report",
     "differentiated_rows",
     "draw",
     "effects",
     "gallery",
+    "load_scene",
+    "read_scene_file",
     "runtime",
+    "save_scene",
     "scalarize",
     "simulate",
     "work_precision",

@@ -1,13 +1,14 @@
 """Force elements."""
 
 from spherejax.physics.forces.applied import AppliedWrench
-from spherejax.physics.forces.base import AbstractForce, Wrench
+from spherejax.physics.forces.base import UNITS, AbstractForce, Wrench, power_on_bodies
 from spherejax.physics.forces.bump_stop import BumpStop
 from spherejax.physics.forces.spring_damper import ShockAbsorber, SpringDamper
 from spherejax.physics.forces.torsional import TorsionalSpring
 from spherejax.physics.forces.tyre import Tyre
 
 __all__ = [
+    "UNITS",
     "AbstractForce",
     "AppliedWrench",
     "BumpStop",
@@ -16,4 +17,5 @@ __all__ = [
     "TorsionalSpring",
     "Tyre",
     "Wrench",
+    "power_on_bodies",
 ]
