@@ -18,6 +18,7 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
 from spherejax import gallery
+from spherejax.files import SceneFile, SimulationSettings, load_scene, load_urdf, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from spherejax.model.drift import (
@@ -37,8 +38,33 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
+from spherejax.output.drawing import animate, draw
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce, AppliedWrench, Wrench
+from spherejax.physics.forces import (
+    AbstractForce,
+    AppliedWrench,
+    BumpStop,
+    ShockAbsorber,
+    SpringDamper,
+    TorsionalSpring,
+    Tyre,
+    Wrench,
+)
+from spherejax.physics.functions import (
+    AbstractFunction,
+    Bump,
+    Constant,
+    Linear,
+    Piecewise,
+    Polynomial,
+    Sine,
+    SmoothStep,
+    SmoothTable,
+    Step,
+    Sum,
+    Table,
+    UserFunction,
+)
 from spherejax.physics.joints import (
     AbstractCurve,
     AbstractJoint,
@@ -110,6 +136,7 @@ __all__ = [
     "AbstractFilmBoundary",
     "AbstractForce",
     "AbstractFrictionLaw",
+    "AbstractFunction",
     "AbstractHysteresisLaw",
     "AbstractJoint",
     "AbstractNormalLaw",
@@ -124,8 +151,11 @@ __all__ = [
     "BengisuAkay",
     "Body",
     "BrownMcPhee",
+    "Bump",
+    "BumpStop",
     "Bushing",
     "Circle",
+    "Constant",
     "ConstraintReport",
     "ConstraintRows",
     "Coulomb",
@@ -148,6 +178,7 @@ __all__ = [
     "ImplicitCurve",
     "LankaraniNikravesh",
     "Line",
+    "Linear",
     "LuGre",
     "Lubricated",
     "Material",
@@ -155,9 +186,11 @@ __all__ = [
     "Mode",
     "NoDriftControl",
     "NotScalarizable",
+    "Piecewise",
     "PinkusSternlicht",
     "PointOnCurve",
     "PointOnPlane",
+    "Polynomial",
     "PositionDriver",
     "PostStabilization",
     "Prismatic",
@@ -173,26 +206,45 @@ __all__ = [
     "ScalarProgram",
     "Scene",
     "SceneError",
+    "SceneFile",
+    "ShockAbsorber",
     "SimulationError",
+    "SimulationSettings",
     "SimulationWarning",
+    "Sine",
+    "SmoothStep",
+    "SmoothTable",
     "Sommerfeld",
     "Spherical",
+    "SpringDamper",
     "Status",
+    "Step",
+    "Sum",
     "System",
+    "Table",
     "Threlfall",
+    "TorsionalSpring",
     "Trajectory",
     "TranslationDriver",
+    "Tyre",
     "Uniform",
     "Universal",
+    "UserFunction",
     "VectorElastomer",
     "WorkPrecision",
     "Wrench",
+    "animate",
     "compile_scene",
     "constraint_report",
     "differentiated_rows",
+    "draw",
     "effects",
     "gallery",
+    "load_scene",
+    "load_urdf",
+    "read_scene_file",
     "runtime",
+    "save_scene",
     "scalarize",
     "simulate",
     "work_precision",

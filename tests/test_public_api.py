@@ -43,6 +43,8 @@ ARGUMENTS = {
     sj.gallery.four_bar: ("model", "drift"),
     sj.simulate: ("scene", "ts", "rtol", "atol", "solver", "stepsize_controller", "adjoint", "throw"),
     sj.compile_scene: ("scene",),
+    sj.draw: ("what", "t", "scene", "view", "projections", "magnified", "plane", "traces", "frames", "labels", "title"),
+    sj.animate: ("run", "path", "fps", "slow", "view", "magnified", "overwrite", "report"),
     sj.work_precision: ("scene", "t1", "solvers", "tolerances", "n_repeats"),
     sj.scalarize: ("function",),
     sj.runtime.configure: ("cache",),

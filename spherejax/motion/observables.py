@@ -10,6 +10,7 @@ from spherejax.model.system import System
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import inertia_in_world
+from spherejax.physics.forces import AbstractForce, power_on_bodies
 from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.kinematics import point_motion
 
@@ -40,6 +41,8 @@ class Observation(NamedTuple):
         eccentricity_rate: its time derivative [m/s].
         parts: named contributions of the joints that answer with a force, by joint.
         elastic_energy: stored in each joint that answers with a force [J], by joint.
+        forces: named results of the force elements, by element, each with `power` on the bodies [W] and
+            `potential_energy` [J].
         kinetic_energy: of all bodies [J].
         potential_energy: of weight and force elements [J].
         constraint_violation: largest entry of |Phi| [m or 1].
@@ -55,6 +58,7 @@ class Observation(NamedTuple):
     eccentricity_rate: dict[str, Vector3]
     parts: dict[str, dict[str, Array]]
     elastic_energy: dict[str, Scalar]
+    forces: dict[str, dict[str, Array]]
     kinetic_energy: Scalar
     potential_energy: Scalar
     constraint_violation: Scalar
@@ -79,6 +83,7 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
         eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
         parts={name: load.response.parts for name, load in evaluation.loads.items()},
         elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
+        forces={name: _force_results(force, t, evaluation) for name, force in system.forces.items()},
         kinetic_energy=_kinetic_energy(system, evaluation),
         potential_energy=_potential_energy(system, t, evaluation),
         constraint_violation=position_violation,
@@ -101,6 +106,12 @@ def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
 def _driving_power(evaluation: Evaluation, name: str) -> Scalar:
     """-(D^T lambda).v = lambda.Phi_t, for D v = -Phi_t."""
     return evaluation.solution.multipliers[name] @ evaluation.constraints.rows[name].rate_at_rest
+
+
+def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> dict[str, Array]:
+    motions = evaluation.motions
+    power = power_on_bodies(force.wrenches(t, motions), motions)
+    return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
 
 
 def _kinetic_energy(system: System, evaluation: Evaluation) -> Scalar:

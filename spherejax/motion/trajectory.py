@@ -213,6 +213,18 @@ class Trajectory(eqx.Module):
             raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
         return parts[name]
 
+    def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:
+        """Named results of a force element, e.g. `run.force("shock")["length"]` [m].
+
+        Every element has `power`, which it puts into the bodies [W], and `potential_energy` [J]. Elements along a line
+        have `length`, `rate`, `force` (the tension) and `dissipated_power`; torsion springs `angle`, `angular_rate`,
+        `torque`; tyres `load`, `compression` and what the road does; a user's own what its `parts` returns.
+        """
+        if name not in self.system.forces:
+            known = ", ".join(map(repr, self.system.forces)) or "none"
+            raise SceneError(f"there is no force element {name!r}; the run has {known}")
+        return self.observation.forces[name]
+
     def mode(self, joint: str) -> np.ndarray:
         """What the ball does at each sample, integers of `Mode` (flight, impact, contact); see `motion.modes`.
 
