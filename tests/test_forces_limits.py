@@ -91,6 +91,16 @@ def test_twist_tilted_by_pi_is_finite():
     slopes_at(spring, y)
 
 
+def test_angle_is_continuous_within_a_full_turn_and_jumps_at_its_end():
+    spring = sj.TorsionalSpring(("ground", "second"), (0.0, 0.0, 1.0), 5.0)
+    w, x, y, z = np.asarray(scene_with(spring).bodies["second"].quaternion)
+    for turned, angle in ((3.2, 3.2), (-3.2, -3.2), (6.28, 6.28), (6.29, 6.29 - 4 * np.pi)):
+        c, s = np.cos(turned / 2), np.sin(turned / 2)
+        state = together()
+        state[10:14] = [c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]  # turned about z since the start
+        assert slopes_at(spring, state)["value"]["parts"]["angle"] == pytest.approx(angle)
+
+
 # The forces of a suspension ------------------------------------------------------------------------------------------
 
 
