@@ -62,6 +62,10 @@ ARGUMENTS = {
     sj.animate: ("run", "path", "fps", "slow", "view", "magnified", "overwrite", "report"),
     sj.work_precision: ("scene", "t1", "solvers", "tolerances", "n_repeats"),
     sj.scalarize: ("function",),
+    sj.load_scene: ("path",),
+    sj.read_scene_file: ("path",),
+    sj.save_scene: ("scene", "path", "title", "studied", "settings", "overwrite"),
+    sj.load_urdf: ("path", "base", "positions", "velocities", "gravity", "drift", "ignore"),
     sj.runtime.configure: ("cache",),
 }
 
