@@ -100,8 +100,6 @@ UNITS_BY_TIME = {
     "smooth-table": {"x": "s", "y": "N"},
     "piecewise": {"breaks": "s"},
     "sum": {},
-    "uniform": {"rate": "N/s", "start": "N"},
-    "harmonic": {"amplitude": "N", "frequency": "Hz", "phase": "rad", "mean": "N"},
 }
 """Of a force by time."""
 

@@ -17,7 +17,7 @@ SUFFIXES = {".toml": "a scene file", ".urdf": "a robot description"}
 """Files that describe a mechanism."""
 
 AS_DESCRIBED = "as described"
-"""Stands for the name of a model where the file's own models are taken."""
+"""Stands for the name of a model where the scene's or the file's own models are taken."""
 
 
 class Chosen(NamedTuple):
@@ -67,18 +67,18 @@ def chosen(options: argparse.Namespace) -> Chosen:
     found = _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser())
     if options.of is not None:
         found = _studying(found, options.of)
-    if given in SCENES and options.of is None:
-        model_from(options)  # refuses options that the model does not use
-    elif options.joint is None:
+    if options.joint is None and (options.of is not None or model_name(options) == AS_DESCRIBED):
         _refuse_loose(options)
+    else:
+        model_from(options)  # refuses options that the model does not use
     return found
 
 
 def model_name(options: argparse.Namespace) -> str:
-    """What the studied joint is called in titles: the word of `--joint`, or that the file's own models are taken."""
+    """What the studied joint is called in titles: the word of `--joint`, or that the scene's own models are taken."""
     if options.joint is not None:
         return options.joint
-    return "ideal" if options.scene in SCENES and _takes_model(SCENES[options.scene]) else AS_DESCRIBED
+    return "ideal" if options.scene in SCENES and _is_ideal_by_default(SCENES[options.scene]) else AS_DESCRIBED
 
 
 def studied_in(build: Callable[..., sj.Scene]) -> str | None:
@@ -92,6 +92,12 @@ def studied_in(build: Callable[..., sj.Scene]) -> str | None:
 
 def _takes_model(build: Callable[..., sj.Scene]) -> bool:
     return "model" in inspect.signature(build).parameters
+
+
+def _is_ideal_by_default(build: Callable[..., sj.Scene]) -> bool:
+    """Whether the studied joint of a gallery scene is ideal unless something else is asked for."""
+    joint = studied_in(build)
+    return joint is not None and build().joints[joint].model.is_ideal  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _scene_name(text: str) -> str:
@@ -171,5 +177,5 @@ def _refuse_loose(options: argparse.Namespace) -> None:
         if getattr(options, name) is not None:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(
-                f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the file's own models are taken"
+                f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the scene's own models are taken"
             )
