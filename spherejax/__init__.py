@@ -38,7 +38,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
-from spherejax.output.drawing import animate, draw
+from spherejax.output.drawing import animate, draw, view
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -243,5 +243,6 @@ __all__ = [
     "save_scene",
     "scalarize",
     "simulate",
+    "view",
     "work_precision",
 ]
