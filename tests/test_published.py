@@ -251,7 +251,7 @@ def rotations(q):
 
 
 def governor_rate(_, y):
-    """Lagrange's equations with equal rods: the shaft's angular velocity w, the slider's height s, the rods' incline a."""
+    """Lagrange's equations with equal rods: shaft's angular velocity w, slider's height s, the rods' incline a."""
     s, a, s_rate, a_rate, w = y
     rod, ball, slider, width = 0.3, 5.0, 3.0, 0.01
     along, across = rod * (1.0 + width**2) / 12, rod * 2 * width**2 / 12
