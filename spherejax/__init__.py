@@ -38,7 +38,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
-from spherejax.output.drawing import animate, draw
+from spherejax.output.drawing import animate, draw, view
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -78,7 +78,6 @@ from spherejax.physics.joints import (
     DistanceDriver,
     Dry,
     Fixed,
-    Harmonic,
     Ideal,
     ImplicitCurve,
     Line,
@@ -92,7 +91,6 @@ from spherejax.physics.joints import (
     RotationDriver,
     Spherical,
     TranslationDriver,
-    Uniform,
     Universal,
     differentiated_rows,
 )
@@ -170,7 +168,6 @@ __all__ = [
     "Flores",
     "Gonthier",
     "Guembel",
-    "Harmonic",
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",
@@ -227,7 +224,6 @@ __all__ = [
     "Trajectory",
     "TranslationDriver",
     "Tyre",
-    "Uniform",
     "Universal",
     "UserFunction",
     "VectorElastomer",
@@ -247,5 +243,6 @@ __all__ = [
     "save_scene",
     "scalarize",
     "simulate",
+    "view",
     "work_precision",
 ]
