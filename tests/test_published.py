@@ -11,6 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 import spherejax as sj
+from spherejax import cli
+from spherejax.gallery.hip import Gait
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.assembly import assemble_now, described_state
 from spherejax.motion.constraints import constraint_set
@@ -214,7 +216,7 @@ def test_a04_bricard_moves_with_one_redundant_equation():
 
     def stacked(y):
         motions = body_motions(system, unpack(system.layout, y))
-        found = constraint_set(system, 0.0, motions)
+        found = constraint_set(system, jnp.zeros(()), motions)
         return jnp.concatenate([jnp.stack([found.times({b: e}) for e in jnp.eye(6)], 1) for b in system.bodies], 1)
 
     singular_values = np.linalg.svd(np.asarray(stacked(start)), compute_uv=False)
@@ -347,7 +349,9 @@ def test_hip_sinks_through_its_film_and_rests_on_the_metal():
             return sum((k + 2) / (k + 3) * e**k for k in range(16))
         return np.log1p(-e) / e**3 + 1 / (e**2 * (1 - e)) - 1 / (2 * e)
 
-    load = scene.forces["gait"].load
+    gait = scene.forces["gait"]
+    assert isinstance(gait, Gait)
+    load = gait.load
     # Inertia aside, the film takes the load: C B(e / c) e' = F.
     early = np.linspace(0.0, 4e-3, 5)
     squeezed = solve_ivp(
@@ -376,3 +380,23 @@ def test_bad_numbers_of_links_and_loops_are_named():
         sj.gallery.chain(0)
     with pytest.raises(sj.SceneError, match="n_loops = 0 must be at least 1"):
         sj.gallery.n_four_bar(0)
+
+
+# On the command line ------------------------------------------------------------------------------------------------
+
+
+def test_scenes_run_by_their_short_names(capsys, monkeypatch):
+    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
+    assert cli.main(["run", "a01", "--samples", "3"]) == 0
+    out = capsys.readouterr().out
+    assert "simple-pendulum" in out
+    assert "10 s" in out  # the published length
+    assert cli.main(["list"]) == 0
+    out = capsys.readouterr().out
+    for name in ("n-four-bar (a02)", "bricard (a04)", "governor (a05)", "andrews", "car-axis", "heavy-top", "hip"):
+        assert name in out
+
+
+def test_a_scene_without_a_studied_joint_says_so(capsys):
+    assert cli.main(["run", "a04", "--joint", "dry"]) == 2
+    assert "bricard has no studied joint; add --of NAME" in capsys.readouterr().err
