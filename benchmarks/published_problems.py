@@ -104,6 +104,7 @@ def against_tight(scene: Callable[[], sj.Scene], body: str) -> Callable[[sj.Traj
     return error
 
 
+governor_error = against_tight(sj.gallery.governor, "slider")
 THREE = (1e-6, 1e-8, 1e-10)
 SCENES = sj.gallery
 
