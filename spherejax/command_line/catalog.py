@@ -15,6 +15,14 @@ SCENES: Mapping[str, Callable[..., sj.Scene]] = {
 }
 """The scenes of the gallery: functions that can be called without arguments."""
 
+ALIASES = {"a01": "simple-pendulum", "a02": "n-four-bar", "a04": "bricard", "a05": "governor"}
+"""Short names of scenes: their numbers in the IFToMM library of benchmark problems."""
+
+PUBLISHED_DURATIONS = {
+    "andrews": 0.03, "bricard": 10.0, "car-axis": 3.0, "governor": 10.0, "n-four-bar": 10.0, "simple-pendulum": 10.0,
+}  # fmt: skip
+"""Length of the motion that the source of a scene asks for [s]."""
+
 JOINTS = {
     "ideal": "ball and socket without any gap: constraint equations",
     "dry": "dry contact with clearance, no friction unless --friction is given",
@@ -91,7 +99,8 @@ def list_names(options: argparse.Namespace) -> int:
     if options.kinds:
         list_kinds()
         return 0
-    scenes = [(name, (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
+    short = {name: f"{name} ({alias})" for alias, name in ALIASES.items()}
+    scenes = [(short.get(name, name), (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
     print_table("Scenes", ("name", "what"), scenes)
     print_table("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
     print_table("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import spherejax as sj
-from spherejax.command_line.catalog import JOINTS, SCENES
+from spherejax.command_line.catalog import ALIASES, JOINTS, PUBLISHED_DURATIONS, SCENES
 from spherejax.command_line.models import USED_BY, model_from
 from spherejax.files.objects import arguments_of
 from spherejax.files.place import one_of
@@ -78,7 +78,7 @@ def model_name(options: argparse.Namespace) -> str:
     """What the studied joint is called in titles: the word of `--joint`, or that the scene's own models are taken."""
     if options.joint is not None:
         return options.joint
-    return "ideal" if options.scene in SCENES and _is_ideal_by_default(SCENES[options.scene]) else AS_DESCRIBED
+    return "ideal" if options.scene in SCENES and _is_ideal(SCENES[options.scene]) else AS_DESCRIBED
 
 
 def studied_in(build: Callable[..., sj.Scene]) -> str | None:
@@ -90,17 +90,19 @@ def studied_in(build: Callable[..., sj.Scene]) -> str | None:
     return next((name for name, joint in joints.items() if getattr(joint, "model", None) is marker), None)
 
 
+def _is_ideal(build: Callable[..., sj.Scene]) -> bool:
+    """Whether the studied joint is ideal unless another model is given."""
+    studied = studied_in(build)
+    joint = None if studied is None else build().joints[studied]
+    return isinstance(joint, sj.Spherical) and joint.model.is_ideal
+
+
 def _takes_model(build: Callable[..., sj.Scene]) -> bool:
     return "model" in inspect.signature(build).parameters
 
 
-def _is_ideal_by_default(build: Callable[..., sj.Scene]) -> bool:
-    """Whether the studied joint of a gallery scene is ideal unless something else is asked for."""
-    joint = studied_in(build)
-    return joint is not None and build().joints[joint].model.is_ideal  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def _scene_name(text: str) -> str:
+    text = ALIASES.get(text.lower(), text)
     if text not in SCENES and Path(text).suffix not in SUFFIXES:
         files = ", or a file: " + ", ".join(f"{suffix} ({what})" for suffix, what in SUFFIXES.items())
         raise argparse.ArgumentTypeError(f"there is no scene {text!r}; {one_of(SCENES, text)}{files}")
@@ -118,7 +120,7 @@ def _from_gallery(name: str) -> Chosen:
             )
         return build(model) if takes_model else build()
 
-    return Chosen(name, "", with_model, studied_in(build), SimulationSettings())
+    return Chosen(name, "", with_model, studied_in(build), SimulationSettings(t1=PUBLISHED_DURATIONS.get(name)))
 
 
 def _from_file(path: Path) -> Chosen:

@@ -114,12 +114,12 @@ def heavy_top(
 
         (A z' / l)^2 = 2 A (E_r - m g z) (1 - (z / l)^2) - (L_z - C w z / l)^2,
 
-    an elliptic function of time. What is hard: 24 turns a second beside one turn of precession in 1.4 s.
+    an elliptic function of time. What is hard: the spin of 24 turns a second, beside which everything else is slow.
 
     Args:
         spin: angular velocity w about the top's axis [rad/s].
-        precession: angular velocity about the vertical z at the start [rad/s]; the published value nearly keeps the
-            axis level.
+        precession: angular velocity about the vertical z at the start [rad/s]; with the published value the moment of
+            momentum about z is -C w, so that the top swings through the point straight below its tip.
         drift: drift control; `PostStabilization()` by default.
 
     Source: Brüls, Cardona, Arnold (2012), Mech. Mach. Theory 48:121-137 (15 kg, center at 1 m, moments 0.234375 and
