@@ -41,7 +41,7 @@ def test_help_of_run_names_defaults_with_units(capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "radial clearance [m] (default: 1e-4)" in out
     assert "dynamic viscosity [Pa s] (default: 0.4)" in out
-    assert "length of the motion [s] (default: 2)" in out
+    assert "length of the motion [s] (default: 2; suspension: 6)" in out
 
 
 def test_run_writes_what_simulate_gives(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import argparse
 import inspect
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import spherejax as sj
 from spherejax.files.settings import SOLVERS
@@ -13,6 +14,24 @@ SCENES: Mapping[str, Callable[..., sj.Scene]] = {
     if name in sj.gallery.__all__ and inspect.signature(build).return_annotation is sj.Scene
 }
 """The scenes of the gallery: functions that can be called without arguments."""
+
+
+class Usual(NamedTuple):
+    """What a scene of the gallery takes where the options say nothing.
+
+    Attributes:
+        t1: length of the motion [s].
+        samples: number of samples.
+        bushing: stiffness [N/m] and damping [s] of a bushing in the studied joint.
+    """
+
+    t1: float = 2.0
+    samples: int = 2001
+    bushing: tuple[float, float] = (1e6, 1e-2)
+
+
+USUAL: Mapping[str, Usual] = {"suspension": Usual(6.0, 6001, (2e7, 1e-3))}
+"""Scenes that take other values than `Usual()`."""
 
 JOINTS = {
     "ideal": "ball and socket without any gap: constraint equations",

@@ -44,9 +44,11 @@ def add_run(commands) -> None:
     add_scene(parser)
     add_joint_options(parser)
     times = parser.add_argument_group("times and accuracy")
-    times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2)")
+    times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2; suspension: 6)")
     sampling = times.add_mutually_exclusive_group()
-    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001)")
+    sampling.add_argument(
+        "--samples", type=int, metavar="N", help="number of samples (default: 2001; suspension: 6001)"
+    )
     sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
     times.add_argument("--rtol", type=float, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=float, help="absolute tolerance of a step, one number (default: by the scene)")

@@ -62,9 +62,9 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
     """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
-    joint acts on the bodies that it joins: a film, an elastomer, or the friction of a contact that lasts under load. A stiff method needs the steps of its accuracy. Contacts that only come and go are left to the explicit
-    method: they are short, and landed on. Numbers that are traced are not looked at: the choice then rests on the
-    models alone.
+    joint acts on the bodies that it joins: a film, an elastomer, or the friction of a contact that lasts under load. A
+    stiff method needs the steps of its accuracy. Contacts that only come and go are left to the explicit method: they
+    are short, and landed on. Numbers that are traced are not looked at: the choice then rests on the models alone.
 
     Args:
         system: the system.
