@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import spherejax as sj
-from spherejax.command_line.catalog import ALIASES, JOINTS, PUBLISHED_DURATIONS, SCENES
+from spherejax.command_line.catalog import ALIASES, JOINTS, SCENES, USUAL, Usual
 from spherejax.command_line.models import USED_BY, model_from
 from spherejax.files.objects import arguments_of
 from spherejax.files.place import one_of
@@ -120,7 +120,9 @@ def _from_gallery(name: str) -> Chosen:
             )
         return build(model) if takes_model else build()
 
-    return Chosen(name, "", with_model, studied_in(build), SimulationSettings(t1=PUBLISHED_DURATIONS.get(name)))
+    usual = USUAL.get(name, Usual())
+    settings = SimulationSettings(t1=usual.t1, samples=usual.samples)
+    return Chosen(name, "", with_model, studied_in(build), settings)
 
 
 def _from_file(path: Path) -> Chosen:
