@@ -9,13 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractPlacedJoint, PlacedRevolute, PlacedSpherical
+from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
 from spherejax.physics.state import Layout
 
 
@@ -50,6 +51,7 @@ class System(eqx.Module):
         memory_slots: where the joints' memory is; empty where no law needs one.
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
+        smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
     """
 
     bodies: dict[str, Body]
@@ -60,6 +62,7 @@ class System(eqx.Module):
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
     refines_constraints: bool = eqx.field(static=True, default=False)
+    smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
 
     @property
     def layout(self) -> Layout:
@@ -70,11 +73,7 @@ class System(eqx.Module):
     @property
     def force_joints(self) -> tuple[str, ...]:
         """Names of the joints that answer with a force."""
-        return tuple(
-            name
-            for name, joint in self.joints.items()
-            if isinstance(joint, PlacedSpherical) and not joint.model.is_ideal
-        )
+        return tuple(name for name, joint in self.joints.items() if joint.answers_with_force)
 
     @property
     def contact_joints(self) -> tuple[str, ...]:
@@ -90,7 +89,12 @@ class System(eqx.Module):
     @property
     def n_constraints(self) -> int:
         """Number of constraint equations."""
-        return sum(_n_rows(joint) for joint in self.joints.values())
+        return sum(joint.n_rows for joint in self.joints.values())
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether a joint prescribes a motion as a function of time."""
+        return any(joint.is_driven for joint in self.joints.values())
 
     def memory_of(self, joint: str) -> slice:
         """The joint's entries in the memory; an empty slice without memory."""
@@ -130,7 +134,8 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # state is the same inside and outside a compiled program.
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
     joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
-    forces = {name: scene.forces[name] for name in sorted(scene.forces)}
+    forces = {name: scene.forces[name].placed(scene.bodies, scene.find) for name in sorted(scene.forces)}
+    _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
         names = joint.model.memory_names if isinstance(joint, PlacedSpherical) else ()
@@ -138,31 +143,52 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
             slots.append(MemorySlot(name, start, names))
             start += len(names)
     refines = _masses_are_far_apart(bodies)
-    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines)
+    # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
+    is_driven = any(joint.is_driven for joint in joints.values())
+    smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
+    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines, smallest)
     return Compiled(system, conditions)
 
 
+def _check_leaves(parts: dict[str, Any]) -> None:
+    """Parts that a user has written hold numbers; names and functions are structure."""
+    for place, part in parts.items():
+        for leaf in jax.tree.leaves(part):
+            if isinstance(leaf, str) or callable(leaf):
+                raise SceneError(
+                    f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
+                    "with equinox.field(static=True)"
+                )
+
+
 LARGE_MASS_RATIO = 1e4
-"""From this ratio of masses on, rounding in the constraint forces disturbs the light body."""
+"""From this ratio of masses on, rounding in the constraint forces disturbs the light body; of moments likewise."""
 
 
 def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
     """Whether masses differ so much, or may, being traced."""
-    masses = [body.mass for body in bodies.values()]
-    if not all(is_concrete(mass) for mass in masses):
+    return _are_far_apart([body.mass for body in bodies.values()])
+
+
+def _smallest_pivot(bodies: dict[str, Body]) -> float:
+    """The bound of a singular configuration, where no difference of masses or moments makes pivots as small."""
+    alike = not _masses_are_far_apart(bodies) and not _are_far_apart([_moments(body) for body in bodies.values()])
+    return SINGULAR_PIVOT if alike else REDUNDANT_PIVOT
+
+
+def _moments(body: Body) -> Numeric:
+    return body.inertia if np.ndim(body.inertia) == 1 else body.inertia.diagonal()
+
+
+def _are_far_apart(values: list) -> bool:
+    if not all(is_concrete(value) for value in values):
         return True
-    return bool(max(masses) > LARGE_MASS_RATIO * min(masses))
+    return bool(np.max(values) > LARGE_MASS_RATIO * np.min(values))
 
 
 def _with_array_fields(body: Body) -> Body:
     # Points are resolved into the joints; leaving them here would make unused numbers part of the program's shape.
     return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
-
-
-def _n_rows(joint: AbstractPlacedJoint) -> int:
-    if isinstance(joint, PlacedRevolute):
-        return 5
-    return 3 if isinstance(joint, PlacedSpherical) and joint.model.is_ideal else 0
 
 
 SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)

@@ -12,21 +12,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.types import Flag
-from spherejax.model.drift import NoDriftControl
+from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import Structure, System, flatten_system
-from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble
+from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
+from spherejax.motion.longest_step import longest_step
 from spherejax.motion.programs import program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
 from spherejax.motion.status import Status, status_of
 from spherejax.motion.trajectory import Statistics
-from spherejax.physics.joints import Ideal, PlacedSpherical
 
 
 @dataclass(frozen=True)
@@ -85,6 +84,7 @@ class Outcome(eqx.Module):
     Attributes:
         ys: flat states at the sample times.
         t_reached: time reached [s].
+        y_reached: flat state there.
         status: integer of `Status`.
         stats: counts.
         assembly: how the start was made consistent.
@@ -92,6 +92,7 @@ class Outcome(eqx.Module):
 
     ys: Float[Array, "n size"]
     t_reached: Float[Array, ""]
+    y_reached: Float[Array, " size"]
     status: Array
     stats: Statistics
     assembly: Assembly
@@ -109,7 +110,7 @@ def integrate(
 ) -> Outcome:
     """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
     theta = plan.theta(values, known)
-    assembly, y0 = beginning(plan, theta, start)
+    assembly, y0 = beginning(plan, theta, ts[0], start)
     is_closed = assembly.residual_after < CLOSING_TOLERANCE
     may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
     # A lane that cannot run must not hold up the others: it gets an interval of length zero.
@@ -130,7 +131,7 @@ def integrate(
             saveat=diffrax.SaveAt(
                 subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
             ),
-            stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
+            stepsize_controller=landing_controller(options.controller, contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,
@@ -141,7 +142,14 @@ def integrate(
     reached = times[1][0]
     is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
     ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
-    return Outcome(ys, reached, status, _statistics(solution, options.solver, contacts), assembly)
+    y_reached = jax.lax.stop_gradient(sampled[1][0])
+    return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def landing_controller(controller, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]) -> LandingController:
+    """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
+    longest = longest_step(plan.structure, ts, scalar=plan.scalar)
+    return LandingController(controller, contacts, longest)  # pyright: ignore[reportCallIssue]
 
 
 def correction_for(plan: Plan) -> Callable | None:
@@ -163,10 +171,12 @@ def samples(ts: Float[Array, " n"], correct: Callable | None) -> diffrax.SubSave
     return diffrax.SubSaveAt(ts=ts, fn=lambda t, y, args: correct(args, t, y))
 
 
-def beginning(plan: Plan, theta: Float[Array, " p"], start: Assembly | None) -> tuple[Assembly, Float[Array, " size"]]:
-    """The consistent start, assembled unless it is given, and the flat state there."""
+def beginning(
+    plan: Plan, theta: Float[Array, " p"], t: Scalar, start: Assembly | None
+) -> tuple[Assembly, Float[Array, " size"]]:
+    """The consistent start at time t [s], assembled unless it is given, and the flat state there."""
     system = plan.structure.system(theta)
-    assembly = assemble(*flatten_system(as_ideal(system))) if start is None else start
+    assembly = assemble(*flatten_system(as_ideal(system)), t) if start is None else start
     return assembly, initial_state(system, assembly)
 
 
@@ -210,18 +220,6 @@ def example_of(structure: Structure) -> System:
     """A system of the structure, with shapes for numbers."""
     n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
     return jax.eval_shape(structure.system, jax.ShapeDtypeStruct((n_numbers,), jnp.float64))
-
-
-def as_ideal(system: System) -> System:
-    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
-    joints = {
-        name: eqx.tree_at(lambda j: j.model, joint, Ideal())
-        if isinstance(joint, PlacedSpherical) and joint.starts_concentric
-        else joint
-        for name, joint in system.joints.items()
-        if not isinstance(joint, PlacedSpherical) or joint.starts_concentric or joint.model.is_ideal
-    }
-    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:

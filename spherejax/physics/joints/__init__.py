@@ -2,31 +2,49 @@
 
 from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Response
 from spherejax.physics.joints.bushing import Bushing
+from spherejax.physics.joints.curves import AbstractCurve, Circle, ImplicitCurve, Line, PointOnCurve
+from spherejax.physics.joints.distance import Distance, DistanceDriver
+from spherejax.physics.joints.drivers import PositionDriver, RotationDriver, TranslationDriver
 from spherejax.physics.joints.dry import Dry
-from spherejax.physics.joints.ideal import ConstraintRows, Ideal
+from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.lubricated import Lubricated
-from spherejax.physics.joints.places import (
-    AbstractJoint,
-    AbstractPlacedJoint,
-    PlacedRevolute,
-    PlacedSpherical,
-    Revolute,
-    Spherical,
-)
+from spherejax.physics.joints.pairs import Cylindrical, Fixed, PlacedPair, PointOnPlane, Prismatic, Universal
+from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
+from spherejax.physics.joints.revolute import PlacedRevolute, Revolute
+from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
+from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
 
 __all__ = [
+    "AbstractCurve",
     "AbstractJoint",
     "AbstractPlacedJoint",
     "AbstractSphericalModel",
     "Bushing",
+    "Circle",
     "ConstraintRows",
     "Crossing",
+    "Cylindrical",
+    "Distance",
+    "DistanceDriver",
     "Dry",
+    "Fixed",
     "Ideal",
+    "ImplicitCurve",
+    "Line",
     "Lubricated",
+    "Motions",
+    "PlacedPair",
     "PlacedRevolute",
     "PlacedSpherical",
+    "PointOnCurve",
+    "PointOnPlane",
+    "PositionDriver",
+    "Prismatic",
     "Response",
     "Revolute",
+    "RotationDriver",
     "Spherical",
+    "TranslationDriver",
+    "Universal",
+    "differentiated_rows",
 ]
