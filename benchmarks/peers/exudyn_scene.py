@@ -3,11 +3,10 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from peers.started import NoCounterpart, Start, start_of
 
 import spherejax as sj
+from peers.started import NoCounterpartError, Start, start_of
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
 
 Positions = dict[str, np.ndarray]
 """Positions of the centers of mass at the samples, shape (n, 3), by body [m]."""
@@ -20,7 +19,7 @@ def runner(scene: sj.Scene, add_forces: AddForces | None = None) -> Callable[[fl
     """A function of step size [s] and equidistant sample times that returns the bodies' positions.
 
     Raises:
-        NoCounterpart: for a joint or force that this translator does not know.
+        NoCounterpartError: for a joint or force that this translator does not know.
     """
     import exudyn as exu
     from exudyn.utilities import SensorBody
@@ -29,12 +28,13 @@ def runner(scene: sj.Scene, add_forces: AddForces | None = None) -> Callable[[fl
     container = exu.SystemContainer()
     model = container.AddSystem()
     numbers = _bodies(model, start)
-    for name in start.system.joints:
-        _joint(model, numbers, start, name)
+    for name in scene.joints:
+        _joint(model, numbers, start, scene.joints[name], name)
     if add_forces is not None:
         add_forces(model, numbers, start)
-    elif start.system.forces:
-        raise NoCounterpart(f"forces {', '.join(start.system.forces)}: give add_forces=")
+    else:
+        for name, force in scene.forces.items():
+            _spring(model, numbers, scene, force, name)
     sensors = {
         name: model.AddSensor(
             SensorBody(bodyNumber=numbers[name], storeInternal=True, outputVariableType=exu.OutputVariableType.Position)
@@ -84,25 +84,60 @@ def _bodies(model, start: Start) -> dict[str, object]:
     return numbers
 
 
-def _joint(model, numbers, start: Start, name: str) -> None:
-    joint = start.system.joints[name]
-    pair = [numbers[body] for body in joint.bodies]
-    second = start.poses[joint.bodies[1]]
-    position = list(second.point(joint.points[1]))
-    if isinstance(joint, PlacedSpherical) and joint.model.is_ideal:
-        model.CreateSphericalJoint(itemNumbers=pair, position=position)
-    elif isinstance(joint, PlacedSpherical) and isinstance(joint.model, sj.Bushing):
-        _bushing(model, pair, joint)
-    elif isinstance(joint, PlacedRevolute):
-        model.CreateRevoluteJoint(itemNumbers=pair, position=position, axis=list(second.direction(joint.axis)))
+def _joint(model, numbers, start: Start, joint, name: str) -> None:
+    placed = start.system.joints[name]
+    pair = [numbers[body] for body in placed.bodies]
+    at = {"itemNumbers": pair, "position": list(start.poses[placed.bodies[1]].point(placed.points[1]))}
+    resists = getattr(joint, "model", sj.Ideal())
+    if isinstance(joint, sj.Spherical) and isinstance(resists, sj.Bushing):
+        _bushing(model, pair, placed)
+    elif not resists.is_ideal:
+        raise NoCounterpartError(f"joint {name!r} with {type(resists).__name__}")
+    elif isinstance(joint, sj.Spherical):
+        model.CreateSphericalJoint(**at)
+    elif isinstance(joint, sj.Revolute):
+        model.CreateRevoluteJoint(**at, axis=list(np.asarray(joint.axis)))
+    elif isinstance(joint, sj.Prismatic):
+        model.CreatePrismaticJoint(**at, axis=list(np.asarray(joint.axis)))
+    elif isinstance(joint, sj.Universal):
+        # What is perpendicular: the first axis (x) on the one body, the second axis (y) on the other.
+        axes = _axes(joint.first_axis, joint.second_axis)
+        model.CreateGenericJoint(**at, rotationMatrixAxes=axes, constrainedAxes=[1, 1, 1, 0, 0, 1])
+    elif isinstance(joint, sj.Fixed):
+        model.CreateGenericJoint(**at, constrainedAxes=[1] * 6)
+    elif isinstance(joint, sj.Distance):
+        first, second = (list(np.asarray(place)) for place in placed.points)
+        model.CreateDistanceConstraint(itemNumbers=pair, localPosition0=first, localPosition1=second)
     else:
-        raise NoCounterpart(f"joint {name!r} ({type(joint).__name__})")
+        raise NoCounterpartError(f"joint {name!r} ({type(joint).__name__})")
 
 
-def _bushing(model, pair, joint: PlacedSpherical) -> None:
+def _axes(x, y) -> np.ndarray:
+    x = np.asarray(x, float) / np.linalg.norm(x)
+    y = np.asarray(y, float) - x * (x @ np.asarray(y, float))
+    y /= np.linalg.norm(y)
+    return np.column_stack([x, y, np.cross(x, y)])
+
+
+def _spring(model, numbers, scene: sj.Scene, force, name: str) -> None:
+    laws = [getattr(force, law, None) for law in ("spring", "damper", "law", "direction")]
+    if not isinstance(force, sj.SpringDamper) or any(law is not None for law in laws):
+        raise NoCounterpartError(f"force {name!r} ({type(force).__name__}): give add_forces=")
+    (first, start), (second, end) = (scene.find(point) for point in force.ends)
+    model.CreateSpringDamper(
+        itemNumbers=[numbers[first], numbers[second]],
+        localPosition0=list(np.asarray(start)),
+        localPosition1=list(np.asarray(end)),
+        stiffness=float(force.stiffness),
+        damping=float(force.damping),
+        referenceLength=float(force.free_length),
+    )
+
+
+def _bushing(model, pair, joint) -> None:
     law = joint.model.law
     if not isinstance(law, sj.VectorElastomer):
-        raise NoCounterpart(f"{type(law).__name__}: Exudyn's spring-damper damps in every direction, as VectorElastomer")
+        raise NoCounterpartError(f"{type(law).__name__}: Exudyn's damps in every direction, as VectorElastomer")
     k, b = float(law.stiffness), float(law.damping)
     model.CreateCartesianSpringDamper(
         itemNumbers=pair,

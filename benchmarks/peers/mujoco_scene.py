@@ -1,14 +1,13 @@
-"""Scenes in MuJoCo: joint coordinates along a tree, loops closed by soft equality constraints, RK4 with a fixed step."""
+"""Scenes in MuJoCo: joint coordinates along a tree, loops closed by soft equality constraints, RK4, fixed step."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 
 import numpy as np
-from peers.started import NoCounterpart, Start, start_of
 
 import spherejax as sj
+from peers.started import NoCounterpartError, Start, start_of
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
 
 Positions = dict[str, np.ndarray]
 """Positions of the centers of mass at the samples, shape (n, 3), by body [m]."""
@@ -18,16 +17,16 @@ def runner(scene: sj.Scene) -> Callable[[float, np.ndarray], Positions]:
     """A function of step size [s] and equidistant sample times that returns the bodies' positions.
 
     Raises:
-        NoCounterpart: for a joint or force that this translator does not know.
+        NoCounterpartError: for a joint or force that this translator does not know.
     """
     start = start_of(scene)
     if start.system.forces:
-        raise NoCounterpart(f"forces {', '.join(start.system.forces)}")
+        raise NoCounterpartError(f"forces {', '.join(start.system.forces)}")
 
     def run(step: float, ts: np.ndarray) -> Positions:
         import mujoco
 
-        tree = _Tree(start)
+        tree = _Tree(scene, start)
         model = mujoco.MjModel.from_xml_string(_document(tree, step))
         state = mujoco.MjData(model)
         _set_velocities(model, state, tree)
@@ -48,32 +47,43 @@ def runner(scene: sj.Scene) -> Callable[[float, np.ndarray], Positions]:
 class _Tree:
     """Which joint carries each body, found from the ground outwards; the joints that are left close loops."""
 
-    def __init__(self, start: Start):
-        self.start = start
+    def __init__(self, scene: sj.Scene, start: Start):
+        self.scene, self.start = scene, start
         self.parent: dict[str, tuple[str, str]] = {}
         self.children: dict[str, list[str]] = {name: [] for name in start.poses}
-        reached, grew = {GROUND}, True
-        used = set()
-        while grew:
-            grew = False
-            for name, joint in start.system.joints.items():
-                inside = [body in reached for body in joint.bodies]
-                if name not in used and inside[0] != inside[1]:
-                    parent, child = joint.bodies if inside[0] else joint.bodies[::-1]
-                    self.parent[child] = (parent, name)
-                    self.children[parent].append(child)
-                    reached.add(child)
-                    used.add(name)
-                    grew = True
+        # Loops are closed at spherical joints where there are any: they are one point.
+        names = sorted(scene.joints, key=lambda name: isinstance(scene.joints[name], sj.Spherical))
+        reached, used = {GROUND}, set()
+        while (name := self._next(names, reached, used)) is not None:
+            bodies = start.system.joints[name].bodies
+            parent, child = bodies if bodies[0] in reached else bodies[::-1]
+            self.parent[child] = (parent, name)
+            self.children[parent].append(child)
+            reached.add(child)
+            used.add(name)
         self.loops = [name for name in start.system.joints if name not in used]
         self.free = [name for name in start.system.bodies if name not in reached]
+
+    def _next(self, names: list[str], reached: set[str], used: set[str]) -> str | None:
+        """The first joint that leads from a body that is reached to one that is not."""
+        for name in names:
+            inside = [body in reached for body in self.start.system.joints[name].bodies]
+            if name not in used and inside[0] != inside[1]:
+                return name
+        return None
 
 
 def _document(tree: _Tree, step: float) -> str:
     root = ET.Element("mujoco")
     gravity = np.asarray(tree.start.system.gravity)
     option = ET.SubElement(
-        root, "option", timestep=repr(step), integrator="RK4", gravity=_text(gravity), tolerance="1e-14", iterations="200"
+        root,
+        "option",
+        timestep=repr(step),
+        integrator="RK4",
+        gravity=_text(gravity),
+        tolerance="1e-14",
+        iterations="200",
     )
     ET.SubElement(option, "flag", contact="disable", limit="disable")
     world = ET.SubElement(root, "worldbody")
@@ -109,29 +119,47 @@ def _add_body(above: ET.Element, tree: _Tree, name: str) -> None:
 
 
 def _add_joint(element: ET.Element, tree: _Tree, child: str, name: str) -> None:
-    joint = tree.start.system.joints[name]
-    pose = tree.start.poses[child]
-    place = _text(np.asarray(joint.points[joint.bodies.index(child)]))
-    if isinstance(joint, PlacedSpherical) and joint.model.is_ideal:
+    joint, placed = tree.scene.joints[name], tree.start.system.joints[name]
+    place = _text(np.asarray(placed.points[placed.bodies.index(child)]))
+    if isinstance(joint, sj.Spherical):
+        if not joint.model.is_ideal:
+            raise NoCounterpartError(f"joint {name!r} with {type(joint.model).__name__}")
         ET.SubElement(element, "joint", name=name, type="ball", pos=place)
-    elif isinstance(joint, PlacedRevolute):
-        axis = pose.rotation.T @ _world_axis(tree.start, joint)
-        ET.SubElement(element, "joint", name=name, type="hinge", pos=place, axis=_text(axis))
-    else:
-        raise NoCounterpart(f"joint {name!r} ({type(joint).__name__})")
+        return
+    to_body = tree.start.poses[child].rotation.T
+    for kind, axis in _axes_of(joint, name, child is not placed.bodies[1]):
+        number = len(element.findall("joint"))
+        at = {"name": f"{name}:{number}", "type": kind, "pos": place, "axis": _text(to_body @ np.asarray(axis, float))}
+        ET.SubElement(element, "joint", at)
+
+
+def _axes_of(joint, name: str, is_turned_over: bool) -> list[tuple[str, np.ndarray]]:
+    """Kinds and world axes of MuJoCo's joints, from the parent to the child."""
+    if isinstance(joint, sj.Revolute):
+        return [("hinge", joint.axis)]
+    if isinstance(joint, sj.Prismatic):
+        return [("slide", joint.axis)]
+    if isinstance(joint, sj.Cylindrical):
+        return [("slide", joint.axis), ("hinge", joint.axis)]
+    if isinstance(joint, sj.Fixed):
+        return []
+    if isinstance(joint, sj.Universal):
+        arms = [("hinge", joint.first_axis), ("hinge", joint.second_axis)]
+        return arms[::-1] if is_turned_over else arms
+    raise NoCounterpartError(f"joint {name!r} ({type(joint).__name__})")
 
 
 def _close(equality: ET.Element, tree: _Tree, name: str, step: float) -> None:
     """A loop is closed by making points coincide: one for a ball, two on the axis for a hinge."""
-    joint = tree.start.system.joints[name]
-    names = ["world" if body == GROUND else body for body in joint.bodies]
-    first = tree.start.poses[joint.bodies[0]]
-    at = tree.start.poses[joint.bodies[1]].point(joint.points[1])
+    joint, placed = tree.scene.joints[name], tree.start.system.joints[name]
+    names = ["world" if body == GROUND else body for body in placed.bodies]
+    first = tree.start.poses[placed.bodies[0]]
+    at = tree.start.poses[placed.bodies[1]].point(placed.points[1])
     points = [at]
-    if isinstance(joint, PlacedRevolute):
-        points.append(at + 0.1 * _world_axis(tree.start, joint))
-    elif not (isinstance(joint, PlacedSpherical) and joint.model.is_ideal):
-        raise NoCounterpart(f"joint {name!r} ({type(joint).__name__}) in a loop")
+    if isinstance(joint, sj.Revolute):
+        points.append(at + 0.1 * np.asarray(joint.axis) / np.linalg.norm(joint.axis))
+    elif not isinstance(joint, sj.Spherical) or not joint.model.is_ideal:
+        raise NoCounterpartError(f"joint {name!r} ({type(joint).__name__}) in a loop")
     for point in points:
         ET.SubElement(
             equality,
@@ -145,26 +173,19 @@ def _close(equality: ET.Element, tree: _Tree, name: str, step: float) -> None:
 
 
 def _set_velocities(model, state, tree: _Tree) -> None:
-    """Joint rates from the bodies' velocities."""
+    """Joint rates from the bodies' velocities: the least change of coordinates that gives them."""
     import mujoco
 
-    for child, (parent, name) in tree.parent.items():
-        joint = tree.start.system.joints[name]
-        pose = tree.start.poses[child]
-        spin = pose.angular_velocity - tree.start.poses[parent].angular_velocity
-        address = model.jnt_dofadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)]
-        if isinstance(joint, PlacedSpherical):
-            state.qvel[address : address + 3] = pose.rotation.T @ spin
-        else:
-            state.qvel[address] = _world_axis(tree.start, joint) @ spin
-    for name in tree.free:
+    mujoco.mj_forward(model, state)
+    rows, rates = [], []
+    for name in tree.start.system.bodies:
         pose = tree.start.poses[name]
-        address = model.jnt_dofadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"free:{name}")]
-        state.qvel[address : address + 6] = np.concatenate([pose.velocity, pose.rotation.T @ pose.angular_velocity])
-
-
-def _world_axis(start: Start, joint: PlacedRevolute) -> np.ndarray:
-    return start.poses[joint.bodies[1]].direction(joint.axis)
+        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        mujoco.mj_jacBodyCom(model, state, linear, angular, number)
+        rows += [linear, angular]
+        rates += [pose.velocity, pose.angular_velocity]
+    state.qvel[:] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(rates), rcond=None)[0]
 
 
 def _product(p, q) -> np.ndarray:

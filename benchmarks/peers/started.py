@@ -52,5 +52,5 @@ def start_of(scene: sj.Scene) -> Start:
     return Start(compile_scene(scene).system, poses)
 
 
-class NoCounterpart(Exception):
+class NoCounterpartError(Exception):
     """The other simulator has no such element."""
