@@ -211,7 +211,11 @@ class _Queue:
         )
         if result is not None:
             verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
-        t = jnp.minimum(t, lane.t_end)
+        # Idle lanes and runs that may not be made go through the motions, and count nothing.
+        is_running = _is_busy(lane, self.n_jobs)
+        keep = keep & is_running
+        repeats = ~keep & is_running
+        t = jnp.where(is_running, jnp.minimum(t, lane.t_end), lane.t)
         n_steps = lane.n_accepted + lane.n_rejected + 1
         ended = jnp.where(n_steps >= problem.max_steps, Status.TOO_MANY_STEPS, Status.SUCCEEDED)
         failed = jnp.where(t < lane.t_end, ended, Status.SUCCEEDED)
@@ -228,10 +232,10 @@ class _Queue:
             controller_state=state,
             made_jump=kept(jnp.asarray(made_jump), lane.made_jump),
             n_accepted=lane.n_accepted + keep,
-            n_rejected=lane.n_rejected + ~keep,
+            n_rejected=lane.n_rejected + repeats,
             n_onsets=lane.n_onsets + (began & keep),
             touching=lane.touching + self._time_in_contact(lane, keep),
-            status=jnp.asarray(jnp.where(told == Status.SUCCEEDED, failed, told), jnp.int64),
+            status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
         )
 
     def _time_in_contact(self, lane: Lane, keep):
