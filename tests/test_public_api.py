@@ -43,6 +43,7 @@ ARGUMENTS = {
     sj.gallery.four_bar: ("model", "drift"),
     sj.simulate: ("scene", "ts", "rtol", "atol", "solver", "stepsize_controller", "adjoint", "throw"),
     sj.compile_scene: ("scene",),
+    sj.draw: ("what", "t", "scene", "view", "projections", "traces", "frames", "labels", "title"),
     sj.work_precision: ("scene", "t1", "solvers", "tolerances", "n_repeats"),
     sj.scalarize: ("function",),
     sj.runtime.configure: ("cache",),

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+from collections.abc import Mapping
 
 import spherejax as sj
 from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS
@@ -11,7 +12,11 @@ CONTACT = ("dry", "friction", "lubricated")
 
 def add_joint_options(parser: argparse.ArgumentParser) -> None:
     """Options that describe the studied joint."""
-    parser.add_argument("--joint", choices=JOINTS, default="ideal", help="model of the studied joint (default: ideal)")
+    parser.add_argument(
+        "--joint",
+        choices=JOINTS,
+        help="model of the studied joint (default: ideal; of a file: the model that it describes)",
+    )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
     gap.add_argument("--clearance", type=float, metavar="M", help="radial clearance [m] (default: 1e-4)")
     gap.add_argument("--socket-radius", type=float, metavar="M", help="inner radius of the socket [m] (default: 0.010)")
@@ -48,6 +53,7 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     Raises:
         SceneError: for an option that the model does not use: ignoring it would answer another question.
     """
+    options = argparse.Namespace(**{**vars(options), "joint": options.joint or "ideal"})
     _refuse_unused(options)
     if options.joint == "ideal":
         return sj.Ideal()
@@ -69,7 +75,7 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     return sj.Dry(clearance, **contact)
 
 
-_USED_BY = {
+USED_BY: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
         (
             "clearance",
@@ -89,7 +95,7 @@ _USED_BY = {
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
-    for name, joints in _USED_BY.items():
+    for name, joints in USED_BY.items():
         if getattr(options, name) is not None and options.joint not in joints:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(f"{flag} means nothing with --joint {options.joint}; it belongs to {', '.join(joints)}")
