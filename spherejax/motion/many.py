@@ -5,6 +5,7 @@ queue for a block of lanes inside one compiled loop; see `motion.lanes`.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import diffrax
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import SceneError
 from spherejax.model.scene import Scene
-from spherejax.model.system import compile_scene, flatten_system
+from spherejax.model.system import Structure, compile_scene, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.dynamics import state_rate
@@ -24,6 +25,7 @@ from spherejax.motion.implicit import with_structure
 from spherejax.motion.integrate import Plan, beginning, contacts_of, correction_for, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.programs import program_for
+from spherejax.motion.quantities import magnitudes
 from spherejax.motion.simulate import check_tolerances, checked_times, choice_for, split, start_now, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.status import Status
@@ -40,12 +42,19 @@ class Runs(NamedTuple):
     Attributes:
         trajectories: a `Trajectory` whose arrays have a leading axis of runs.
         time_in_contact: of each contact joint [s], shape (n_runs, n_contacts).
-        lane_efficiency: steps of runs divided by steps of lanes.
+        peaks: largest magnitudes of the watched quantities at the ends of all steps, shape (n_runs, n_watched).
+        n_lane_steps: steps that the lanes made, those of idle ones included.
     """
 
     trajectories: Trajectory
     time_in_contact: Float[Array, "n_runs n_contacts"]
-    lane_efficiency: Float[Array, ""]
+    peaks: Float[Array, "n_runs n_watched"]
+    n_lane_steps: Int[Array, ""]
+
+    @property
+    def lane_efficiency(self) -> Float[Array, ""]:
+        """Steps of runs divided by steps of lanes."""
+        return jnp.sum(self.trajectories.stats.n_steps) / self.n_lane_steps
 
 
 class Method(NamedTuple):
@@ -58,6 +67,7 @@ class Method(NamedTuple):
         max_steps: largest number of steps of a run.
         track_work: whether the work of each joint is integrated.
         block: how wide the block of lanes is.
+        watch: names of quantities whose largest magnitudes are kept.
     """
 
     choice: Choice
@@ -66,6 +76,7 @@ class Method(NamedTuple):
     max_steps: int
     track_work: bool
     block: Block
+    watch: tuple[str, ...] = ()
 
 
 class Numbers(eqx.Module):
@@ -92,6 +103,7 @@ def simulate_many(
     solver: diffrax.AbstractSolver | None = None,
     max_steps: int = 20_000_000,
     track_work: bool = False,
+    watch: tuple[str, ...] = (),
     block: Block | None = None,
 ) -> Runs:
     """Simulate many scenes of one structure.
@@ -104,6 +116,8 @@ def simulate_many(
     Other args:
         rtol, atol, solver, max_steps, track_work: as in `simulate`. The solver is chosen by the first, the last and two
             runs in between; the stiffest of them decides.
+        watch: names of quantities (e.g. `"acceleration.rocker"`) whose largest magnitudes at the ends of all steps are
+            kept: unlike a largest sample they miss no impact.
         block: how wide the block of lanes is.
 
     Returns:
@@ -117,6 +131,7 @@ def simulate_many(
     check_tolerances(rtol, atol)
     n_runs = count_of_runs(parameters)
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or Block())
+    method = method._replace(watch=tuple(watch))
     return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
 
 
@@ -178,7 +193,25 @@ def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
             method.block,
         )
     runs = jax.vmap(prepared.trajectory)(starts, outcome._replace(n_lane_steps=jnp.zeros(is_wanted.shape)))
-    return Runs(runs, outcome.touching, outcome.lane_efficiency)
+    return Runs(runs, outcome.touching, outcome.peaks, outcome.n_lane_steps)
+
+
+def watching(structure: Structure, names: tuple[str, ...]) -> Callable | None:
+    """The magnitudes of quantities as a function (t, y, numbers) of one lane; None without names."""
+    if not names:
+        return None
+    program = program_for(_magnitudes_of(names), structure)
+    return lambda t, y, numbers: program(numbers.theta, t, y)
+
+
+@lru_cache(maxsize=64)
+def _magnitudes_of(names: tuple[str, ...]):
+    """One function for the same names: programs are kept by function."""
+
+    def watched(system, t, y):
+        return magnitudes(system, t, y, names)
+
+    return watched
 
 
 class Start(NamedTuple):
@@ -245,6 +278,7 @@ class _Prepared:
             correction_for(plan),
             contacts_of(plan.structure, plan.scalar),
             method.max_steps,
+            watching(plan.structure, method.watch),
         )
 
     def trajectory(self, start: Start, outcome: LaneOutcome) -> Trajectory:

@@ -161,6 +161,7 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
 
 
 def checked_times(ts) -> Float[Array, " n"]:
+    """Sample times as an array, checked where they are known; `SceneError` says what is wrong."""
     if is_concrete(ts):
         times = np.asarray(ts, np.float64)
         if times.ndim != 1 or times.size == 0:
@@ -179,6 +180,7 @@ def checked_times(ts) -> Float[Array, " n"]:
 
 
 def check_tolerances(rtol, atol) -> None:
+    """Raise `SceneError` for tolerances that no integration can keep."""
     if is_concrete(rtol) and not float(rtol) >= SMALLEST_TOLERANCE:
         raise SceneError(
             f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
@@ -189,6 +191,7 @@ def check_tolerances(rtol, atol) -> None:
 
 
 def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
+    """Tolerances of each entry of the state, by the scales of the scene unless they are given."""
     if atol is not None:
         return Tolerances(rtol, atol, "tolerances as asked for")
     if isinstance(solver, diffrax.AbstractImplicitSolver):

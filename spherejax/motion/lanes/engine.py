@@ -1,8 +1,8 @@
 """A queue of runs, worked off by a block of lanes inside one compiled loop.
 
-Each turn of the loop makes one step of every lane. A lane whose run has ended, well or not, writes its result and takes
-the next job. When the queue is empty and most lanes idle, the rest goes on in a narrower block. So the block does not wait
-for its slowest lane, and a failing run costs what it costs and disturbs nobody.
+Each turn of the loop makes one step of every lane. A lane whose run has ended, well or not, writes its result and
+takes the next job. When the queue is empty and most lanes idle, the rest goes on in a narrower block. So the block does
+not wait for its slowest lane, and a failing run costs what it costs and disturbs nobody.
 
 The pieces are diffrax's own: solver, step-size controller, interpolation. Arrays have their lanes on the last axis.
 """
@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -43,6 +42,7 @@ class LaneProblem(NamedTuple):
         correct: drift control's correction (parameters, t, y), or None.
         contacts: contacts whose onsets are located, or None.
         max_steps: largest number of steps of a run.
+        watch: numbers (t, y, parameters) whose largest values at the ends of all steps are kept, or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -51,6 +51,7 @@ class LaneProblem(NamedTuple):
     correct: Callable | None
     contacts: Contacts | None
     max_steps: int
+    watch: Callable | None = None
 
 
 class Lane(NamedTuple):
@@ -70,6 +71,7 @@ class Lane(NamedTuple):
         n_rejected: steps repeated.
         n_onsets: contact onsets of each contact.
         touching: time in contact of each contact [s].
+        peaks: largest values of what is watched.
         n_samples: samples taken.
         status: integer of `Status`.
     """
@@ -87,6 +89,7 @@ class Lane(NamedTuple):
     n_rejected: Array
     n_onsets: Array
     touching: Array
+    peaks: Array
     n_samples: Array
     status: Array
 
@@ -102,6 +105,7 @@ class LaneOutcome(NamedTuple):
         n_rejected: steps repeated, shape (n_jobs,).
         n_onsets: shape (n_jobs, n_contacts).
         touching: time in contact [s], shape (n_jobs, n_contacts).
+        peaks: largest values of what is watched, shape (n_jobs, n_watched).
         n_lane_steps: steps that the block made, those of idle lanes included.
     """
 
@@ -112,6 +116,7 @@ class LaneOutcome(NamedTuple):
     n_rejected: Int[Array, " n_jobs"]
     n_onsets: Int[Array, "n_jobs n_contacts"]
     touching: Float[Array, "n_jobs n_contacts"]
+    peaks: Float[Array, "n_jobs n_watched"]
     n_lane_steps: Int[Array, ""]
 
     @property
@@ -127,7 +132,7 @@ def run_in_lanes(
     ts: Float[Array, " n"],
     may_run: Array,
     status: Int[Array, " n_jobs"],
-    block: Block = Block(),
+    block: Block,
 ) -> LaneOutcome:
     """Work off a queue of runs.
 
@@ -186,6 +191,7 @@ class _Queue:
             n_rejected=none,
             n_onsets=jnp.zeros(self.n_contacts, jnp.int64),
             touching=jnp.zeros(self.n_contacts),
+            peaks=self._watched(t0, y0, parameters),
             n_samples=none,
             status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
         )
@@ -235,8 +241,12 @@ class _Queue:
             n_rejected=lane.n_rejected + repeats,
             n_onsets=lane.n_onsets + (began & keep),
             touching=lane.touching + self._time_in_contact(lane, keep),
+            peaks=jnp.where(keep, jnp.maximum(lane.peaks, self._watched(lane.t_next, y, lane.parameters)), lane.peaks),
             status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
         )
+
+    def _watched(self, t, y, parameters) -> Float[Array, " n_watched"]:
+        return jnp.zeros(0) if self.problem.watch is None else self.problem.watch(t, y, parameters)
 
     def _time_in_contact(self, lane: Lane, keep):
         if self.problem.contacts is None:
@@ -255,7 +265,7 @@ class _Queue:
         width = min(block.width, max(1, self.n_jobs))
         lanes = self.block_of(jnp.arange(width))
         ys = jnp.full((self.n_jobs, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
-        account = jnp.zeros((self.n_jobs, 4 + 2 * self.n_contacts))
+        account = jnp.zeros((self.n_jobs, 4 + 2 * self.n_contacts + lanes.peaks.shape[0]))
         carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64)
         narrow = min(block.narrow, width)
 
@@ -284,9 +294,7 @@ class _Queue:
         """One step of every lane; then lanes that have ended take new jobs."""
         lanes, waiting, account, ys, n_lane_steps = carry
         before = lanes
-        trial = self.steps.step(
-            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump
-        )
+        trial = self.steps.step(lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump)
         lanes = in_lanes(self.judged)(lanes, trial.y, trial.error, trial.solver_state, trial.result)
         if self.ts.shape[0] > 1:
             lanes, ys = self._with_samples(before, lanes, trial.dense_info, ys)
@@ -335,7 +343,8 @@ class _Queue:
         return lanes, jnp.minimum(waiting + jnp.sum(has_ended), self.n_jobs), account
 
     def _outcome(self, ys, account, n_lane_steps) -> LaneOutcome:
-        t_reached, counts, touching = jnp.split(account, [1, 4 + self.n_contacts], axis=1)
+        n = 4 + self.n_contacts
+        t_reached, counts, touching, peaks = jnp.split(account, [1, n, n + self.n_contacts], axis=1)
         status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
         return LaneOutcome(
             ys=ys,
@@ -345,6 +354,7 @@ class _Queue:
             n_rejected=n_rejected,
             n_onsets=counts[:, 3:].astype(jnp.int64),
             touching=touching,
+            peaks=peaks,
             n_lane_steps=n_lane_steps,
         )
 
@@ -352,8 +362,9 @@ class _Queue:
 def _account(lane: Lane) -> Float[Array, " k"]:
     """What a run reports besides its samples, as numbers in a row."""
     counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
-    return jnp.concatenate([lane.t[None], counts.astype(jnp.float64), lane.n_onsets.astype(jnp.float64), lane.touching])
-
+    return jnp.concatenate(
+        [lane.t[None], counts.astype(jnp.float64), lane.n_onsets.astype(jnp.float64), lane.touching, lane.peaks]
+    )
 
 
 def _is_busy(lanes: Lane, n_jobs: int):

@@ -14,8 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-in_lanes: Callable[[Callable], Callable] = lambda function: jax.vmap(function, in_axes=-1, out_axes=-1)
-"""Map a function of one lane over the last axis of its arguments and results."""
+
+def in_lanes(function: Callable) -> Callable:
+    """Map a function of one lane over the last axis of its arguments and results."""
+    return jax.vmap(function, in_axes=-1, out_axes=-1)
 
 
 class Trial(NamedTuple):
