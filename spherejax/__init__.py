@@ -38,7 +38,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
-from spherejax.output.drawing import draw
+from spherejax.output.drawing import animate, draw
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -233,6 +233,7 @@ __all__ = [
     "VectorElastomer",
     "WorkPrecision",
     "Wrench",
+    "animate",
     "compile_scene",
     "constraint_report",
     "differentiated_rows",

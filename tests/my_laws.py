@@ -36,6 +36,31 @@ class Viscous(sj.AbstractStaticFriction):
         return []
 
 
+def gust(t):
+    """A force by time."""
+    return jnp.stack([jnp.sin(t), 0.0 * t, 0.0 * t])
+
+
+def hat(x):
+    """A function of one number."""
+    return 1.0 - x * x
+
+
+def helix(place):
+    """Two functions that vanish on a curve."""
+    return jnp.stack([place[0] - jnp.cos(place[2]), place[1] - jnp.sin(place[2])])
+
+
+class Growth(eqx.Module):
+    """A function with a number in it, of any arguments."""
+
+    units: ClassVar = {"rate": "N/m"}
+    rate: float
+
+    def __call__(self, x, *others):
+        return self.rate * x
+
+
 class Renamed(sj.AbstractForce):
     """Keeps its argument under another name, so that nothing gives it back."""
 

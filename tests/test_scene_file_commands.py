@@ -155,5 +155,5 @@ def test_list_names_kinds_keys_and_units(capsys):
     assert cli.main(["list", "--kinds"]) == 0
     out = capsys.readouterr().out
     assert {kebab(cls.__name__) for cls in FIELDS if cls is not sj.Body} <= set(re.findall(r"[a-z0-9-]+", out))
-    for words in ("mass *", "[N/m^{exponent}]", '"body.point"', "angular_velocity", "rotation may stand", "t1"):
+    for words in ("mass *", "[N/m^exponent]", '"body.point"', "angular_velocity", "rotation may stand", "t1"):
         assert words in out

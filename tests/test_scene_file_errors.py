@@ -174,7 +174,7 @@ def test_an_error_names_file_line_key_and_remedy(written, old, new, message):
         ('kind = "my_laws.py:Magnet"\nbody = "upper"\nstiffness = "1 m"', "'1 m' is a length [m], but a stiffness"),
         ('kind = "my_laws.py:Magnet"\nbody = 3\nstiffness = 1', "3 is not a text"),
         ('kind = "my_laws.py:Magnets"', "my_laws.py has no class 'Magnets'; did you mean 'Magnet'?"),
-        ('kind = "my_laws.py:Viscous"', "'my_laws.py:Viscous' is no force; derive the class from AbstractForce"),
+        ('kind = "my_laws.py:Viscous"', "'my_laws.py:Viscous' is no force; derive a class from AbstractForce"),
         ('kind = "my_lows.py:Magnet"', "there is no file"),
         ('kind = "no_such_module:Magnet"', "cannot be imported: ModuleNotFoundError"),
         ('kind = "spherejax:AbstractForce"', "is abstract; it lacks wrenches"),
@@ -187,6 +187,54 @@ def test_a_wrong_force_is_named(written, force, message):
     path = written(TEXT + "\n[forces.push]\n" + force)
     (path.parent / "my_laws.py").write_text(Path(my_laws.__file__).read_text())
     with pytest.raises(sj.SceneError, match=r"scene.toml:4[2-9]: forces.push") as error:
+        sj.load_scene(path)
+    assert message in str(error.value)
+
+
+SHOCK = """
+[forces.shock]
+kind = "spring-damper"
+ends = ["ground.hook", "lower"]
+spring = { kind = "polynomial", coefficients = [1, "2 N/mm"] }
+damper = { kind = "piecewise", breaks = [0], pieces = ["my_laws.py:hat", { kind = "linear", slope = 2.0 }] }
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"2 N/mm"', '"2 N"', "spring.coefficients[1]: '2 N' is a force [N], but a stiffness [N/m] is expected"),
+        ("[1, ", '["1 N", 3, ', "'2 N/mm' is a stiffness [N/m], but a number [N/m^2] is expected"),
+        (
+            '[1, "2 N/mm"]',
+            "1",
+            "forces.shock.spring.coefficients: 1 is not a list of coefficients, the lowest power first",
+        ),
+        (
+            "breaks = [0]",
+            'breaks = ["0 m"]',
+            "damper.breaks[0]: '0 m' is a length [m], but a velocity [m/s] is expected",
+        ),
+        (
+            "slope = 2.0",
+            'slope = "2 N/m"',
+            "pieces[1].slope: '2 N/m' is a stiffness [N/m], but a damping [N s/m] is ex",
+        ),
+        ('"linear"', '"lineal"', "pieces[1].kind: unknown kind 'lineal' of function; did you mean 'linear'?"),
+        (":hat", ":hut", "my_laws.py has no function or class 'hut'; did you mean 'hat'?"),
+        ('"my_laws.py:hat"', '{ kind = "my_laws.py:hat", a = 1 }', "pieces[0].a: the function hat has no numbers"),
+        ('"my_laws.py:hat"', '"my_laws.py:Viscous"', "pieces[0]: 'my_laws.py:Viscous' is no function"),
+        ('"my_laws.py:hat"', '"hertz"', "pieces[0]: 'hertz' is no function; there are: constant, linear"),
+        ('["ground.hook", "lower"]', '"lower"', "forces.shock.ends: 'lower' is not a list of two of"),
+        ('"lower"]', '"lowr"]', "forces.shock.ends[1]: there is no body 'lowr'; did you mean 'lower'?"),
+        ('"lower"]', '"lower.pin"]', "forces.shock.ends[1]: 'lower.pin': body 'lower' has no point 'pin'"),
+        ("[0], pieces", "[0, 1], pieces", "damper.breaks: Piecewise: breaks = [0. 1.] must be a list of 1 numbers"),
+    ],
+)
+def test_a_wrong_function_is_named(written, old, new, message):
+    path = written(TEXT + SHOCK, (old, new))
+    (path.parent / "my_laws.py").write_text(Path(my_laws.__file__).read_text())
+    with pytest.raises(sj.SceneError, match=r"scene.toml:4[2-9]: forces.shock") as error:
         sj.load_scene(path)
     assert message in str(error.value)
 

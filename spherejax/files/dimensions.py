@@ -5,23 +5,12 @@ An argument that is missing here cannot be written in a file; a test compares th
 
 from collections.abc import Mapping
 
-from spherejax.files.fields import (
-    BodyName,
-    BodyNames,
-    Either,
-    Field,
-    Part,
-    Plain,
-    PointName,
-    Points,
-    Quantity,
-    listed,
-    matrix,
-    number,
-    vector,
-)
+from spherejax.files.fields import Field, Plain
+from spherejax.files.names import BodyName, BodyNames, End, Ends, PointName, PointOrPlace
+from spherejax.files.parts import Either, OwnFunction, Part, Parts
+from spherejax.files.quantities import Coefficients, Points, Quantity, listed, matrix, number, vector
 from spherejax.model.drift import Baumgarte, NoDriftControl, PostStabilization, Projection
-from spherejax.physics import forces, joints, laws
+from spherejax.physics import forces, functions, joints, laws
 from spherejax.physics.bodies import Body
 
 Fields = Mapping[str, Field]
@@ -50,14 +39,57 @@ _NORMAL: Fields = {"stiffness": number("N/m^{exponent}"), "exponent": number("1"
 
 _HYSTERESIS: Fields = {"restitution": number("1"), **_NORMAL}
 
+_MODEL = Part(joints.AbstractSphericalModel)
+
+_AXIAL: Fields = {"bodies": BodyNames(), "point": PointOrPlace(), "axis": vector("1"), "model": _MODEL}
+
+
+def _function(argument: str, value: str) -> Part:
+    """A function of one number, with the units of its argument and its value."""
+    return Part(functions.AbstractFunction, argument, value)
+
+
 JOINTS: Mapping[type, Fields] = {
     joints.Spherical: {
         "socket": PointName(),
         "ball": PointName(),
-        "model": Part(joints.AbstractSphericalModel),
+        "model": _MODEL,
         "starts_concentric": Plain(bool),
     },
-    joints.Revolute: {"bodies": BodyNames(), "point": vector("m"), "axis": vector("1")},
+    joints.Revolute: _AXIAL,
+    joints.Cylindrical: _AXIAL,
+    joints.Prismatic: _AXIAL,
+    joints.Universal: {
+        "bodies": BodyNames(),
+        "point": PointOrPlace(),
+        "first_axis": vector("1"),
+        "second_axis": vector("1"),
+        "model": _MODEL,
+    },
+    joints.Fixed: {"bodies": BodyNames(), "point": PointOrPlace(), "model": _MODEL},
+    joints.PointOnPlane: {
+        "point": PointName(),
+        "through": PointOrPlace(),
+        "normal": vector("1"),
+        "body": BodyName(),
+    },
+    joints.PointOnCurve: {"point": PointName(), "curve": Part(joints.AbstractCurve), "body": BodyName()},
+    joints.Distance: {"first": PointName(), "second": PointName(), "length": number("m")},
+    joints.DistanceDriver: {"first": PointName(), "second": PointName(), "length": _function("s", "m")},
+    joints.RotationDriver: {"bodies": BodyNames(), "axis": vector("1"), "angle": _function("s", "rad")},
+    joints.TranslationDriver: {
+        "bodies": BodyNames(),
+        "point": PointOrPlace(),
+        "axis": vector("1"),
+        "travel": _function("s", "m"),
+    },
+    joints.PositionDriver: {"point": PointName(), "position": Part(OwnFunction), "body": BodyName()},
+}
+
+CURVES: Mapping[type, Fields] = {
+    joints.Circle: {"center": vector("m"), "axis": vector("1"), "radius": number("m")},
+    joints.Line: {"through": vector("m"), "direction": vector("1")},
+    joints.ImplicitCurve: {"function": Part(OwnFunction)},
 }
 
 MODELS: Mapping[type, Fields] = {
@@ -72,6 +104,8 @@ MODELS: Mapping[type, Fields] = {
     },
     joints.Bushing: {"stiffness": number("N/m"), "damping": number("s"), "law": Part(laws.AbstractElastomer)},
 }
+
+_TRANSLATION: Fields = {"stiffness": matrix("N/m"), "damping": matrix("N s/m")}
 
 LAWS: Mapping[type, Fields] = {
     laws.Hertz: _NORMAL,
@@ -105,21 +139,76 @@ LAWS: Mapping[type, Fields] = {
     laws.RadialElastomer: {"stiffness": number("N/m"), "damping": number("s")},
     laws.VectorElastomer: {"stiffness": number("N/m"), "damping": number("s")},
     laws.MatrixElastomer: {
-        "stiffness": matrix("N/m"),
-        "damping": matrix("N s/m"),
+        **_TRANSLATION,
         "rotational_stiffness": matrix("N m/rad"),
         "rotational_damping": matrix("N m s/rad"),
+    },
+    laws.HingeElastomer: {
+        **_TRANSLATION,
+        "conical_stiffness": number("N m/rad"),
+        "conical_damping": number("N m s/rad"),
+        "torsional_damping": number("N m s/rad"),
+    },
+    laws.CrossElastomer: {
+        **_TRANSLATION,
+        "torsional_stiffness": number("N m/rad"),
+        "torsional_damping": number("N m s/rad"),
     },
     laws.CurveElastomer: {"deflections": listed("m"), "forces": listed("N"), "damping": number("s")},
 }
 
+_LINE: Fields = {"ends": Ends(), "direction": vector("1")}
+
+_ONE_SIDED: Fields = {
+    "stiffness": number("N/m"),
+    "damping": number("N s/m"),
+    "onset": number("m"),
+    "spring": _function("m", "N"),
+    "damper": _function("m/s", "N"),
+}
+
 FORCES: Mapping[type, Fields] = {
     forces.AppliedWrench: {
-        "body": BodyName(),
-        "force": vector("N"),
-        "moment": vector("N m"),
+        "body": End(),
+        "force": Either(vector("N"), Part(OwnFunction)),
+        "moment": Either(vector("N m"), Part(OwnFunction)),
         "place": vector("m"),
         "in_body_axes": Plain(bool),
+    },
+    forces.SpringDamper: {
+        **_LINE,
+        "stiffness": number("N/m"),
+        "damping": number("N s/m"),
+        "free_length": number("m"),
+        "spring": _function("m", "N"),
+        "damper": _function("m/s", "N"),
+        "law": Part(OwnFunction),
+    },
+    forces.ShockAbsorber: {
+        **_LINE,
+        "compression": _function("m/s", "N"),
+        "extension": _function("m/s", "N"),
+        "spring": _function("m", "N"),
+        "free_length": number("m"),
+        "transition": number("m/s"),
+    },
+    forces.BumpStop: {**_LINE, "shortest": number("m"), "longest": number("m"), **_ONE_SIDED},
+    forces.TorsionalSpring: {
+        "bodies": BodyNames(),
+        "axis": vector("1"),
+        "stiffness": number("N m/rad"),
+        "damping": number("N m s/rad"),
+        "free_angle": number("rad"),
+        "spring": _function("rad", "N m"),
+        "damper": _function("rad/s", "N m"),
+    },
+    forces.Tyre: {
+        "center": End(),
+        "radius": number("m"),
+        **_ONE_SIDED,
+        "road": _function("m", "m"),
+        "speed": number("m/s"),
+        "normal_to_road": Plain(bool),
     },
 }
 
@@ -130,6 +219,44 @@ DRIFT_CONTROLS: Mapping[type, Fields] = {
     Projection: {},
 }
 
-FIELDS: Mapping[type, Fields] = {Body: BODY, **JOINTS, **MODELS, **LAWS, **FORCES, **DRIFT_CONTROLS}
+_ARGUMENT, _VALUE = number("{of_argument}"), number("{of_value}")
 
-__all__ = ["FIELDS", "Either", "Fields"]
+FUNCTIONS: Mapping[type, Fields] = {
+    functions.Constant: {"value": _VALUE},
+    functions.Linear: {"slope": number("({of_value})/({of_argument})"), "offset": _VALUE},
+    functions.Polynomial: {"coefficients": Coefficients(), "center": _ARGUMENT},
+    functions.Sine: {
+        "amplitude": _VALUE,
+        "frequency": number("1/({of_argument})"),
+        "phase": number("rad"),
+        "offset": _VALUE,
+    },
+    functions.Step: {"at": _ARGUMENT, "before": _VALUE, "after": _VALUE},
+    functions.SmoothStep: {"start": _ARGUMENT, "end": _ARGUMENT, "before": _VALUE, "after": _VALUE},
+    functions.Bump: {"height": _VALUE, "start": _ARGUMENT, "length": _ARGUMENT},
+    functions.Table: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
+    functions.SmoothTable: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
+    functions.Piecewise: {"breaks": listed("{of_argument}"), "pieces": Parts(functions.AbstractFunction)},
+    functions.Sum: {"terms": Parts(functions.AbstractFunction)},
+    joints.Uniform: {"rate": number("({of_value})/({of_argument})"), "start": _VALUE},
+    joints.Harmonic: {
+        "amplitude": _VALUE,
+        "frequency": number("1/({of_argument})"),
+        "phase": number("rad"),
+        "mean": _VALUE,
+    },
+}
+
+ALSO: Mapping[type, tuple[type, ...]] = {functions.AbstractFunction: (joints.Uniform, joints.Harmonic)}
+"""Members of a family that are not derived from it."""
+
+FIELDS: Mapping[type, Fields] = {
+    Body: BODY,
+    **JOINTS,
+    **CURVES,
+    **MODELS,
+    **LAWS,
+    **FORCES,
+    **FUNCTIONS,
+    **DRIFT_CONTROLS,
+}

@@ -17,12 +17,15 @@ from types import ModuleType
 from typing import Any, get_args
 from zlib import crc32
 
-from spherejax.files.dimensions import FIELDS, Fields
-from spherejax.files.fields import Part, Plain, Quantity, words_of
+from spherejax.files.dimensions import ALSO, FIELDS, Fields
+from spherejax.files.fields import Plain, words_of
+from spherejax.files.parts import OwnFunction, Part
 from spherejax.files.place import Place, one_of
+from spherejax.files.quantities import Quantity
 from spherejax.foundations.checks import SceneError
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.physics.forces import AbstractForce
+from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints import AbstractJoint
 
 SPELLINGS = {"BrownMcPhee": "brown-mcphee", "LuGre": "lugre"}
@@ -36,13 +39,14 @@ def kebab(name: str) -> str:
 
 def kinds_of(family: type) -> dict[str, type]:
     """The classes of a family by kind, as the package has them."""
-    return {kebab(cls.__name__): cls for cls in FIELDS if issubclass(cls, family)}
+    members = (cls for cls in FIELDS if issubclass(cls, family) or cls in ALSO.get(family, ()))
+    return {kebab(cls.__name__): cls for cls in members}
 
 
-def class_named(kind: str, family: type, folder: Path, place: Place) -> type:
-    """The class of a kind; `place.fail` where there is none."""
+def class_named(kind: str, family: type, folder: Path, place: Place) -> Any:
+    """The class of a kind, or a user's function; `place.fail` where there is none."""
     if ":" in kind:
-        return _users_class(kind, family, folder, place)
+        return _users_own(kind, family, folder, place)
     plain = {_letters(name): cls for name, cls in kinds_of(family).items()}
     if _letters(kind) in plain:
         return plain[_letters(kind)]
@@ -54,22 +58,23 @@ def class_named(kind: str, family: type, folder: Path, place: Place) -> type:
     place.fail(f'unknown kind {kind!r} of {what}; {known}; or a class of your own, "my_file.py:MyClass"')
 
 
-def kind_of(cls: type, folder: Path) -> str:
-    """The kind that names a class in a file of this folder.
+def kind_of(cls: Any, folder: Path) -> str:
+    """The kind that names a class, or a user's function, in a file of this folder.
 
     Raises:
-        SceneError: for a class that no file can name.
+        SceneError: for one that no file can name.
     """
     if cls in FIELDS:
         return kebab(cls.__name__)
-    module = sys.modules.get(cls.__module__)
-    remedy = "put the class at the top of a file of its own, and import it from there"
-    if module is None or cls.__module__ == "__main__" or cls.__qualname__ != cls.__name__:
-        raise SceneError(f"class {cls.__qualname__} of {cls.__module__} cannot be named in a file; {remedy}")
+    what = "class" if inspect.isclass(cls) else "Python function"
+    remedy = f"put the {what} at the top of a file of its own, and import it from there"
+    name, module = getattr(cls, "__qualname__", repr(cls)), sys.modules.get(getattr(cls, "__module__", ""))
+    if module is None or cls.__module__ == "__main__" or getattr(module, name, None) is not cls:
+        raise SceneError(f"the {what} {name} cannot be named in a file; {remedy}")
     if "." in cls.__module__:
         return f"{cls.__module__}:{cls.__name__}"
     if getattr(module, "__file__", None) is None:
-        raise SceneError(f"class {cls.__name__} of {cls.__module__} comes from no file; {remedy}")
+        raise SceneError(f"the {what} {name} comes from no file; {remedy}")
     return f"{Path(os.path.relpath(str(module.__file__), folder)).as_posix()}:{cls.__name__}"
 
 
@@ -93,21 +98,28 @@ def parameters_of(cls: type) -> dict[str, inspect.Parameter]:
     return {
         name: parameter
         for name, parameter in inspect.signature(cls).parameters.items()
-        if parameter.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
     }
 
 
 def keys_of(cls: type) -> list[tuple[str, str]]:
     """The keys of a class in a file, those that must be given with a star, and what they hold."""
-    needed = {name for name, p in parameters_of(cls).items() if p.default is inspect.Parameter.empty}
+    needed = {name for name, parameter in parameters_of(cls).items() if is_needed(parameter)}
     defaults = {name: p.default for name, p in parameters_of(cls).items() if type(p.default) in (int, float, bool, str)}
     return [
         (
             f"{name} *" if name in needed else name,
-            field.what + (f", {defaults[name]} by default" if name in defaults else ""),
+            field.what + (f", {_plain(defaults[name])} by default" if name in defaults else ""),
         )
         for name, field in fields_of(cls).items()
     ]
+
+
+def _plain(value: Any) -> str:
+    """A default as it is written in a file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
 def family_names() -> list[tuple[str, type]]:
@@ -115,12 +127,17 @@ def family_names() -> list[tuple[str, type]]:
     found: dict[type, str] = {}
     for cls, fields in FIELDS.items():
         for name, field in fields.items():
-            if isinstance(field, Part) and field.family not in found:
+            if isinstance(field, Part) and field.family not in found and field.family is not OwnFunction:
                 found[field.family] = f"{words_of(field.family)}: {name} = {{ kind = ... }} of {kebab(cls.__name__)}"
     top: list[tuple[str, type]] = [
         ("[joints.NAME]", AbstractJoint), ("[forces.NAME]", AbstractForce), ("drift", AbstractDriftControl),
     ]  # fmt: skip
     return [*top, *((title, family) for family, title in found.items())]
+
+
+def is_needed(parameter: inspect.Parameter) -> bool:
+    """Whether an argument must be given."""
+    return parameter.default is inspect.Parameter.empty and parameter.kind is not inspect.Parameter.VAR_POSITIONAL
 
 
 def _field_of(annotation: Any, unit: str | None):
@@ -153,7 +170,7 @@ def _letters(kind: str) -> str:
     return re.sub(r"[-_ ]", "", kind).lower()
 
 
-def _users_class(kind: str, family: type, folder: Path, place: Place) -> type:
+def _users_own(kind: str, family: type, folder: Path, place: Place) -> Any:
     where, _, name = kind.rpartition(":")
     try:
         module = _module_at((folder / where).resolve()) if where.endswith(".py") else importlib.import_module(where)
@@ -162,15 +179,29 @@ def _users_class(kind: str, family: type, folder: Path, place: Place) -> type:
     except Exception as error:  # whatever the user's code raises
         place.fail(f"{kind!r} cannot be imported: {type(error).__name__}: {error}")
     found = getattr(module, name, None)
-    if not inspect.isclass(found):
-        classes = [key for key, value in vars(module).items() if inspect.isclass(value) and issubclass(value, family)]
-        place.fail(f"{where} has no class {name!r}; {one_of(classes, name)}")
-    if not issubclass(found, family):
-        place.fail(f"{kind!r} is no {words_of(family)}; derive the class from {family.__name__}")
+    if not (inspect.isclass(found) or inspect.isfunction(found)):
+        offered = [key for key, value in vars(module).items() if _serves_as(value, family)]
+        what = "function or class" if family in TAKE_CALLABLES else "class"
+        place.fail(f"{where} has no {what} {name!r}; {one_of(offered, name)}")
+    if not _serves_as(found, family):
+        remedy = "give a function" if family in TAKE_CALLABLES else f"derive a class from {family.__name__}"
+        place.fail(f"{kind!r} is no {words_of(family)}; {remedy}")
     if inspect.isabstract(found):
         lacking = sorted(getattr(found, "__abstractmethods__", ()))
         place.fail(f"{kind!r} is abstract; it lacks {', '.join(lacking)}")
     return found
+
+
+TAKE_CALLABLES = (AbstractFunction, OwnFunction)
+"""Families for which any function, or class whose objects can be called, will do."""
+
+
+def _serves_as(found: Any, family: type) -> bool:
+    """Whether something in a user's file is a member of a family."""
+    if not inspect.isclass(found):
+        return inspect.isfunction(found) and family in TAKE_CALLABLES
+    has_call = any("__call__" in vars(base) for base in found.__mro__)
+    return issubclass(found, family) or (family in TAKE_CALLABLES and has_call)
 
 
 def _module_at(path: Path) -> ModuleType:

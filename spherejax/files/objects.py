@@ -2,18 +2,20 @@
 
 import dataclasses
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from spherejax.files.fields import Context
-from spherejax.files.kinds import class_named, fields_of, kind_of, kinds_of, parameters_of
+from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
 from spherejax.files.place import Place, one_of
 from spherejax.foundations.checks import Requirement, SceneError, enforce, is_concrete
-from spherejax.physics.forces import AppliedWrench
+from spherejax.physics.functions import UserFunction
+from spherejax.physics.functions.base import Given
 from spherejax.physics.joints import Dry, Lubricated
+from spherejax.physics.joints.time_functions import TimeFunction
 
 KIND = "kind"
 """The key that names the class."""
@@ -33,6 +35,10 @@ def build(family: type, value: Any, place: Place, context: Context) -> Any:
     if not isinstance(kind, str):
         place.fail(f'has no kind; write kind = "{next(iter(members), "my_file.py:MyClass")}"; {one_of(members, "")}')
     cls = class_named(kind, family, context.folder, place / KIND if isinstance(value, dict) else place)
+    if inspect.isfunction(cls):
+        for key in table:
+            (place / key).fail(f"the function {cls.__name__} has no numbers; write a class to give it some")
+        return cls
     return built(cls, table, place, context)
 
 
@@ -42,18 +48,25 @@ def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -
     for key in table:
         if key not in fields:
             (place / key).fail(f"unknown key of {cls.__name__}; {one_of(fields, key)}")
-    missing = [name for name, p in parameters.items() if p.default is inspect.Parameter.empty and name not in table]
+    missing = [name for name, parameter in parameters.items() if is_needed(parameter) and name not in table]
     if missing:
         name = missing[0]
         place.fail(f"{cls.__name__} needs {name}, {fields[name].what}; add {name} = ...")
     inside = context._replace(words={**context.words, **_numbers_of(parameters, table)})
     arguments = {name: fields[name].read(value, place / name, inside) for name, value in table.items()}
     try:
-        made = cls(**arguments)
+        made = called(cls, arguments)
     except (TypeError, ValueError) as error:
         place.fail(str(error))
     check(made, place)
     return made
+
+
+def called(cls: type, arguments: Mapping[str, Any]) -> Any:
+    """`cls(**arguments)`; an argument like `*terms` is a list."""
+    many = [name for name, p in parameters_of(cls).items() if p.kind is inspect.Parameter.VAR_POSITIONAL]
+    listed = [entry for name in many for entry in arguments.get(name, ())]
+    return cls(*listed, **{name: value for name, value in arguments.items() if name not in many})
 
 
 def check(made: Any, place: Place) -> None:
@@ -74,6 +87,8 @@ def describe(made: Any, family: type, context: Context) -> dict[str, Any]:
     Raises:
         SceneError: for an object that no table gives back, or that contains a Python function.
     """
+    if inspect.isfunction(made):
+        return {KIND: kind_of(made, context.folder)}
     cls = type(made)
     if not isinstance(made, eqx.Module):
         raise SceneError(_no_table(made, family))
@@ -89,7 +104,7 @@ def described(made: Any, context: Context) -> dict[str, Any]:
     inside = context._replace(words={**context.words, **_numbers_of(parameters_of(type(made)), arguments)})
     table = {name: fields[name].write(value, inside) for name, value in arguments.items()}
     try:
-        is_same = same(type(made)(**arguments), made)
+        is_same = same(called(type(made), arguments), made)
     except (TypeError, ValueError):
         is_same = False
     if not is_same:
@@ -102,15 +117,31 @@ def described(made: Any, context: Context) -> dict[str, Any]:
 
 def arguments_of(made: Any) -> dict[str, Any]:
     """The arguments that make an object again, by name; None is left out."""
-    if isinstance(made, AppliedWrench) and any(function is not None for function in made.functions):
-        raise SceneError(
-            "AppliedWrench: a Python function cannot be written to a file; put the force in a class of your own, "
-            'kind = "my_forces.py:MyForce"'
-        )
-    found = {name: getattr(made, name, None) for name in parameters_of(type(made))}
+    found = {name: unwrapped(_attribute(made, name)) for name in parameters_of(type(made))}
     if isinstance(made, Dry | Lubricated) and made._ball_radius_given:
         found = {**found, "clearance": None, "ball_radius": _ball_radius(made)}
     return {name: value for name, value in found.items() if value is not None}
+
+
+def _attribute(made: Any, name: str) -> Any:
+    """What was given as the argument `name`; a place may have been given by its name."""
+    value = getattr(made, name, None)
+    return getattr(made, f"{name}_name", None) if value is None else value
+
+
+def unwrapped(value: Any) -> Any:
+    """The function that a user gave, without what it was wrapped in."""
+    while type(value) in WRAPPERS:
+        value = next(inner for inner in WRAPPERS[type(value)](value) if inner is not None)
+    return tuple(unwrapped(entry) for entry in value) if isinstance(value, tuple) else value
+
+
+WRAPPERS: Mapping[type, Callable[[Any], tuple]] = {
+    Given: lambda given: (given.module, given.function),
+    UserFunction: lambda function: (function.given,),
+    TimeFunction: lambda function: (function.law, function.plain),
+}
+"""Classes in which functions of users are kept."""
 
 
 def same(first: Any, second: Any) -> bool:
@@ -118,6 +149,8 @@ def same(first: Any, second: Any) -> bool:
     if dataclasses.is_dataclass(first) and dataclasses.is_dataclass(second):
         names = [field.name for field in dataclasses.fields(first)]
         return type(first) is type(second) and all(same(getattr(first, n), getattr(second, n)) for n in names)
+    if isinstance(first, tuple) and isinstance(second, tuple) and not _is_numeric(first):
+        return len(first) == len(second) and all(same(a, b) for a, b in zip(first, second, strict=True))
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return set(first) == set(second) and all(same(first[key], second[key]) for key in first)
     if _is_numeric(first) and _is_numeric(second):

@@ -5,10 +5,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spherejax.files.dimensions import BODY
-from spherejax.files.fields import Context, Points, vector
+from spherejax.files.fields import Context
 from spherejax.files.objects import build, built, describe
 from spherejax.files.place import Place, one_of, read_toml
+from spherejax.files.quantities import Points, vector
 from spherejax.files.rotations import read_rotation
 from spherejax.files.settings import SimulationSettings, read_settings
 from spherejax.foundations.checks import SceneError
@@ -160,6 +160,3 @@ def _named_in(message: str, tables: Mapping[str, Any], top: Place) -> Place:
             if f"{key.removesuffix('s').replace('bodie', 'body')} {name!r}" in message:
                 return top / key / name
     return top
-
-
-__all__ = ["BODY", "SceneFile", "load_scene", "read_scene_file"]

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.fields import Context, listed, number, vector
+from spherejax.files.fields import Context
 from spherejax.files.place import Place
+from spherejax.files.quantities import listed, number, vector
 
 FORMS = '{ axis = [0, 0, 1], angle = "30 deg" } or { sequence = "ZXZ", angles = ["10 deg", "20 deg", 0] }'
 

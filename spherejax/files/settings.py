@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import diffrax
 
-from spherejax.files.fields import Choice, Context, Field, Plain, number
+from spherejax.files.fields import Choice, Context, Field, Plain
 from spherejax.files.place import Place, one_of
+from spherejax.files.quantities import number
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 
 SOLVERS: Mapping[str, tuple[Callable[[], Any], str]] = {

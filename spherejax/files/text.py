@@ -7,9 +7,10 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
-from spherejax.files.fields import Context, Points, vector
+from spherejax.files.fields import Context
 from spherejax.files.kinds import fields_of
 from spherejax.files.objects import KIND, build, describe, described
+from spherejax.files.quantities import Points, vector
 from spherejax.files.reading import STUDIED, SceneFile
 from spherejax.files.settings import FIELDS as SETTINGS
 from spherejax.files.units import PURE

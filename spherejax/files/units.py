@@ -57,9 +57,10 @@ def simplified(unit: str) -> str:
     """A unit made of others in parentheses, e.g. `"(N)/(m)^2"`, as it is usually written, `"N/m^2"`."""
     if "(" not in unit:
         return unit
-    made = _pint(unit)
-    known = (name for name in NAMES if _pint(name) == made)
-    return next(known, f"{made:~}".replace(" ** ", "^").replace(" / ", "/").replace(" * ", " ")) or PURE
+    made = _registry().Quantity(1.0, _pint(unit))
+    factors = sorted(made.unit_items())
+    known = (name for name in NAMES if sorted(_registry().Quantity(1.0, _pint(name)).unit_items()) == factors)
+    return next(known, f"{made.units:~}".replace(" ** ", "^").replace(" / ", "/").replace(" * ", " ")) or PURE
 
 
 @cache

@@ -224,7 +224,7 @@ def _rows(array: np.ndarray, axes) -> tuple[np.ndarray, tuple[int, ...]]:
     kept = [axis for axis in range(array.ndim) if axis not in axes]
     shape = tuple(array.shape[axis] for axis in kept)
     count = int(np.prod([array.shape[axis] for axis in axes]))
-    return array.transpose([*kept, *axes]).reshape(-1, count), shape
+    return array.transpose([*kept, *axes]).reshape(int(np.prod(shape)), count), shape
 
 
 def _reduction(combine, start):
@@ -265,16 +265,17 @@ def _dot_general(graph, inputs, parameters, shapes, dtypes):
 
 
 def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
-    del parameters, dtypes
+    del dtypes
     matrix, right_side = inputs
     size, columns = right_side.shape[-2:]
     matrices = matrix.reshape(-1, size, size)
     right_sides = right_side.reshape(-1, size, columns)
-    solved = [_eliminate(graph, m, b) for m, b in zip(matrices, right_sides, strict=True)]
+    smallest = parameters["smallest_pivot"]
+    solved = [_eliminate(graph, m, b, smallest) for m, b in zip(matrices, right_sides, strict=True)]
     return [np.array(solved, np.int64).reshape(shapes[0])]
 
 
-def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
+def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray, smallest_pivot: float) -> np.ndarray:
     """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution.
 
     Redundant rows are left out as in `symmetric_solve`.
@@ -287,7 +288,7 @@ def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.n
     inverse_pivots = []
     factors: list[dict[int, int]] = []
     for j in range(size):
-        inverse_pivot = _inverse_pivot(graph, s[j][j], diagonal[j])
+        inverse_pivot = _inverse_pivot(graph, s[j][j], diagonal[j], smallest_pivot)
         below = {i: graph.mul(s[i][j], inverse_pivot) for i in range(j + 1, size) if not graph.is_value(s[i][j], 0)}
         for i in below:
             for k in below:
@@ -307,17 +308,19 @@ def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.n
     return solution
 
 
-def _inverse_pivot(graph: Graph, pivot: int, diagonal: int) -> int:
+def _inverse_pivot(graph: Graph, pivot: int, diagonal: int, smallest_pivot: float) -> int:
     """1 / pivot, or 0 for a redundant row."""
     if pivot == diagonal:
         return graph.div(graph.constant(1, FLOAT), pivot)
-    return _inverse_unless_small(graph, pivot, pivot, diagonal)
+    return _inverse_unless_small(graph, pivot, pivot, diagonal, smallest_pivot)
 
 
-def _inverse_unless_small(graph: Graph, pivot: int, magnitude: int, scale: int) -> int:
-    """1 / pivot, or 0 where its magnitude is rounding of `scale`; the guarded divisor keeps derivatives finite."""
+def _inverse_unless_small(
+    graph: Graph, pivot: int, magnitude: int, scale: int, smallest_pivot: float = REDUNDANT_PIVOT
+) -> int:
+    """1 / pivot, or 0 where its magnitude is too small a part of `scale`; guarded, so that derivatives are finite."""
     one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
-    smallest = graph.mul(scale, graph.constant(REDUNDANT_PIVOT, FLOAT))
+    smallest = graph.mul(scale, graph.constant(smallest_pivot, FLOAT))
     is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
     return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
 

@@ -3,5 +3,6 @@
 from spherejax.gallery.chain import chain
 from spherejax.gallery.four_bar import four_bar
 from spherejax.gallery.n_four_bar import n_four_bar
+from spherejax.gallery.suspension import suspension
 
-__all__ = ["chain", "four_bar", "n_four_bar"]
+__all__ = ["chain", "four_bar", "n_four_bar", "suspension"]

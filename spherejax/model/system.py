@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
@@ -50,6 +51,7 @@ class System(eqx.Module):
         memory_slots: where the joints' memory is; empty where no law needs one.
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
+        smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
     """
 
     bodies: dict[str, Body]
@@ -60,6 +62,7 @@ class System(eqx.Module):
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
     refines_constraints: bool = eqx.field(static=True, default=False)
+    smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
 
     @property
     def layout(self) -> Layout:
@@ -140,7 +143,8 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
             slots.append(MemorySlot(name, start, names))
             start += len(names)
     refines = _masses_are_far_apart(bodies)
-    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines)
+    smallest = _smallest_pivot(bodies)
+    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines, smallest)
     return Compiled(system, conditions)
 
 
@@ -156,15 +160,28 @@ def _check_leaves(parts: dict[str, Any]) -> None:
 
 
 LARGE_MASS_RATIO = 1e4
-"""From this ratio of masses on, rounding in the constraint forces disturbs the light body."""
+"""From this ratio of masses on, rounding in the constraint forces disturbs the light body; of moments likewise."""
 
 
 def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
     """Whether masses differ so much, or may, being traced."""
-    masses = [body.mass for body in bodies.values()]
-    if not all(is_concrete(mass) for mass in masses):
+    return _are_far_apart([body.mass for body in bodies.values()])
+
+
+def _smallest_pivot(bodies: dict[str, Body]) -> float:
+    """The bound of a singular configuration, where no difference of masses or moments makes pivots as small."""
+    alike = not _masses_are_far_apart(bodies) and not _are_far_apart([_moments(body) for body in bodies.values()])
+    return SINGULAR_PIVOT if alike else REDUNDANT_PIVOT
+
+
+def _moments(body: Body) -> Numeric:
+    return body.inertia if np.ndim(body.inertia) == 1 else body.inertia.diagonal()
+
+
+def _are_far_apart(values: list) -> bool:
+    if not all(is_concrete(value) for value in values):
         return True
-    return bool(max(masses) > LARGE_MASS_RATIO * min(masses))
+    return bool(np.max(values) > LARGE_MASS_RATIO * np.min(values))
 
 
 def _with_array_fields(body: Body) -> Body:

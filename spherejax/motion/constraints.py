@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.foundations.symmetric_solve import symmetric_solve
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, symmetric_solve
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import System
 from spherejax.motion.loads import Wrenches
@@ -161,7 +161,7 @@ def constrained_accelerations(
     loads = {name: jnp.concatenate([applied[name].force, applied[name].moment]) for name in system.bodies}
     desired = desired_accelerations(system, motions, constraints)
     masses = inverse_masses(system, motions)
-    return solve_augmented(constraints, masses, loads, desired, system.refines_constraints)
+    return solve_augmented(constraints, masses, loads, desired, system.refines_constraints, system.smallest_pivot)
 
 
 def desired_accelerations(system: System, motions: Motions, constraints: ConstraintSet) -> Float[Array, " n"]:
@@ -176,6 +176,7 @@ def solve_augmented(
     loads: dict[str, Float[Array, "6"]],
     desired: Float[Array, " n"],
     refine: bool = False,
+    smallest_pivot: float = REDUNDANT_PIVOT,
 ) -> Solution:
     """Solve M a + D^T lambda = g, D a = gamma for a and lambda, given g by body and gamma.
 
@@ -190,7 +191,7 @@ def solve_augmented(
 
     def corrected(accelerations, multipliers):
         """Multipliers that make up for what the accelerations lack, and the accelerations with them."""
-        more = symmetric_solve(mobility, constraints.times(accelerations) - desired)
+        more = symmetric_solve(mobility, constraints.times(accelerations) - desired, smallest_pivot)
         moved = {
             name: accelerations[name] - masses[name].times(constraints.transposed_times(name, more)) for name in masses
         }

@@ -114,6 +114,8 @@ def _of_bodies(run: "Trajectory") -> dict[str, Column]:
 
 def _of_joints(run: "Trajectory") -> dict[str, Column]:
     seen, system = run.observation, run.system
+    if not system.joints:
+        return {}
     joints, spherical = ("time", "joint", "axis"), ("time", "spherical_joint", "axis")
     gap = ("time", "clearance_joint")
     columns: dict[str, Column] = {

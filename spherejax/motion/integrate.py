@@ -20,6 +20,7 @@ from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
+from spherejax.motion.longest_step import longest_step
 from spherejax.motion.programs import program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
@@ -131,7 +132,7 @@ def integrate(
             saveat=diffrax.SaveAt(
                 subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
             ),
-            stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
+            stepsize_controller=landing_controller(options.controller, contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,
@@ -143,6 +144,12 @@ def integrate(
     is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
     ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
     return Outcome(ys, reached, sampled[1][0], status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def landing_controller(controller, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]) -> LandingController:
+    """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
+    longest = longest_step(plan.structure, ts, scalar=plan.scalar)
+    return LandingController(controller, contacts, longest)  # pyright: ignore[reportCallIssue]
 
 
 def correction_for(plan: Plan) -> Callable | None:

@@ -120,6 +120,7 @@ def _normal_mobility(system: System, joint: str, t, y):
     constraints = constraint_set(system, t, motions)
     moved = free
     if constraints.rows:
-        multipliers = symmetric_solve(constraint_mobility(constraints, masses), constraints.times(free))
+        mobility = constraint_mobility(constraints, masses)
+        multipliers = symmetric_solve(mobility, constraints.times(free), system.smallest_pivot)
         moved = {b: free[b] - masses[b].times(constraints.transposed_times(b, multipliers)) for b in masses}
     return sum(pair[body] @ moved[body] for body in pair if body in moved)

@@ -39,7 +39,7 @@ def least_correction(
     masses = inverse_masses(system, motions)
     mobility = constraint_mobility(constraints, masses)
     mobility = mobility * (1 + REGULARIZATION * jnp.eye(mobility.shape[0]))
-    multipliers = symmetric_solve(mobility, violation)
+    multipliers = symmetric_solve(mobility, violation, system.smallest_pivot)
     return jnp.stack([masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses])
 
 

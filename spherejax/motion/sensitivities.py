@@ -42,11 +42,12 @@ from spherejax.motion.integrate import (
     contacts_of,
     correction_for,
     integrate,
+    landing_controller,
     samples,
     wrapped,
 )
 from spherejax.motion.programs import Program, program_for
-from spherejax.motion.solvers.landing import Contacts, LandingController
+from spherejax.motion.solvers.landing import Contacts
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
@@ -147,7 +148,7 @@ def _controlled_slopes(
             y0=jnp.concatenate([y0[None], Y0]),
             args=_linearized(parameters_of, values, scale),
             saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
-            stepsize_controller=LandingController(_judging_rows(options.controller), contacts),  # pyright: ignore[reportCallIssue]
+            stepsize_controller=landing_controller(_judging_rows(options.controller), contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,

@@ -9,7 +9,7 @@ import numpy as np
 from spherejax.output.plot.camera import Camera
 from spherejax.output.plot.mechanism import Mechanism, Pose, force_places
 from spherejax.output.plot.shapes import body_strokes, triad_strokes
-from spherejax.output.plot.strokes import CIRCLE, PAPER, Stroke, ground_marks
+from spherejax.output.plot.strokes import CIRCLE, PAPER, Stroke, arrow_outline, ground_marks
 from spherejax.output.plot.symbols import joint_strokes
 from spherejax.physics.bodies import GROUND
 from spherejax.physics.kinematics import BodyMotion
@@ -58,11 +58,10 @@ def _spring(a: np.ndarray, b: np.ndarray, depth: float, s: float) -> list[Stroke
 def _arrow(at: np.ndarray, force: np.ndarray, camera: Camera, length: float) -> Stroke:
     """An arrow of one length that ends where the force acts; none without a force."""
     size = float(np.linalg.norm(force))
+    tip = camera.project(at)
     shaft = camera.project(length * force / size) if size > 0 else np.zeros(2)
-    across = np.array([-shaft[1], shaft[0]])
-    neck = -0.3 * shaft
-    outline = [-shaft, neck, neck + 0.13 * across, 0 * shaft, neck - 0.13 * across, neck]
-    return Stroke(camera.project(at) + np.array(outline), camera.depth(at), FORCE_COLOR, 1.4, FORCE_COLOR)
+    outline = arrow_outline(tip - shaft, tip, 0.13 * length)
+    return Stroke(outline, camera.depth(at), FORCE_COLOR, 1.4, FORCE_COLOR)
 
 
 FORCE_COLOR = "#7A3B00"

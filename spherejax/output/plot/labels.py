@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
 from matplotlib.text import Text
 
-DISTANCES = (2, 6, 12, 20, 30, 44, 62)
+DISTANCES = (3, 7, 12, 20, 30, 44, 62)
 """Distances of the label's rim from what it names that are tried [point]."""
 
 DIRECTIONS = np.stack([np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], -1)
@@ -44,19 +44,19 @@ class Label:
     name: str = ""
 
 
-def place_labels(ax: Axes, labels: Sequence[Label], drawn: Sequence[PathPatch]) -> list[Text]:
+def place_labels(ax: Axes, labels: Sequence[Label], drawn: Sequence[PathPatch], covered: Sequence = ()) -> None:
     """Write labels into a panel whose layout is final.
 
     Args:
         ax: the panel.
         labels: what to write; the first choose first.
         drawn: what they should not cover.
+        covered: boxes that are taken, as left, bottom, right, top [pixel].
     """
     point = ax.figure.dpi / 72
     obstacles = _samples(ax, drawn, 3 * point)
     panel = ax.get_window_extent()
-    boxes: list[np.ndarray] = []
-    texts = []
+    boxes: list[np.ndarray] = list(covered)
     for label in labels:
         text = ax.text(
             0, 0, label.text, color=label.color, fontsize=7.5, fontweight="bold" if label.is_bold else "normal",
@@ -69,8 +69,6 @@ def place_labels(ax: Axes, labels: Sequence[Label], drawn: Sequence[PathPatch]) 
         center = _best(anchor, rim, half, boxes, obstacles, panel, point)
         boxes.append(np.concatenate([center - half, center + half]))
         _put(ax, text, label, center, anchor, half, point)
-        texts.append(text)
-    return texts
 
 
 def _best(anchor, rim, half, boxes, obstacles, panel, point) -> np.ndarray:

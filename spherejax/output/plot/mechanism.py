@@ -164,8 +164,12 @@ class Mechanism:
         if GROUND not in joint.bodies:
             return False
         on_ground = joint.bodies.index(GROUND)
-        other = [body.name for body in self.bodies].index(joint.bodies[1 - on_ground])
-        return bool((self.positions[0, other] - joint.places[on_ground]) @ self.gravity > 0)
+        other = joint.bodies[1 - on_ground]
+        places = next(body.places for body in self.bodies if body.name == other)
+        pose = self.pose(float(self.ts[0]))
+        # Of a body with one point, its center of mass; of others the middle of their outline.
+        middle = pose.point(other, places).mean(axis=0) if len(places) > 1 else pose.positions[other]
+        return bool((middle - joint.places[on_ground]) @ self.gravity > 0)
 
     def path(self, body: str, place: np.ndarray) -> np.ndarray:
         """A point of a body at all samples, world axes [m], shape (n, 3)."""

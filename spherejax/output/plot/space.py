@@ -130,7 +130,9 @@ class SpaceView:
         self.corner = None if camera.is_axial else Corner(ax, extent_of(points))
         if camera.is_axial:
             dress_axial(ax, camera, extent_of(points))
-        self.artists = [self._artist(stroke) for group in self.strokes(pose) for stroke in group]
+        self.artists = [patch_of(stroke) for group in self.strokes(pose) for stroke in group]
+        for artist in self.artists:
+            ax.add_patch(artist)
         self.look_from(camera, pose)
 
     def strokes(self, pose: Pose) -> list[list[Stroke]]:
@@ -192,21 +194,22 @@ class SpaceView:
             line.set_data(passed[:, 0], passed[:, 1])
         return [*self.artists, *self.trace_lines]
 
-    def _artist(self, stroke: Stroke) -> PathPatch:
-        artist = PathPatch(
-            Path(stroke.points),
-            edgecolor=stroke.edge,
-            linewidth=stroke.width,
-            facecolor="none",
-            linestyle=stroke.dashes,
-            capstyle="round",
-            joinstyle="round",
-            gid=stroke.name,
-        )
-        if stroke.face != "none":
-            artist.set_facecolor((stroke.face, stroke.alpha))
-        self.ax.add_patch(artist)
-        return artist
+
+def patch_of(stroke: Stroke) -> PathPatch:
+    """The artist of a stroke."""
+    artist = PathPatch(
+        Path(stroke.points),
+        edgecolor=stroke.edge,
+        linewidth=stroke.width,
+        facecolor="none",
+        linestyle=stroke.dashes,
+        capstyle="round",
+        joinstyle="round",
+        gid=stroke.name,
+    )
+    if stroke.face != "none":
+        artist.set_facecolor((stroke.face, stroke.alpha))
+    return artist
 
 
 def _band(name: str) -> float:
@@ -236,12 +239,16 @@ def dress_axial(ax: Axes, camera: Camera, size: float) -> None:
     ax.set_title(camera.title, loc="left", fontsize=9)
 
 
-class Corner:
-    """What replaces scales in a spatial view: the world axes on the left, a bar of a round length on the right."""
+class Triad:
+    """The world axes in a corner of a panel, as its camera sees them.
 
-    def __init__(self, ax: Axes, size: float):
-        self.ax, self.length = ax, round_length(0.25 * size)
-        ax.set_axis_off()
+    Attributes:
+        center: where they meet, from the panel's lower left corner [inch].
+        length: of an axis along the paper [inch].
+    """
+
+    def __init__(self, ax: Axes, center: np.ndarray, length: float):
+        self.center, self.length = center, length
         inches: Any = ax.figure.dpi_scale_trans
         corner: Any = ax.transAxes
         origin = inches + ScaledTranslation(0, 0, corner)
@@ -251,6 +258,27 @@ class Corner:
             ax.add_artist(line)
             name = ax.text(0, 0, "", color=color, fontsize=8, transform=origin, ha="center", va="center", zorder=9)
             self.axes.append((line, name))
+
+    def follow(self, camera: Camera) -> list:
+        """Point the axes as a camera sees them; returns what moved."""
+        for (line, name), axis, letter in zip(self.axes, np.eye(3), "xyz", strict=True):
+            tip = self.length * camera.project(axis)
+            length = float(np.linalg.norm(tip))
+            line.set_data(*np.transpose([self.center, self.center + tip]))
+            # An axis towards the viewer is named beside its point.
+            beside = tip * (1 + 0.1 / length) if length > 0.05 else np.array([-0.09, -0.09])
+            name.set_position(tuple(self.center + beside))
+            name.set_text(letter)
+        return [artist for pair in self.axes for artist in pair]
+
+
+class Corner:
+    """What replaces scales in a spatial view: the world axes on the left, a bar of a round length on the right."""
+
+    def __init__(self, ax: Axes, size: float):
+        self.ax, self.length = ax, round_length(0.25 * size)
+        ax.set_axis_off()
+        self.triad = Triad(ax, TRIAD_CENTER, TRIAD_LENGTH)
         self.bar = Line2D([], [], color=INK, lw=2.2, solid_capstyle="butt", zorder=9, gid="scale bar")
         ax.add_line(self.bar)
         unit, factor = unit_for(size)
@@ -259,6 +287,14 @@ class Corner:
             text, (0, 0), (0, 3), textcoords="offset points", ha="center", va="bottom", fontsize=8, zorder=9
         )
 
+    def boxes(self) -> list[np.ndarray]:
+        """What is covered, as left, bottom, right, top [pixel]."""
+        panel, inch = self.ax.get_window_extent(), self.ax.figure.dpi
+        reach = (TRIAD_LENGTH + 0.15) * inch
+        center = np.array([panel.x0, panel.y0]) + TRIAD_CENTER * inch
+        text = self.text.get_window_extent()
+        return [np.array([*(center - reach), *(center + reach)]), np.array(text.extents)]
+
     def follow(self, camera: Camera, scale: float) -> None:
         """Point the axes as a camera sees them, and lay the bar into the panel's limits.
 
@@ -266,21 +302,18 @@ class Corner:
             camera: the view.
             scale: meters for a pixel.
         """
-        center = np.array([0.42, 0.36])
-        for (line, name), axis, letter in zip(self.axes, np.eye(3), "xyz", strict=True):
-            tip = 0.32 * camera.project(axis)
-            length = float(np.linalg.norm(tip))
-            line.set_data(*np.transpose([center, center + tip]))
-            name.set_position(tuple(center + (tip * (1 + 0.1 / length) if length > 0.05 else np.array([-0.1, -0.1]))))
-            name.set_text(letter)
+        self.triad.follow(camera)
         inch = scale * self.ax.figure.dpi
         right, height = self.ax.get_xlim()[1] - 0.12 * inch, self.ax.get_ylim()[0] + 0.12 * inch
         self.bar.set_data([right - self.length, right], [height, height])
         self.text.xy = (right - 0.5 * self.length, height)
 
 
-CORNER_HEIGHT = 0.45
+CORNER_HEIGHT = 0.5
 """Height of the strip that a spatial view keeps free for its corner [inch]."""
+
+TRIAD_CENTER, TRIAD_LENGTH = np.array([0.40, 0.32]), 0.27
+"""Where the world axes meet, from the lower left corner, and their length [inch]."""
 
 
 def unit_for(size: float) -> tuple[str, float]:

@@ -73,6 +73,16 @@ def ground_marks(at: np.ndarray, s: float) -> list[Stroke]:
     ]
 
 
+def arrow_outline(tail: np.ndarray, tip: np.ndarray, half_width: float) -> np.ndarray:
+    """An arrow as one closed line, from its tail to its tip and back; a point where both are the same."""
+    shaft = tip - tail
+    length = float(np.linalg.norm(shaft))
+    along = shaft / length if length > 0 else np.zeros(2)
+    across = half_width * np.array([-along[1], along[0]])
+    neck = tip - min(2.2 * half_width, length) * along
+    return np.array([tail, neck, neck + across, tip, neck - across, neck, tail])
+
+
 def convex_hull(points: np.ndarray) -> np.ndarray:
     """The convex hull of points on paper, closed."""
     order = convex_hull_order(points)

@@ -24,10 +24,23 @@ def joint_strokes(joint: DrawnJoint, pose: Pose, camera: Camera, s: float, hangs
     """
     ends = [pose.point(body, place) for body, place in zip(joint.bodies, joint.places, strict=True)]
     axes = [pose.direction(joint.bodies[i], axis) for i, axis in joint.axes]
-    symbol = SYMBOLS.get(joint.kind, _unknown)
-    strokes = [*_ground_strokes(joint, ends, camera, -s if hangs else s), *symbol(joint, ends, axes, camera, s)]
+    ground = _ground_strokes(joint, ends, camera, -s if hangs else s)
+    strokes = [*ground, *symbol_strokes(joint, ends, axes, camera, s)]
     depth = camera.depth(np.array(ends))
     return [replace(stroke, depth=depth, name=stroke.name or f"joint:{joint.name}") for stroke in strokes]
+
+
+def symbol_strokes(joint: DrawnJoint, ends: list, axes: list, camera: Camera, s: float) -> list[Stroke]:
+    """The symbol alone.
+
+    Args:
+        joint: the joint, for its kind and model.
+        ends: its point on each body, world axes [m].
+        axes: its directions in world axes.
+        camera: from where it is seen.
+        s: size of symbols [m].
+    """
+    return SYMBOLS.get(joint.kind, _unknown)(joint, ends, axes, camera, s)
 
 
 def _ground_strokes(joint: DrawnJoint, ends: list[np.ndarray], camera: Camera, s: float) -> list[Stroke]:

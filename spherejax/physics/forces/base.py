@@ -34,6 +34,7 @@ UNITS = {
     "road_position": "m",
     "road_height": "m",
     "road_rate": "m/s",
+    "road_power": "W",
     "dissipated_power": "W",
     "power": "W",
     "potential_energy": "J",

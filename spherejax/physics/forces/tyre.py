@@ -72,7 +72,7 @@ class Tyre(AbstractForce):
         normal_to_road: whether the force is normal to the road: the load upwards, and slope times the load backwards,
             which is what a wheel on a slope without friction feels. Otherwise it is vertical on any slope.
 
-    The road does work on the wheel: load times `road_rate` for a vertical force.
+    The road does work, `road_power`: with what the tyre stores and dissipates it closes the balance of powers.
     """
 
     center: str = eqx.field(static=True)
@@ -142,6 +142,8 @@ class Tyre(AbstractForce):
         """`load` [N] (vertical), `compression` [m], its rate, the road below the wheel, `dissipated_power` [W]."""
         tread = self.tread(t, motions)
         press = self._law.press(tread.compression, tread.compression_rate)
+        # A force normal to the road does no work on a wheel that moves along a road at rest.
+        along = tread.road_slope * tread.center.velocity[0] if self.normal_to_road else 0.0
         return {
             "load": press.force,
             "compression": tread.compression,
@@ -149,6 +151,7 @@ class Tyre(AbstractForce):
             "road_position": tread.road_position,
             "road_height": tread.road_height,
             "road_rate": tread.road_rate,
+            "road_power": press.force * (tread.road_rate - along),
             "dissipated_power": (press.force - press.elastic) * tread.compression_rate,
         }
 
