@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, compile_scene, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
@@ -24,6 +24,7 @@ from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
 from spherejax.motion.integrate import Plan, beginning, contacts_of, correction_for, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem, run_in_lanes
+from spherejax.motion.longest_step import longest_step
 from spherejax.motion.programs import program_for
 from spherejax.motion.quantities import magnitudes
 from spherejax.motion.simulate import check_tolerances, checked_times, choice_for, split, start_now, tolerances_of
@@ -252,7 +253,7 @@ class _Prepared:
         tolerances = tolerances_of(system, method.choice.solver, method.rtol, method.atol)
         self.explanation = f"{method.choice.reason}; {tolerances.description}; first step by trial (Hairer)"
         limits = (tolerances.rtol, tolerances.atol)
-        own = limits if any(isinstance(limit, jax.core.Tracer) for limit in limits) else None
+        own = limits if not all(is_concrete(limit) for limit in limits) else None
         self.shared_tolerances = limits if own is None else None
         assembly, y0 = beginning(plan, theta, self.ts[0], start_now(system, self.ts))
         legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
@@ -279,6 +280,7 @@ class _Prepared:
             contacts_of(plan.structure, plan.scalar),
             method.max_steps,
             watching(plan.structure, method.watch),
+            longest_step(plan.structure, self.ts),
         )
 
     def trajectory(self, start: Start, outcome: LaneOutcome) -> Trajectory:

@@ -19,7 +19,9 @@ from spherejax.physics.state import unpack
 
 AXIS, COMPONENT = ("axis",), ("component",)
 
-OF_BODIES = {
+Kinds = dict[str, tuple[tuple[str, ...], str]]
+
+OF_BODIES: Kinds = {
     "position": (AXIS, "m"),
     "quaternion": (COMPONENT, "1"),
     "velocity": (AXIS, "m/s"),
@@ -29,7 +31,7 @@ OF_BODIES = {
 }
 """Kinds that belong to a body: dimensions behind time, unit."""
 
-OF_JOINTS = {
+OF_JOINTS: Kinds = {
     "reaction": (AXIS, "N"),
     "reaction_moment": (AXIS, "N m"),
     "eccentricity": (AXIS, "m"),
@@ -40,7 +42,7 @@ OF_JOINTS = {
 }
 """Kinds that belong to a joint."""
 
-OF_THE_WHOLE = {
+OF_THE_WHOLE: Kinds = {
     "kinetic_energy": ((), "J"),
     "potential_energy": ((), "J"),
     "elastic_energy": ((), "J"),

@@ -43,6 +43,7 @@ class LaneProblem(NamedTuple):
         contacts: contacts whose onsets are located, or None.
         max_steps: largest number of steps of a run.
         watch: numbers (t, y, parameters) whose largest values at the ends of all steps are kept, or None.
+        longest_step: of every run [s], or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -52,6 +53,7 @@ class LaneProblem(NamedTuple):
     contacts: Contacts | None
     max_steps: int
     watch: Callable | None = None
+    longest_step: Array | None = None
 
 
 class Lane(NamedTuple):
@@ -163,7 +165,8 @@ class _Queue:
     # A lane ------------------------------------------------------------------------------------------------------
 
     def _controller(self, parameters) -> Any:
-        return LandingController(self.problem.controller_of(parameters), self.problem.contacts)  # pyright: ignore[reportCallIssue]
+        controller, problem = self.problem.controller_of(parameters), self.problem
+        return LandingController(controller, problem.contacts, problem.longest_step)  # pyright: ignore[reportCallIssue]
 
     def started(self, job) -> Lane:
         """The lane at the start of a job; an idle one where there is no such job."""

@@ -41,8 +41,7 @@ class Trial(NamedTuple):
 class ExplicitStages:
     """Trial steps by the tableau of an explicit Runge-Kutta method."""
 
-    def __init__(self, solver: diffrax.AbstractERK, rate: Callable, with_dense_output: bool):
-        tableau = solver.tableau
+    def __init__(self, tableau: diffrax.ButcherTableau, rate: Callable, with_dense_output: bool):
         n = len(tableau.b_sol)
         self.coefficients = np.zeros((n, n))
         for i, row in enumerate(tableau.a_lower, start=1):
@@ -89,7 +88,8 @@ class MappedSteps:
         """One step of every lane."""
 
         def of_one(t, t_next, y, parameters, solver_state, made_jump):
-            return Trial(*self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump))
+            step: Any = self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump)
+            return Trial(*step)
 
         return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
 
@@ -97,7 +97,7 @@ class MappedSteps:
 def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitStages | MappedSteps:
     """How a solver makes the trial steps of a block; `rate` takes (t, y, parameters) of one lane."""
     if isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau):
-        return ExplicitStages(solver, rate, with_dense_output)
+        return ExplicitStages(solver.tableau, rate, with_dense_output)
     return MappedSteps(solver, rate)
 
 

@@ -109,7 +109,7 @@ def sobol_samples(ranges: Mapping[str, Range], n: int, *, seed: int = 0, logarit
     """
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(len(_named(ranges)), seed=seed)
+    sequence = qmc.Sobol(len(_named(ranges)), rng=seed)
     exponent = int(np.ceil(np.log2(_positive(n))))
     return _within(ranges, sequence.random_base2(exponent)[:n], logarithmic, "sobol")
 

@@ -95,7 +95,7 @@ def sweep(
     """
     require_float64()
     grid = as_grid(grid)
-    ts = np.asarray(checked_times(ts))
+    times = np.asarray(checked_times(ts))
     check_tolerances(rtol, atol)
     example = _example(build, grid)
     wanted = record_of(record, compile_scene(example, track_work=True).system)
@@ -104,12 +104,12 @@ def sweep(
     workers = workers or _default_workers()
     path = None if store is None else Path(store).expanduser()
     size = (path and stored_chunk_size(path)) or chunk or _chunk_size(grid.n_runs, workers)
-    work = Work(build, method, wanted, tuple(ts.tolist()), min(size, grid.n_runs))
-    facts = _provenance(example, grid, method, ts, wanted)
+    work = Work(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
+    facts = _provenance(example, grid, method, times, wanted)
     results = _Results(grid, work, path, facts)
     with reporting(progress, grid.n_runs) as report:
         _run_all(results, _submitting(work, results, workers, executor), report)
-    return dataset_of(grid, wanted, ts, results.values(), {**facts, **results.account()})
+    return dataset_of(grid, wanted, times, results.values(), {**facts, **results.account()})
 
 
 class _Results:
