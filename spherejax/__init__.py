@@ -18,7 +18,7 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
 from spherejax import gallery
-from spherejax.files import SceneFile, SimulationSettings, load_scene, read_scene_file, save_scene
+from spherejax.files import SceneFile, SimulationSettings, load_scene, load_urdf, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from spherejax.model.drift import (
@@ -248,6 +248,7 @@ __all__ = [
     "gallery",
     "load_scene",
     "random_samples",
+    "load_urdf",
     "read_scene_file",
     "runtime",
     "save_scene",

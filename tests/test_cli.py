@@ -27,7 +27,7 @@ def parsed(*words):
     return cli.parser().parse_args(["run", "four-bar", *words])
 
 
-@pytest.mark.parametrize("words", [(), ("run",), ("compare",), ("effects",), ("accuracy",), ("list",)])
+@pytest.mark.parametrize("words", [(), ("run",), ("draw",), ("compare",), ("effects",), ("accuracy",), ("list",)])
 def test_help_says_what_the_command_does_and_gives_an_example(words, capsys):
     assert cli.main([*words, "--help"]) == 0
     out = capsys.readouterr().out

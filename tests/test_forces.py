@@ -1,5 +1,6 @@
 """Force elements: what all of them must satisfy, exact solutions, kinks, bad input."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +8,9 @@ import pytest
 from elements import CONSERVATIVE, DAMPED, ELEMENTS, TWO_BODIED, advanced, answer, program, scene_with, states
 
 import spherejax as sj
+from spherejax.model.system import System, flatten_system
+from spherejax.motion.solvers.automatic import choose_solver
+from spherejax.motion.solvers.force_rates import force_rates
 
 TIME, STEP = 0.7, 1e-5
 ANSWERS = {name: program(answer(force)) for name, force in ELEMENTS.items()}
@@ -322,6 +326,63 @@ def test_tyre_over_the_bump():
         assert found["parts"]["road_height"] == pytest.approx(height, abs=1e-14)
         assert found["parts"]["load"] == pytest.approx(460e3 * max(0.0, 0.36325 - 0.5 + height), rel=1e-12)
         np.testing.assert_allclose(found["wrenches"]["second"].force, [0.0, 0.0, found["parts"]["load"]])
+
+
+# Method and program --------------------------------------------------------------------------------------------------
+
+
+def system_between(stiffness: float, damping: float, mass: float) -> System:
+    """A light body on a spring below a heavy one, which hangs from another spring."""
+    return sj.compile_scene(
+        sj.Scene(
+            {
+                "heavy": sj.Body(50.0, [1.0] * 3, position=(0.0, 0.0, -1.0)),
+                "light": sj.Body(mass, [1.0] * 3, position=(0.0, 0.0, -1.5)),
+            },
+            forces={
+                "slow": sj.SpringDamper(("ground", "heavy"), 2e4, 100.0, 1.0),
+                "fast": sj.SpringDamper(("heavy", "light"), stiffness, damping, 0.5),
+            },
+        )
+    ).system
+
+
+def test_rates_of_force_elements():
+    system = system_between(1e7, 1e3, 0.1)
+    structure, theta = flatten_system(system)
+    rates = force_rates(system, structure, np.asarray(theta))
+    assert rates.decay == pytest.approx(1e3 * (1 / 0.1 + 1 / 50), rel=1e-2)
+    assert rates.frequency == pytest.approx(np.sqrt(1e7 * (1 / 0.1 + 1 / 50)), rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "mass", "solver"),
+    [
+        (1e7, 1e3, 50.0, diffrax.Dopri8),  # a stop of a car is not stiff
+        (1e7, 1e4, 0.1, sj.Rodas5P),  # decays at 1e5 per second
+        (1e8, 300.0, 0.01, sj.Rodas5P),  # vibrates at 1e5 rad/s, and that decays
+        (1e8, 0.0, 0.01, diffrax.Dopri8),  # vibrates at 1e5 rad/s for ever
+    ],
+)
+def test_stiff_force_elements_get_a_stiff_method(stiffness, damping, mass, solver):
+    choice = choose_solver(system_between(stiffness, damping, mass), 1e-8)
+    assert isinstance(choice.solver, solver)
+    assert "force elements act at about" in choice.reason
+
+
+def test_a_law_without_scalar_program_runs_on_array_code():
+    xs, ys = np.array([0.0, 1.0, 3.0]), np.array([-50.0, 0.0, 60.0])
+    slow = hanging(0.0)
+    forces = {"spring": sj.SpringDamper(("ground.a", "ball"), spring=lambda u: jnp.interp(u, xs, ys))}
+    slow = sj.Scene(slow.bodies, forces=forces, ground_points=slow.ground_points)
+    with pytest.warns(sj.ArrayPathWarning, match="state_rate runs as array code"):
+        run = sj.simulate(slow, ts=jnp.linspace(0.0, 0.5, 3))
+    fast = sj.Scene(
+        slow.bodies,
+        forces={"spring": sj.SpringDamper(("ground.a", "ball"), spring=sj.Table(xs, ys))},
+        ground_points=slow.ground_points,
+    )
+    np.testing.assert_allclose(run.ys, sj.simulate(fast, ts=run.ts).ys, atol=1e-6)
 
 
 # Bad input -----------------------------------------------------------------------------------------------------------

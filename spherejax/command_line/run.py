@@ -28,6 +28,7 @@ EPILOG = """examples:
   spherejax run four-bar --joint bushing --stiffness 1e5 --dt 1e-3 --out run.csv
   spherejax run four-bar --t1 1000 --samples 101 --drift projection
   spherejax run my_mechanism.toml --out run.nc
+  spherejax run robot.urdf --t1 1
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
 """
 

@@ -13,7 +13,7 @@ from spherejax.files.objects import arguments_of
 from spherejax.files.place import one_of
 from spherejax.files.settings import SimulationSettings
 
-SUFFIXES = {".toml": "a scene file"}
+SUFFIXES = {".toml": "a scene file", ".urdf": "a robot description"}
 """Files that describe a mechanism."""
 
 AS_DESCRIBED = "as described"
@@ -112,7 +112,7 @@ def _from_gallery(name: str) -> Chosen:
 
 
 def _from_file(path: Path) -> Chosen:
-    file = sj.read_scene_file(path)
+    file = sj.SceneFile(sj.load_urdf(path)) if path.suffix == ".urdf" else sj.read_scene_file(path)
 
     def without_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None:

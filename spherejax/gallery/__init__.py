@@ -1,8 +1,25 @@
 """Ready scenes: functions from parameters to a `Scene`."""
 
+from spherejax.gallery.andrews import andrews
+from spherejax.gallery.bricard import bricard
+from spherejax.gallery.car_axis import car_axis
 from spherejax.gallery.chain import chain
 from spherejax.gallery.four_bar import four_bar
 from spherejax.gallery.n_four_bar import n_four_bar
 from spherejax.gallery.suspension import suspension
 
 __all__ = ["chain", "four_bar", "n_four_bar", "suspension"]
+from spherejax.gallery.pendulums import double_pendulum, heavy_top, physical_pendulum, simple_pendulum
+
+__all__ = [
+    "andrews",
+    "bricard",
+    "car_axis",
+    "chain",
+    "double_pendulum",
+    "four_bar",
+    "heavy_top",
+    "n_four_bar",
+    "physical_pendulum",
+    "simple_pendulum",
+]

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Flag, Scalar
-from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import Structure, System, flatten_system
-from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble
+from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
@@ -143,7 +142,8 @@ def integrate(
     reached = times[1][0]
     is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
     ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
-    return Outcome(ys, reached, sampled[1][0], status, _statistics(solution, options.solver, contacts), assembly)
+    y_reached = jax.lax.stop_gradient(sampled[1][0])
+    return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
 
 
 def landing_controller(controller, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]) -> LandingController:
@@ -220,13 +220,6 @@ def example_of(structure: Structure) -> System:
     """A system of the structure, with shapes for numbers."""
     n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
     return jax.eval_shape(structure.system, jax.ShapeDtypeStruct((n_numbers,), jnp.float64))
-
-
-def as_ideal(system: System) -> System:
-    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
-    ideal = {name: joint.as_if_ideal() for name, joint in system.joints.items()}
-    joints = {name: joint for name, joint in ideal.items() if joint is not None}
-    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:

@@ -74,7 +74,8 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         # Samples that the run did not reach are NaN, and constant.
         ys = jnp.where(jnp.isnan(outcome.ys), 0.0, ys)
         counts = jax.tree.map(lambda x: np.zeros(x.shape, jax.dtypes.float0), (outcome.status, outcome.stats))
-        return outcome, Outcome(ys, jnp.zeros_like(outcome.t_reached), counts[0], counts[1], assembly)
+        still = jnp.zeros_like(outcome.t_reached), jnp.zeros_like(outcome.y_reached)
+        return outcome, Outcome(ys, *still, counts[0], counts[1], assembly)
 
     arrays = jax.lax.stop_gradient(arrays)
     return run(values, arrays, known, jax.lax.stop_gradient(ts), start, values_are_legal)

@@ -122,6 +122,7 @@ def simulate(
         stats=replace(outcome.stats, explanation=explanation),
         status=outcome.status,
         t_reached=outcome.t_reached,
+        y_reached=outcome.y_reached,
         assembly=outcome.assembly if start is None else start,
         choice=choice.reason,
         scalar=scalar,

@@ -39,6 +39,7 @@ def draw_key(ax: Axes, mechanism: Mechanism, *, bodies: bool) -> None:
         entries = {name: [Stroke(bar, edge=color, width=4.0)] for name, color in colors_of(mechanism).items()}
     for name, joint in kinds_of(mechanism).items():
         axes = [np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])][: max(1, len(joint.axes))]
+        axes = axes if joint.kind != "PointOnPlane" else [np.array([0.0, 0.0, 1.0])]
         entries[name] = symbol_strokes(joint, 2 * [np.zeros(3)], axes, camera, _SIZE)
     _write(ax, entries)
 

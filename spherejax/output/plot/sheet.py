@@ -83,7 +83,10 @@ class Sheet:
             SpaceView(ax, mechanism, one, pose, points, frames=wishes.frames, traces=traces)
             for ax, one in zip(axes, cameras, strict=True)
         ]
-        self.joints = [MagnifiedView(ax, mechanism, n, wishes.plane) for ax, n in zip(beside, magnified, strict=True)]
+        self.joints = [
+            MagnifiedView(ax, mechanism, name, normal=wishes.plane, viewer=camera.toward)
+            for ax, name in zip(beside, magnified, strict=True)
+        ]
         self._say(pose)
         self._settle(pose)
         if bottom is not None:

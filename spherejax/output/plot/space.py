@@ -14,10 +14,11 @@ from matplotlib.transforms import ScaledTranslation
 
 from spherejax.output.plot.camera import Camera, axis_name
 from spherejax.output.plot.elements import mechanism_strokes
-from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.mechanism import Mechanism, Pose, force_places
 from spherejax.output.plot.shapes import AXIS_COLORS
 from spherejax.output.plot.strokes import INK, Stroke
 from spherejax.output.plot.style import dress
+from spherejax.physics.forces import Tyre
 
 SYMBOL_SHARE, SMALLEST_SHARE = 0.017, 0.005
 """Radius of a joint's symbol as a share of the drawing's size: the usual one, and the least."""
@@ -66,6 +67,11 @@ def drawn_points(mechanism: Mechanism, poses: Sequence[Pose]) -> np.ndarray:
     for pose in poses:
         for joint in mechanism.joints.values():
             found.extend(pose.point(body, place)[None] for body, place in zip(joint.bodies, joint.places, strict=True))
+        for force in mechanism.forces.values():
+            found.extend(pose.point(body, place)[None] for body, place in force_places(force))
+            if isinstance(force, Tyre):
+                around = float(np.asarray(force.radius)) * np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+                found.append(pose.point(force.center.partition(".")[0], np.asarray(force.place, float) + around))
         for body in mechanism.bodies:
             found.append(pose.positions[body.name][None])
             found.append(pose.point(body.name, body.places))

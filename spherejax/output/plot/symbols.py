@@ -132,7 +132,7 @@ def _on_plane(joint, ends, axes, camera, s) -> list[Stroke]:
     if not axes:
         return _unknown(joint, ends, axes, camera, s)
     first, second = _perpendiculars(axes[0])
-    corners = [ends[0] + 2.6 * s * (p * first + q * second) for p, q in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
+    corners = [ends[0] + 2.1 * s * (p * first + q * second) for p, q in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
     normal = np.array([ends[0], ends[0] + 2.2 * s * axes[0]])
     return [
         Stroke(camera.project(np.array(corners)), 0.0, INK, 0.7, "0.9", 0.8),
