@@ -130,7 +130,7 @@ from spherejax.physics.laws import (
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
-from spherejax.studies.sweep import Grid, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -247,8 +247,9 @@ __all__ = [
     "effects",
     "gallery",
     "load_scene",
-    "random_samples",
     "load_urdf",
+    "product",
+    "random_samples",
     "read_scene_file",
     "runtime",
     "save_scene",

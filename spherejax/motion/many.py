@@ -303,6 +303,7 @@ class _Prepared:
             stats=stats,
             status=outcome.status,
             t_reached=outcome.t_reached,
+            y_reached=outcome.y_reached,
             assembly=start.assembly,
             choice=self.method.choice.reason,
             scalar=plan.scalar,

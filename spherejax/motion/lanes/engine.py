@@ -108,6 +108,7 @@ class LaneOutcome(NamedTuple):
         n_onsets: shape (n_jobs, n_contacts).
         touching: time in contact [s], shape (n_jobs, n_contacts).
         peaks: largest values of what is watched, shape (n_jobs, n_watched).
+        y_reached: states at `t_reached`, shape (n_jobs, ...).
         n_lane_steps: steps that the block made, those of idle lanes included.
     """
 
@@ -119,6 +120,7 @@ class LaneOutcome(NamedTuple):
     n_onsets: Int[Array, "n_jobs n_contacts"]
     touching: Float[Array, "n_jobs n_contacts"]
     peaks: Float[Array, "n_jobs n_watched"]
+    y_reached: Float[Array, "n_jobs ..."]
     n_lane_steps: Int[Array, ""]
 
     @property
@@ -268,7 +270,8 @@ class _Queue:
         width = min(block.width, max(1, self.n_jobs))
         lanes = self.block_of(jnp.arange(width))
         ys = jnp.full((self.n_jobs, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
-        account = jnp.zeros((self.n_jobs, 4 + 2 * self.n_contacts + lanes.peaks.shape[0]))
+        size = self.y0[0].size
+        account = jnp.zeros((self.n_jobs, 4 + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
         carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64)
         narrow = min(block.narrow, width)
 
@@ -347,7 +350,8 @@ class _Queue:
 
     def _outcome(self, ys, account, n_lane_steps) -> LaneOutcome:
         n = 4 + self.n_contacts
-        t_reached, counts, touching, peaks = jnp.split(account, [1, n, n + self.n_contacts], axis=1)
+        ends = [1, n, n + self.n_contacts, account.shape[1] - self.y0[0].size]
+        t_reached, counts, touching, peaks, y_reached = jnp.split(account, ends, axis=1)
         status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
         return LaneOutcome(
             ys=ys,
@@ -358,6 +362,7 @@ class _Queue:
             n_onsets=counts[:, 3:].astype(jnp.int64),
             touching=touching,
             peaks=peaks,
+            y_reached=y_reached.reshape(self.y0.shape),
             n_lane_steps=n_lane_steps,
         )
 
@@ -365,9 +370,8 @@ class _Queue:
 def _account(lane: Lane) -> Float[Array, " k"]:
     """What a run reports besides its samples, as numbers in a row."""
     counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
-    return jnp.concatenate(
-        [lane.t[None], counts.astype(jnp.float64), lane.n_onsets.astype(jnp.float64), lane.touching, lane.peaks]
-    )
+    numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, lane.y.ravel()]
+    return jnp.concatenate([each.astype(jnp.float64) for each in numbers])
 
 
 def _is_busy(lanes: Lane, n_jobs: int):

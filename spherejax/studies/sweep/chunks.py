@@ -69,7 +69,8 @@ Rows = dict[str, Float[np.ndarray, " n"]]
 
 def compiled_for(work: Work, rows: Rows) -> Callable:
     """The program of a chunk, compiled: threads that share it do not compile it again."""
-    return _program.lower(work, *_filled(work, rows)).compile()
+    program: Any = _program
+    return program.lower(work, *_filled(work, rows)).compile()
 
 
 def shapes_of(work: Work, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
