@@ -127,6 +127,9 @@ def _fan(swept: "xarray.Dataset", name: str, title: str) -> Figure | None:
 def _label(ax: Axes, across: str, up: str) -> None:
     ax.set_xlabel(across)
     ax.set_ylabel(up)
+    ax.locator_params(axis="x", nbins=6)
+    # Small numbers get one power of ten at the end of the axis, not a row of zeros each.
+    ax.ticklabel_format(style="sci", scilimits=(-3, 4), useMathText=True)
 
 
 def _with_unit(name: str, values) -> str:
