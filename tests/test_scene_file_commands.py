@@ -2,8 +2,10 @@
 
 import re
 from functools import partial
+from pathlib import Path
 
 import diffrax
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,6 +39,36 @@ def test_a_file_runs_from_the_command_line_as_it_says(written, tmp_path, capsys)
     seen = capsys.readouterr().out
     assert "double pendulum with a dry elbow, as described, 0.04 s" in seen
     assert "contact onsets of elbow" in seen
+
+
+def readme_block(language: str) -> str:
+    """The double pendulum of the README."""
+    text = (Path(__file__).parents[1] / "README.md").read_text()
+    return re.search(rf"<!-- double pendulum in \w+ -->\n\n```{language}\n(.*?)```", text, re.DOTALL).group(1)
+
+
+def test_the_readme_says_the_same_in_python_and_in_a_file(tmp_path, capsys):
+    python, toml = readme_block("python"), readme_block("toml")
+    assert len(python.strip().splitlines()) < 20
+    described: dict = {}
+    exec(python, described)
+    path, out = tmp_path / "pendulum.toml", tmp_path / "run.nc"
+    path.write_text(toml)
+    scene = sj.load_scene(path)
+    assert jax.tree.structure(scene) == jax.tree.structure(described["scene"])
+    for one, other in zip(jax.tree.leaves(scene), jax.tree.leaves(described["scene"]), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-15)
+    assert cli.main(["run", str(path), "--out", str(out)]) == 0
+    run = described["run"]
+    with xarray.open_dataset(out) as ds:
+        np.testing.assert_allclose(ds.position.sel(body="lower"), run.position("lower"), atol=1e-6)
+    wrong = path.with_name("wrong.toml")
+    wrong.write_text(toml.replace('"0.1 mm"', '"3 N"'))
+    assert cli.main(["run", str(wrong)]) == 2
+    promised = "pendulum.toml:21: joints.elbow.model.clearance: '3 N' is a force [N], but a length [m] is expected"
+    assert promised.replace("pendulum", "wrong") in capsys.readouterr().err
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    assert promised in " ".join(readme.split())
 
 
 def test_a_bad_file_is_one_readable_line(written, capsys, monkeypatch):

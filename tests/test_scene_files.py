@@ -342,6 +342,7 @@ FORCES = [
     sj.TorsionalSpring(BOTH, AXIS, 3.0, 0.1, 0.2, spring=sj.Linear(2.0), damper=sj.Linear(0.1)),
     sj.Tyre("a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True),
     sj.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
+    my_laws.Motor("a", sj.Sine(1.0, 2.0)),
     sj.AppliedWrench("a.tip", force=my_laws.gust, moment=(1.0, 2.0, 3.0), place=(0.1, 0.0, 0.0)),
 ]
 

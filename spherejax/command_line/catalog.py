@@ -5,6 +5,7 @@ import inspect
 from collections.abc import Callable, Mapping
 
 import spherejax as sj
+from spherejax.files.dimensions import FIELDS
 from spherejax.files.settings import SOLVERS
 
 SCENES: Mapping[str, Callable[..., sj.Scene]] = {
@@ -49,13 +50,6 @@ DRIFT_CONTROLS = {
     "post-stabilization": (sj.PostStabilization, "one Newton correction after each step"),
     "none": (sj.NoDriftControl, "the equations as they are"),
 }
-
-UNITS = {
-    "mu": "-", "mu_kinetic": "-", "mu_static": "-", "v0": "m/s", "v1": "m/s", "kappa": "s/m",
-    "restitution": "-",
-    "stribeck_velocity": "m/s", "bristle_stiffness": "1/m", "bristle_damping": "s/m", "viscous": "s/m",
-    "stiffness": "N/m", "damping": "s", "exponent": "-",
-}  # fmt: skip
 
 ABOUT_FILES = """\
 A * marks a key that must be given. Numbers are in the unit in brackets, or texts with another unit: "0.1 mm".
@@ -149,15 +143,11 @@ def parameters_of(law: type) -> str:
 
     words = []
     for parameter in dataclasses.fields(law):
-        unit = (
-            "N/m^n"
-            if "exponent" in law.__dataclass_fields__ and parameter.name == "stiffness"
-            else UNITS[parameter.name]
-        )
+        unit = FIELDS[law][parameter.name].what
         if parameter.default is dataclasses.MISSING:
-            words.append(f"{parameter.name} [{unit}]")
+            words.append(f"{parameter.name} {unit}")
         elif parameter.default is None:
-            words.append(f"{parameter.name} from radii and materials [{unit}]")
+            words.append(f"{parameter.name} from radii and materials {unit}")
         else:
-            words.append(f"{parameter.name} = {parameter.default:g} [{unit}]")
+            words.append(f"{parameter.name} = {parameter.default:g} {unit}")
     return ", ".join(words) or "none"

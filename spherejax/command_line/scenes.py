@@ -78,16 +78,20 @@ def model_name(options: argparse.Namespace) -> str:
     """What the studied joint is called in titles: the word of `--joint`, or that the file's own models are taken."""
     if options.joint is not None:
         return options.joint
-    return AS_DESCRIBED if options.scene not in SCENES else "ideal"
+    return "ideal" if options.scene in SCENES and _takes_model(SCENES[options.scene]) else AS_DESCRIBED
 
 
 def studied_in(build: Callable[..., sj.Scene]) -> str | None:
     """The joint that receives the model of a gallery scene."""
-    if "model" not in inspect.signature(build).parameters:
+    if not _takes_model(build):
         return None
     marker = sj.Ideal()
     joints = build(marker).joints
     return next((name for name, joint in joints.items() if getattr(joint, "model", None) is marker), None)
+
+
+def _takes_model(build: Callable[..., sj.Scene]) -> bool:
+    return "model" in inspect.signature(build).parameters
 
 
 def _scene_name(text: str) -> str:
@@ -99,7 +103,7 @@ def _scene_name(text: str) -> str:
 
 def _from_gallery(name: str) -> Chosen:
     build = SCENES[name]
-    takes_model = "model" in inspect.signature(build).parameters
+    takes_model = _takes_model(build)
 
     def with_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None and not takes_model:

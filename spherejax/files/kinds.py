@@ -10,11 +10,11 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 from zlib import crc32
 
 from spherejax.files.dimensions import ALSO, FIELDS, Fields
@@ -143,6 +143,8 @@ def is_needed(parameter: inspect.Parameter) -> bool:
 def _field_of(annotation: Any, unit: str | None):
     if annotation in (bool, str, int):
         return Plain(annotation)
+    if (get_origin(annotation) or annotation) is Callable:
+        return Part(AbstractFunction)
     if isinstance(annotation, type) and annotation in _families():
         return Part(annotation)
     return Quantity(unit, None)

@@ -61,7 +61,10 @@ def _store(text: str, path: Path, file: SceneFile) -> None:
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     try:
-        again = read_scene_file(draft)
+        try:
+            again = read_scene_file(draft)
+        except SceneError as error:
+            raise SceneError(f"{str(path)!r} was not written, for it could not be read again: {error}") from error
         if not same(again.scene, file.scene) or again[1:] != file[1:]:
             raise SceneError(f"{str(path)!r}: the file would not give the scene back; nothing was written")
         draft.replace(path)

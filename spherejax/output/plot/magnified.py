@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, PathPatch
@@ -195,8 +196,14 @@ class MagnifiedView:
         self.view = view
         self.update(pose)
 
-    def update(self, pose: Pose) -> list:
-        """Move everything to a time; returns the artists that moved."""
+    @property
+    def moving_artists(self) -> list[Artist]:
+        """What `update` moves."""
+        own = [self.passed, self.arm, self.ball, self.normal, self.force, self.text]
+        return own if self.link is None else [self.link, *own]
+
+    def update(self, pose: Pose) -> None:
+        """Move everything to a time."""
         e, force = self.motion.at(pose.t)
         at = self._on_paper(e[None])[0]
         distance, radius = float(np.linalg.norm(e)), self.motion.radius
@@ -217,7 +224,6 @@ class MagnifiedView:
         if self.link is not None:
             place = pose.point(self.joint.bodies[0], self.joint.places[0])
             self.link.xy1 = tuple(self.view.camera.project(place))
-        return [self.passed, self.arm, self.ball, self.normal, self.force, self.text]
 
     def _words(self, distance: float, touches: bool, force: np.ndarray | None) -> str:
         c = self.motion.clearance

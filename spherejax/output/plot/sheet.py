@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -91,6 +92,12 @@ class Sheet:
         self._settle(pose)
         if bottom is not None:
             key.draw_key(bottom, mechanism, bodies=len(poses) > 1)
+
+    @property
+    def moving_artists(self) -> list[Artist]:
+        """What `update` moves."""
+        parts = (*self.views, *self.joints)
+        return [self.title, *(artist for part in parts for artist in part.moving_artists)]
 
     def update(self, pose: Pose) -> None:
         """Move everything to another time."""

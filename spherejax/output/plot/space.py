@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
@@ -187,8 +188,13 @@ class SpaceView:
         """Height that is kept free for world axes and scale bar [pixel]."""
         return 0.0 if self.corner is None else CORNER_HEIGHT * self.ax.figure.dpi
 
-    def update(self, pose: Pose) -> list:
-        """Move everything to a pose; returns the artists that moved."""
+    @property
+    def moving_artists(self) -> list[Artist]:
+        """What `update` moves."""
+        return [*self.artists, *self.trace_lines]
+
+    def update(self, pose: Pose) -> None:
+        """Move everything to a pose."""
         groups = self.strokes(pose)
         ranks = {id(group): rank for rank, group in enumerate(sorted(groups, key=lambda group: group[0].depth))}
         flat = [(group, stroke) for group in groups for stroke in group]
@@ -198,7 +204,6 @@ class SpaceView:
         for line, trace in zip(self.trace_lines, self.traces, strict=True):
             passed = self.camera.project(trace.until(pose))
             line.set_data(passed[:, 0], passed[:, 1])
-        return [*self.artists, *self.trace_lines]
 
 
 def patch_of(stroke: Stroke) -> PathPatch:
@@ -265,8 +270,8 @@ class Triad:
             name = ax.text(0, 0, "", color=color, fontsize=8, transform=origin, ha="center", va="center", zorder=9)
             self.axes.append((line, name))
 
-    def follow(self, camera: Camera) -> list:
-        """Point the axes as a camera sees them; returns what moved."""
+    def follow(self, camera: Camera) -> None:
+        """Point the axes as a camera sees them."""
         for (line, name), axis, letter in zip(self.axes, np.eye(3), "xyz", strict=True):
             tip = self.length * camera.project(axis)
             length = float(np.linalg.norm(tip))
@@ -275,7 +280,6 @@ class Triad:
             beside = tip * (1 + 0.1 / length) if length > 0.05 else np.array([-0.09, -0.09])
             name.set_position(tuple(self.center + beside))
             name.set_text(letter)
-        return [artist for pair in self.axes for artist in pair]
 
 
 class Corner:

@@ -46,7 +46,7 @@ def time_function(function: Callable, field: str) -> TimeFunction:
     leaves = jax.tree.leaves(function)
     if any(leaf is function for leaf in leaves):
         return TimeFunction(None, function)
-    if not all(eqx.is_inexact_array_like(leaf) or isinstance(leaf, int) for leaf in leaves):
+    if not all(hasattr(leaf, "dtype") or isinstance(leaf, int | float) for leaf in leaves):
         raise SceneError(
             f"{field} = {function!r} holds what is no number; declare such fields with equinox.field(static=True)"
         )
