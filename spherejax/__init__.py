@@ -40,7 +40,7 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
-from spherejax.output.drawing import animate, draw
+from spherejax.output.drawing import animate, draw, view
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
     AbstractForce,
@@ -80,7 +80,6 @@ from spherejax.physics.joints import (
     DistanceDriver,
     Dry,
     Fixed,
-    Harmonic,
     Ideal,
     ImplicitCurve,
     Line,
@@ -94,7 +93,6 @@ from spherejax.physics.joints import (
     RotationDriver,
     Spherical,
     TranslationDriver,
-    Uniform,
     Universal,
     differentiated_rows,
 )
@@ -175,7 +173,6 @@ __all__ = [
     "Gonthier",
     "Grid",
     "Guembel",
-    "Harmonic",
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",
@@ -233,7 +230,6 @@ __all__ = [
     "Trajectory",
     "TranslationDriver",
     "Tyre",
-    "Uniform",
     "Universal",
     "UserFunction",
     "VectorElastomer",
@@ -258,6 +254,7 @@ __all__ = [
     "simulate_many",
     "sobol_samples",
     "sweep",
+    "view",
     "work_precision",
     "zipped",
 ]

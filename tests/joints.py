@@ -84,8 +84,8 @@ KINDS = {
     ),
     "distance": Kind(lambda: sj.Distance("a.p", "b.p", 0.7), 1),
     "distance at the start": Kind(lambda: sj.Distance("a.p", "b.q"), 1),
-    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.Harmonic(0.7, 0.3, 0.2, 0.1)), 1),
-    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.Harmonic(0.1, 0.4, 0.3)), 1),
+    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.Sine(0.7, 0.3, 0.2, 0.1)), 1),
+    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.Sine(0.1, 0.4, 0.3)), 1),
     "distance driver": Kind(lambda: sj.DistanceDriver("a.p", "b.q", lambda t: 0.5 + 0.1 * jnp.tanh(t)), 1),
     "position driver": Kind(
         lambda: sj.PositionDriver("b.p", lambda t: jnp.stack([0.1 * t, jnp.sin(t), jnp.cos(2 * t)]), body="a"), 3

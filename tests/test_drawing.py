@@ -1,5 +1,7 @@
 """Drawings of mechanisms: what is drawn is where the mechanism is, everything is inside, and nothing covers a name."""
 
+import re
+import subprocess
 import sys
 
 import equinox as eqx
@@ -11,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spherejax as sj
-from spherejax.output.plot.animation import frame_times, pace_in_words, usual_pace
+from spherejax.output.plot.animation import ffmpeg, frame_times, pace_in_words, usual_pace
 from spherejax.output.plot.camera import best_camera, camera_from, three_projections
 from spherejax.output.plot.magnified import JointMotion, plane_of
 from spherejax.output.plot.mechanism import mechanism_of
@@ -410,3 +412,19 @@ def test_an_mp4_without_ffmpeg_names_the_remedy(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(sj.SceneError, match=r"pip install 'spherejax\[video\]', or write a GIF"):
         sj.animate(run, tmp_path / "motion.mp4")
+
+
+def test_an_mp4_has_its_frames_and_its_length(run, tmp_path):
+    try:
+        program = ffmpeg()
+    except sj.SceneError:
+        pytest.skip("neither ffmpeg nor imageio-ffmpeg is installed")
+    path = sj.animate(run, tmp_path / "motion.mp4", fps=30, slow=10, dpi=51)
+    seen = subprocess.run([program, "-i", path, "-f", "null", "-"], capture_output=True, text=True, check=True).stderr
+    assert "h264" in seen
+    assert re.findall(r"frame= *(\d+)", seen)[-1] == "31"
+    assert "Duration: 00:00:01.03" in seen
+    blocked = tmp_path / "folder.mp4"
+    blocked.mkdir()
+    with pytest.raises(sj.SceneError, match=r"ffmpeg cannot write .*folder.mp4.*or write a GIF"):
+        sj.animate(run, blocked, overwrite=True, dpi=51)

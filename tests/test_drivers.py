@@ -44,7 +44,7 @@ def run():
         "pivot": sj.Revolute(("ground", "turning"), "turning.pin", Y),
         "motor": sj.RotationDriver(("ground", "turning"), Y, Spin(40.0, 0.5)),
         "rail": sj.Prismatic(("ground", "sliding"), (0.3, 0.0, 0.0), slope),
-        "push": sj.TranslationDriver(("ground", "sliding"), "sliding.end", slope, sj.Harmonic(0.1, 2.0)),
+        "push": sj.TranslationDriver(("ground", "sliding"), "sliding.end", slope, sj.Sine(0.1, 2.0)),
         "hinge": sj.Revolute(("ground", "lifted"), "lifted.pin", Y),
         "jack": sj.DistanceDriver("ground.peg", "lifted.end", lambda t: 0.6 + 0.15 * jnp.sin(4 * t)),
         "hand": sj.PositionDriver("led.end", path),
@@ -111,7 +111,7 @@ def test_a_driven_point_follows_its_path(run):
 @pytest.mark.parametrize("start", [0.5, 2.0, -3.0, 40.0])
 def test_start_is_assembled_to_the_driver(start):
     """From any angle to the driven one, on the right branch, with the driven velocity."""
-    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.Uniform(2.0, start))}
+    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.Linear(2.0, start))}
     scene = sj.Scene({"arm": arm()}, joints)
     assembly = sj.simulate(scene, jnp.array([0.25]), solver=DOPRI8).assembly  # the start is at the first sample
     angle = start + 0.5
@@ -122,7 +122,7 @@ def test_start_is_assembled_to_the_driver(start):
 
 def test_baumgarte_holds_a_driven_motion():
     """Feedback knows the driven velocity: D v + Phi_t, not D v."""
-    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.Uniform(20.0))}
+    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.Linear(20.0))}
     scene = sj.Scene({"arm": arm()}, joints)
     run = sj.simulate(scene, cases.times(1.0, 5), rtol=1e-8, solver=DOPRI8).require_success()
     assert np.asarray(run.velocity_violation).max() < 1e-5

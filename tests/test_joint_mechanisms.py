@@ -103,7 +103,7 @@ def spun(joints, **bodies):
 
 
 PAIR, AT, ALONG = ("ground", "body"), (0.0, 0.05, 0.0), (1.0, 1.0, 0.5)
-STILL = sj.Uniform(0.0)
+STILL = sj.Linear(0.0)
 LEFT = np.array([0.1, 0.02, -0.03]) + rotation_matrix(jnp.array(TURNED)) @ np.array([-0.1, 0.03, 0.0])
 EQUIVALENT = {
     "revolute": (

@@ -59,6 +59,7 @@ ARGUMENTS = {
     sj.simulate: ("scene", "ts", "rtol", "atol", "solver", "stepsize_controller", "adjoint", "throw"),
     sj.compile_scene: ("scene",),
     sj.draw: ("what", "t", "scene", "view", "projections", "magnified", "plane", "traces", "frames", "labels", "title"),
+    sj.view: ("run", "view", "magnified"),
     sj.animate: ("run", "path", "fps", "slow", "view", "magnified", "overwrite", "report"),
     sj.work_precision: ("scene", "t1", "solvers", "tolerances", "n_repeats"),
     sj.scalarize: ("function",),

@@ -105,7 +105,7 @@ spring = { kind = "linear", slope = "1 N m/deg" }
 kind = "rotation-driver"
 bodies = ["ground", "upper"]
 axis = [0, 1, 0]
-angle = { kind = "uniform", rate = "60 rpm", start = "1 deg" }
+angle = { kind = "linear", slope = "60 rpm", offset = "1 deg" }
 [joints.slide]
 kind = "distance-driver"
 first = "ground.hook"
@@ -119,8 +119,8 @@ length = { kind = "sine", amplitude = "1 cm", frequency = "2 Hz", phase = "90 de
     np.testing.assert_allclose(shock.damper.x, [-1.0, 0.0, 1.0], rtol=1e-14)
     np.testing.assert_allclose(shock.damper.y, [-1e3, 0.0, 1e3], rtol=1e-14)
     assert twist.spring.slope == pytest.approx(180 / np.pi)
-    motor, slide = scene.joints["motor"].angle.law, scene.joints["slide"].length.law
-    np.testing.assert_allclose([motor.rate, motor.start], [2 * np.pi, np.pi / 180])
+    motor, slide = scene.joints["motor"].angle, scene.joints["slide"].length
+    np.testing.assert_allclose([motor.slope, motor.offset], [2 * np.pi, np.pi / 180])
     np.testing.assert_allclose([slide.amplitude, slide.frequency, slide.phase, slide.offset], [0.01, 2, np.pi / 2, 0.3])
 
 
@@ -268,7 +268,7 @@ FAMILIES = tuple(
     for family in (getattr(sj, name) for name in sj.__all__)
     if inspect.isclass(family) and family.__name__.startswith("Abstract")
 )
-NO_FAMILY = (sj.Body, sj.Material, sj.Uniform, sj.Harmonic)
+NO_FAMILY = (sj.Body, sj.Material)
 NO_KIND = {sj.UserFunction: "holds a user's own function, which a file names instead"}
 PUBLIC = [
     cls
@@ -310,8 +310,8 @@ JOINTS = [
     sj.PointOnCurve("a.tip", sj.ImplicitCurve(my_laws.helix)),
     sj.Distance("ground.hook", "a.tip"),
     sj.Distance("ground.hook", "a.tip", 0.7),
-    sj.DistanceDriver("ground.hook", "a.tip", sj.Harmonic(0.1, 2.0, 0.3, 1.0)),
-    sj.RotationDriver(BOTH, AXIS, sj.Uniform(3.0, 0.1)),
+    sj.DistanceDriver("ground.hook", "a.tip", sj.Sine(0.1, 2.0, 0.3, 1.0)),
+    sj.RotationDriver(BOTH, AXIS, sj.Linear(3.0, 0.1)),
     sj.RotationDriver(BOTH, AXIS, my_laws.hat),
     sj.TranslationDriver(BOTH, "a.tip", AXIS, sj.SmoothStep(0.0, 1.0, 0.0, 0.2)),
     sj.PositionDriver("a.tip", my_laws.gust),

@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any, get_args, get_origin
 from zlib import crc32
 
-from spherejax.files.dimensions import ALSO, FIELDS, Fields
+from spherejax.files.dimensions import FIELDS, Fields
 from spherejax.files.fields import Plain, words_of
 from spherejax.files.parts import OwnFunction, Part
 from spherejax.files.place import Place, one_of
@@ -39,7 +39,7 @@ def kebab(name: str) -> str:
 
 def kinds_of(family: type) -> dict[str, type]:
     """The classes of a family by kind, as the package has them."""
-    members = (cls for cls in FIELDS if issubclass(cls, family) or cls in ALSO.get(family, ()))
+    members = (cls for cls in FIELDS if issubclass(cls, family))
     return {kebab(cls.__name__): cls for cls in members}
 
 

@@ -151,7 +151,7 @@ def _of_joints(run: "Trajectory") -> dict[str, Column]:
             ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.force_joints), "J",
             "energy stored in the joint"
         )  # fmt: skip
-    if system.tracks_work:
+    if system.tracks_work and system.force_joints:
         dims = ("time", "force_joint")
         columns["absorbed_work"] = (
             dims,

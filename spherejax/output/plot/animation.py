@@ -226,9 +226,9 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, seconds: float) -> None
             process.stdin.close()
         except BrokenPipeError:
             pass  # ffmpeg has stopped; what it says follows
-        words = process.stderr.read().decode(errors="replace")
+        words = " ".join(process.stderr.read().decode(errors="replace").split())
     if process.returncode:
-        raise SceneError(f"ffmpeg cannot write {str(path)!r}: {words.strip()[-300:]}; or write a GIF (.gif)")
+        raise SceneError(f"ffmpeg cannot write {str(path)!r}: {words[-300:]}; or write a GIF (.gif)")
 
 
 def _even(frame: np.ndarray) -> np.ndarray:

@@ -48,6 +48,7 @@ class Sheet:
     Attributes:
         figure: the figure.
         mechanism: what is drawn.
+        pose: what is drawn now.
         views: the mechanism, first in space.
         joints: magnified joints.
     """
@@ -60,6 +61,7 @@ class Sheet:
         *,
         pace: str = "",
         dpi: float = RESOLUTION,
+        turns: bool = False,
     ):
         """A sheet whose limits enclose the mechanism at all `poses`, drawn at the last of them.
 
@@ -69,9 +71,10 @@ class Sheet:
             wishes: what is shown.
             pace: how fast the time passes, written beside the time.
             dpi: pixels per inch.
+            turns: whether the spatial view will be turned, so that its limits enclose everything from all sides.
         """
         pose = poses[-1]
-        self.mechanism, self.wishes, self.pace = mechanism, wishes, pace
+        self.mechanism, self.wishes, self.pace, self.pose = mechanism, wishes, pace, pose
         traces = traces_of(mechanism, wishes.traces)
         points = np.concatenate([drawn_points(mechanism, poses), *(trace.until(pose) for trace in traces)])
         camera = camera_for(mechanism, points, wishes.view)
@@ -84,6 +87,7 @@ class Sheet:
             SpaceView(ax, mechanism, one, pose, points, frames=wishes.frames, traces=traces)
             for ax, one in zip(axes, cameras, strict=True)
         ]
+        self.views[0].turns = turns
         self.joints = [
             MagnifiedView(ax, mechanism, name, normal=wishes.plane, viewer=camera.toward)
             for ax, name in zip(beside, magnified, strict=True)
@@ -101,6 +105,7 @@ class Sheet:
 
     def update(self, pose: Pose) -> None:
         """Move everything to another time."""
+        self.pose = pose
         self._say(pose)
         for one in (*self.views, *self.joints):
             one.update(pose)

@@ -113,7 +113,10 @@ class SpaceView:
         ax: the panel.
         camera: from where it is seen.
         artists: one for each stroke, in the order of `strokes`.
+        turns: whether limits enclose all points from all sides, so that the view can be turned.
     """
+
+    turns = False
 
     def __init__(
         self,
@@ -177,7 +180,12 @@ class SpaceView:
             self.corner.follow(self.camera, scale)
 
     def _extent(self) -> tuple[np.ndarray, np.ndarray]:
-        return _limits(self.camera.project(self.points), 3.2 * self.size)
+        if not self.turns:
+            return _limits(self.camera.project(self.points), 3.2 * self.size)
+        middle = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        radius = float(np.linalg.norm(self.points - middle, axis=1).max())
+        center = self.camera.project(middle)
+        return _limits(np.array([center - radius, center + radius]), 3.2 * self.size)
 
     def _panel(self) -> np.ndarray:
         """Width and height of the panel [pixel]."""
