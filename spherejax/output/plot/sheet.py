@@ -114,7 +114,7 @@ class Sheet:
         """Names of bodies and joints in the spatial view, where they are at a pose."""
         view = self.views[0]
         covered = [] if view.corner is None else view.corner.boxes()
-        place_labels(view.ax, labels_of(view, pose), view.artists, covered)
+        place_labels(view.ax, labels_of(view, pose), [*view.artists, *view.trace_lines], covered)
 
     def _say(self, pose: Pose) -> None:
         time = "assembled start" if self.mechanism.run is None else f"t = {pose.t:.4f} s"
