@@ -515,3 +515,13 @@ def test_a_box_does_not_hide_the_mechanism():
     )
     box = np.concatenate(paths(sj.draw(scene, view=(-90, 0)), "body:mass")[:6])
     assert np.ptp(box[:, 0]) < 0.1
+
+
+def test_the_arm_of_a_circle_runs_from_its_center_to_its_point():
+    scene = sj.Scene(
+        {"ball": sj.Body(1.0, (1e-3,) * 3, position=(1.0, 0.0, 0.5), points={"eye": (0.0, 0.0, 0.0)})},
+        {"arm": sj.PointOnCurve("ball.eye", sj.Circle((0.0, 0.0, 0.5), (0, 0, 1), 1.0))},
+    )
+    assert mechanism_of(scene).joints["arm"].kind == "PointOnCircle"
+    arm = paths(sj.draw(scene, view=(-90, 0)), "joint:arm")[1]
+    np.testing.assert_allclose(arm, [[0.0, 0.5], [1.0, 0.5]], atol=1e-12)
