@@ -31,6 +31,8 @@ from spherejax.model.drift import (
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
+from spherejax.motion.lanes import Block
+from spherejax.motion.many import Runs, simulate_many
 from spherejax.motion.modes import Mode
 from spherejax.motion.programs import ArrayPathWarning
 from spherejax.motion.redundancy import ConstraintReport, constraint_report
@@ -126,6 +128,7 @@ from spherejax.physics.laws import (
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
+from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -147,6 +150,7 @@ __all__ = [
     "Assembly",
     "Baumgarte",
     "BengisuAkay",
+    "Block",
     "Body",
     "BrownMcPhee",
     "Bump",
@@ -167,6 +171,7 @@ __all__ = [
     "Fixed",
     "Flores",
     "Gonthier",
+    "Grid",
     "Guembel",
     "Hertz",
     "HingeElastomer",
@@ -200,6 +205,7 @@ __all__ = [
     "Rodas5P",
     "Ros34PW2",
     "RotationDriver",
+    "Runs",
     "ScalarProgram",
     "Scene",
     "SceneError",
@@ -238,11 +244,17 @@ __all__ = [
     "gallery",
     "load_scene",
     "load_urdf",
+    "product",
+    "random_samples",
     "read_scene_file",
     "runtime",
     "save_scene",
     "scalarize",
     "simulate",
+    "simulate_many",
+    "sobol_samples",
+    "sweep",
     "view",
     "work_precision",
+    "zipped",
 ]

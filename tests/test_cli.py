@@ -27,7 +27,9 @@ def parsed(*words):
     return cli.parser().parse_args(["run", "four-bar", *words])
 
 
-@pytest.mark.parametrize("words", [(), ("run",), ("draw",), ("compare",), ("effects",), ("accuracy",), ("list",)])
+@pytest.mark.parametrize(
+    "words", [(), ("run",), ("draw",), ("compare",), ("effects",), ("accuracy",), ("write",), ("list",)]
+)
 def test_help_says_what_the_command_does_and_gives_an_example(words, capsys):
     assert cli.main([*words, "--help"]) == 0
     out = capsys.readouterr().out

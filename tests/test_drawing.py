@@ -20,6 +20,7 @@ from spherejax.output.plot.mechanism import mechanism_of
 from spherejax.output.plot.sheet import Sheet, Wishes
 from spherejax.output.plot.space import poses_of
 from spherejax.output.plot.strokes import convex_hull
+from spherejax.output.plot.symbols import SYMBOLS
 
 DOWN = np.array([0.0, 0.0, -9.81])
 
@@ -318,12 +319,12 @@ def test_the_plane_holds_most_of_the_path(run):
 
 
 def test_a_bushing_has_a_circle_of_its_largest_eccentricity():
-    run = sj.simulate(sj.gallery.four_bar(sj.Bushing(1e5, 1e-3)), jnp.linspace(0.0, 0.01, 5), rtol=1e-6)
-    ax = magnified(sj.draw(run, 0.005))
-    circle = next(line for line in ax.lines if line.get_gid() == "circle").get_xydata()
-    largest = float(np.linalg.norm(run.eccentricity("coupler_rocker"), axis=1).max())
-    np.testing.assert_allclose(np.linalg.norm(circle, axis=1), largest)
+    ax = magnified(sj.draw(sj.gallery.four_bar(sj.Bushing(1e5, 1e-3)), magnified="coupler_rocker"))
     assert "largest |e|" in ax.texts[0].get_text()
+    assert "force" not in ax.texts[0].get_text()
+    path = 1e-6 * np.array([[3.0, 0.0, 4.0], [0.0, 1.0, 0.0]])
+    assert JointMotion("bushing", np.arange(2.0), path, None, None).radius == pytest.approx(5e-6)
+    assert JointMotion("dry", np.arange(2.0), path, None, 1e-4).radius == 1e-4
 
 
 @pytest.mark.parametrize(
@@ -428,3 +429,89 @@ def test_an_mp4_has_its_frames_and_its_length(run, tmp_path):
     blocked.mkdir()
     with pytest.raises(sj.SceneError, match=r"ffmpeg cannot write .*folder.mp4.*or write a GIF"):
         sj.animate(run, blocked, overwrite=True, dpi=51)
+
+
+# Kinds of joints and force elements ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    def body(x):
+        return sj.Body(1.0, (1e-2, 1e-2, 1e-3), position=(x, 0, -0.2), points={"a": (0, 0, 0.2), "b": (0, 0, -0.2)})
+
+    joints = {
+        "cylindrical": sj.Cylindrical(("ground", "b0"), (0, 0, 0), (0, 0, 1)),
+        "prismatic": sj.Prismatic(("ground", "b1"), (0.5, 0, 0), (1, 0, 0)),
+        "universal": sj.Universal(("ground", "b2"), (1.0, 0, 0), (1, 0, 0), (0, 1, 0)),
+        "fixed": sj.Fixed(("ground", "b3"), (1.5, 0, 0)),
+        "plane": sj.PointOnPlane("b4.a", (0.0, 0, 0), (0, 0, 1)),
+        "revolute": sj.Revolute(("ground", "b5"), (2.5, 0, 0), (0, 1, 0)),
+        "driver": sj.RotationDriver(("ground", "b5"), (0, 1, 0), lambda t: 2 * t),
+        "distance": sj.Distance("b3.b", "b4.b"),
+        "drive": sj.PositionDriver("b6.a", lambda t: jnp.stack([3.0 + t, 0 * t, 0 * t])),
+    }
+    forces = {
+        "spring": sj.SpringDamper(("b0.b", "b1.b"), stiffness=100.0),
+        "twist": sj.TorsionalSpring(("ground", "b5"), (0, 1, 0), stiffness=1.0),
+        "tyre": sj.Tyre("b4.b", 0.15, stiffness=1e4, speed=1.0, road=sj.Sine(0.05, 1.0)),
+    }
+    return sj.Scene({f"b{i}": body(0.5 * i) for i in range(7)}, joints, forces)
+
+
+def test_every_kind_has_its_own_symbol(kinds):
+    drawn = mechanism_of(kinds).joints
+    assert {name: joint.kind for name, joint in drawn.items()} == {
+        "cylindrical": "Cylindrical", "prismatic": "Prismatic", "universal": "Universal", "fixed": "Fixed",
+        "plane": "PointOnPlane", "revolute": "Revolute", "driver": "RotationDriver", "distance": "Distance",
+        "drive": "PositionDriver",
+    }  # fmt: skip
+    assert {joint.kind for joint in drawn.values()} <= set(SYMBOLS)
+    assert len({SYMBOLS[joint.kind] for joint in drawn.values()}) == len(drawn)
+    words = {text.get_text() for ax in sj.draw(kinds).axes for text in ax.texts if text.get_gid() == "key"}
+    assert words == {
+        "cylindrical", "prismatic", "universal", "fixed", "point on plane", "revolute", "rotation driver", "distance",
+        "position driver",
+    }  # fmt: skip
+
+
+def test_symbols_are_where_the_joints_are(kinds):
+    figure = sj.draw(kinds, view=(-90, 0))
+    where = {"prismatic": (0.5, 0.0), "universal": (1.0, 0.0), "plane": (2.0, 0.0), "drive": (3.0, 0.0)}
+    for name, place in where.items():
+        outline = np.concatenate(paths(figure, f"joint:{name}"))
+        outline = outline[np.isfinite(outline).all(axis=1)]
+        np.testing.assert_allclose(center(outline)[0], place[0], atol=1e-3)
+    link = paths(figure, "joint:distance")[1]
+    np.testing.assert_allclose(link, [[1.5, -0.4], [2.0, -0.4]], atol=1e-12)
+    assert names(figure, "ground:") == {"cylindrical", "prismatic", "universal", "fixed", "revolute"}
+    arc = paths(figure, "joint:driver")[0]
+    assert np.linalg.norm(center(arc) - [2.5, 0.0]) < 0.05
+
+
+def test_springs_join_their_points_and_a_tyre_stands_over_its_road(kinds):
+    figure = sj.draw(kinds, view=(-90, 0))
+    spring = paths(figure, "force:spring")[1]
+    np.testing.assert_allclose(spring[[0, -1]], [[0.0, -0.4], [0.5, -0.4]], atol=1e-12)
+    circle, road = paths(figure, "force:tyre")
+    np.testing.assert_allclose(np.linalg.norm(circle - [2.0, -0.4], axis=1), 0.15, atol=1e-9)
+    np.testing.assert_allclose(road[:, 1], 0.05 * np.sin(2 * np.pi * road[:, 0]), atol=1e-9)
+    spiral = paths(figure, "force:twist")[0]
+    assert np.linalg.norm(center(spiral) - [2.5, 0.0]) < 0.05
+
+
+def test_a_box_does_not_hide_the_mechanism():
+    scene = sj.Scene(
+        {
+            "rod": sj.Body(
+                1.0, (1e-2, 1e-2, 1e-3), position=(0, 0, -0.2), points={"a": (0, 0, 0.2), "b": (0, 0, -0.2)}
+            ),
+            "mass": sj.Body(1.0, (1.0, 1.0, 1.0), position=(0, 0, -0.4), points={"center": (0, 0, 0)}),
+        },
+        {
+            "hook": sj.Spherical("ground.hook", "rod.a"),
+            "end": sj.Spherical("rod.b", "mass.center"),
+        },
+        ground_points={"hook": (0, 0, 0)},
+    )
+    box = np.concatenate(paths(sj.draw(scene, view=(-90, 0)), "body:mass")[:6])
+    assert np.ptp(box[:, 0]) < 0.1

@@ -277,6 +277,24 @@ def test_rates_of_force_elements():
     rates = force_rates(system, structure, np.asarray(theta))
     assert rates.decay == pytest.approx(1e3 * (1 / 0.1 + 1 / 50), rel=1e-2)
     assert rates.frequency == pytest.approx(np.sqrt(1e7 * (1 / 0.1 + 1 / 50)), rel=1e-2)
+    free = force_rates(system, structure, np.asarray(theta), constrained=False)
+    assert free == pytest.approx(rates)
+
+
+def test_constraints_slow_force_elements_down():
+    """A light body that is fixed to a heavy one is as slow as this; the choice looks twice."""
+    bodies = {
+        "heavy": sj.Body(50.0, [1.0] * 3, position=(0.0, 0.0, -1.0)),
+        "light": sj.Body(1e-3, [1.0] * 3, position=(0.0, 0.0, -1.5)),
+    }
+    joints = {"weld": sj.Fixed(("heavy", "light"), (0.0, 0.0, -1.5))}
+    forces = {"spring": sj.SpringDamper(("ground", "light"), 2e4, 1e3, 1.5)}
+    system = sj.compile_scene(sj.Scene(bodies, joints, forces)).system
+    structure, theta = flatten_system(system)
+    free, held = (force_rates(system, structure, np.asarray(theta), constrained) for constrained in (False, True))
+    assert free.decay == pytest.approx(1e3 / 1e-3, rel=1e-2)
+    assert held.decay == pytest.approx(1e3 / 50.001, rel=1e-2)
+    assert isinstance(choose_solver(system).solver, diffrax.Dopri8)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from spherejax.motion.contacts import crossings, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.observables import observe
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import _start_now
+from spherejax.motion.simulate import start_now
 
 AGREEMENT = 1e-12  # of the largest component
 SCALAR = jax.ShapeDtypeStruct((), jnp.float64)
@@ -31,7 +31,7 @@ def prepared(scene, track_work=True):
     """System, structure, numbers and assembled start of a scene."""
     system = sj.compile_scene(scene, track_work=track_work).system
     structure, theta = flatten_system(system)
-    return system, structure, theta, _start_now(system)
+    return system, structure, theta, start_now(system)
 
 
 def assert_agree(scalar, array, largest=None):

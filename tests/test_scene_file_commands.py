@@ -14,6 +14,7 @@ from double_pendulum import TEXT, write
 
 import spherejax as sj
 from spherejax import cli
+from spherejax.command_line.scenes import model_name
 from spherejax.files.dimensions import FIELDS
 from spherejax.files.kinds import kebab
 from spherejax.files.objects import same
@@ -111,6 +112,13 @@ def test_options_come_before_the_file_and_the_file_before_the_defaults(written, 
     assert options["max_steps"] == 20_000_000
 
 
+def test_the_number_of_samples_asked_for_comes_before_their_interval_in_the_file(written, asked):
+    path = str(written(TEXT, ("samples = 5", 'dt = "1 ms"')))
+    assert cli.main(["run", path]) == 2
+    assert cli.main(["run", path, "--samples", "3"]) == 2
+    assert [len(ts) for _, ts, _ in asked] == [41, 3]
+
+
 def test_joint_options_replace_the_model_of_the_studied_joint_or_another(written, asked):
     path = str(written())
     dry = ("--joint", "dry", "--of", "shoulder", "--clearance", "2e-4")
@@ -137,6 +145,16 @@ def test_joint_options_replace_the_model_of_the_studied_joint_or_another(written
 def test_joint_options_that_make_no_sense_are_refused(written, asked, capsys, words, message):
     assert cli.main(["run", str(written()), *words]) == 2
     assert message in capsys.readouterr().err
+    assert not asked
+
+
+@pytest.mark.parametrize(("name", "title"), [("four-bar", "ideal"), ("hip", "as described"), ("chain", "as described")])
+def test_titles_say_which_model_a_scene_of_the_gallery_has(name, title, asked, capsys):
+    options = cli.parser().parse_args(["run", name])
+    assert model_name(options) == title
+    assert cli.main(["run", name, "--clearance", "1e-4"]) == 2
+    expected = "means nothing with --joint ideal" if title == "ideal" else "changes nothing without --joint"
+    assert expected in capsys.readouterr().err
     assert not asked
 
 

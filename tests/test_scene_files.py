@@ -20,7 +20,9 @@ import spherejax as sj
 from spherejax.files.dimensions import FIELDS
 from spherejax.files.kinds import kebab, kinds_of, parameters_of
 from spherejax.files.objects import same
+from spherejax.files.parts import Part
 from spherejax.files.quantities import Quantity
+from spherejax.files.units import in_si, simplified
 
 
 @pytest.fixture
@@ -84,6 +86,32 @@ def test_the_unit_of_a_stiffness_follows_its_exponent(written):
     law = '{ kind = "hertz", exponent = 2, stiffness = "3 kN/mm^2" }'
     scene = sj.load_scene(written(TEXT, ('{ kind = "lankarani-nikravesh", restitution = 0.9 }', law)))
     assert scene.joints["elbow"].model.normal.stiffness == pytest.approx(3e9, rel=1e-15)
+
+
+UNITS_BY_TIME = {
+    "constant": {"value": "N"},
+    "linear": {"slope": "N/s", "offset": "N"},
+    "polynomial": {"center": "s"},
+    "sine": {"amplitude": "N", "frequency": "Hz", "phase": "rad", "offset": "N"},
+    "step": {"at": "s", "before": "N", "after": "N"},
+    "smooth-step": {"start": "s", "end": "s", "before": "N", "after": "N"},
+    "bump": {"height": "N", "start": "s", "length": "s"},
+    "table": {"x": "s", "y": "N"},
+    "smooth-table": {"x": "s", "y": "N"},
+    "piecewise": {"breaks": "s"},
+    "sum": {},
+}
+"""Of a force by time."""
+
+
+def test_units_of_functions_follow_their_argument_and_value():
+    assert set(UNITS_BY_TIME) == set(kinds_of(sj.AbstractFunction))
+    for kind, cls in kinds_of(sj.AbstractFunction).items():
+        fields = {name: field for name, field in FIELDS[cls].items() if isinstance(field, Quantity)}
+        assert set(fields) == set(UNITS_BY_TIME[kind])
+        for name, field in fields.items():
+            si = simplified(field.si.format(of_argument="s", of_value="N"))
+            assert in_si(f"1 {UNITS_BY_TIME[kind][name]}", si) == 1.0, (kind, name)
 
 
 def test_functions_have_the_units_of_the_place_where_they_stand(written):
@@ -245,6 +273,12 @@ def test_traced_and_batched_numbers_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_scene_that_cannot_be_simulated_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(sj.SceneError, match=r"^body 'b': mass = -1 must be positive"):
+        sj.save_scene(sj.Scene({"b": sj.Body(-1.0, (1.0, 1.0, 1.0))}), tmp_path / "s.toml")
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_existing_file_is_replaced_only_on_request_and_never_by_a_failure(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text("precious")
@@ -398,6 +432,9 @@ def test_units_are_those_of_the_docstrings(cls):
     for name, field in FIELDS[cls].items():
         entry = re.search(rf"(?<![\w.]){name}: (.*?)(?= \w+: |$)", doc)
         unit = re.search(r"\[([^\]]+)\]", entry.group(1)) if entry else None
+        if isinstance(field, Part) and field.argument is not None and entry:
+            value_by_argument = re.match(r"[^\[]*\[([^\]]+)\] by [^\[]*\[([^\]]+)\]", entry.group(1))
+            assert not value_by_argument or value_by_argument.groups() == (field.value, field.argument), name
         depends_on_the_place = isinstance(field, Quantity) and "{of_" in (field.si or "")
         if isinstance(field, Quantity) and unit and not depends_on_the_place:
             assert field.si == UNITS_WRITTEN.get(unit.group(1), unit.group(1)), name

@@ -3,6 +3,7 @@
 import argparse
 import inspect
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import spherejax as sj
 from spherejax.files.dimensions import FIELDS
@@ -18,10 +19,31 @@ SCENES: Mapping[str, Callable[..., sj.Scene]] = {
 ALIASES = {"a01": "simple-pendulum", "a02": "n-four-bar", "a04": "bricard", "a05": "governor"}
 """Short names of scenes: their numbers in the IFToMM library of benchmark problems."""
 
-PUBLISHED_DURATIONS = {
-    "andrews": 0.03, "bricard": 10.0, "car-axis": 3.0, "governor": 10.0, "n-four-bar": 10.0, "simple-pendulum": 10.0,
-}  # fmt: skip
-"""Length of the motion that the source of a scene asks for [s]."""
+
+class Usual(NamedTuple):
+    """What a scene of the gallery takes where the options say nothing.
+
+    Attributes:
+        t1: length of the motion [s].
+        samples: number of samples.
+        bushing: stiffness [N/m] and damping [s] of a bushing in the studied joint.
+    """
+
+    t1: float = 2.0
+    samples: int = 2001
+    bushing: tuple[float, float] = (1e6, 1e-2)
+
+
+USUAL: Mapping[str, Usual] = {
+    "andrews": Usual(0.03),
+    "bricard": Usual(10.0),
+    "car-axis": Usual(3.0),
+    "governor": Usual(10.0),
+    "n-four-bar": Usual(10.0),
+    "simple-pendulum": Usual(10.0),
+    "suspension": Usual(6.0, 6001, (2e7, 1e-3)),
+}
+"""Scenes that take other values than `Usual()`: those that their sources ask for."""
 
 JOINTS = {
     "ideal": "ball and socket without any gap: constraint equations",

@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import spherejax as sj
-from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS
+from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS, USUAL, Usual
 
 CONTACT = ("dry", "friction", "lubricated")
 
@@ -15,7 +15,7 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--joint",
         choices=JOINTS,
-        help="model of the studied joint (default: ideal; of a file: the model that it describes)",
+        help="model of the studied joint (default: the one that the scene or the file describes)",
     )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
     gap.add_argument("--clearance", type=float, metavar="M", help="radial clearance [m] (default: 1e-4)")
@@ -36,9 +36,12 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     film.add_argument("--viscosity", type=float, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
-    bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6)")
+    bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
     bushing.add_argument(
-        "--damping", type=float, metavar="B", help="stiffness-proportional damping [s] (default: 1e-2)"
+        "--damping",
+        type=float,
+        metavar="B",
+        help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
     )
     bushing.add_argument(
         "--elastomer",
@@ -59,7 +62,8 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
         return sj.Ideal()
     if options.joint == "bushing":
         law = ELASTOMERS[options.elastomer or "radial"]
-        return sj.Bushing(law=law(_or(options.stiffness, 1e6), _or(options.damping, 1e-2)))
+        stiffness, damping = USUAL.get(getattr(options, "scene", ""), Usual()).bushing
+        return sj.Bushing(law=law(_or(options.stiffness, stiffness), _or(options.damping, damping)))
     material = sj.Material() if options.youngs_modulus is None else sj.Material(youngs_modulus=options.youngs_modulus)
     contact = {
         "socket_radius": _or(options.socket_radius, 0.010),

@@ -48,7 +48,7 @@ def add_run(commands) -> None:
     times = parser.add_argument_group("times and accuracy")
     times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2, or as published)")
     sampling = times.add_mutually_exclusive_group()
-    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001)")
+    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001, or as published)")
     sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
     times.add_argument("--rtol", type=float, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=float, help="absolute tolerance of a step, one number (default: by the scene)")

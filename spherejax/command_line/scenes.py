@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import spherejax as sj
-from spherejax.command_line.catalog import ALIASES, JOINTS, PUBLISHED_DURATIONS, SCENES
+from spherejax.command_line.catalog import ALIASES, JOINTS, SCENES, USUAL, Usual
 from spherejax.command_line.models import USED_BY, model_from
 from spherejax.files.objects import arguments_of
 from spherejax.files.place import one_of
@@ -17,7 +17,7 @@ SUFFIXES = {".toml": "a scene file", ".urdf": "a robot description"}
 """Files that describe a mechanism."""
 
 AS_DESCRIBED = "as described"
-"""Stands for the name of a model where the file's own models are taken."""
+"""Stands for the name of a model where the scene's or the file's own models are taken."""
 
 
 class Chosen(NamedTuple):
@@ -67,15 +67,15 @@ def chosen(options: argparse.Namespace) -> Chosen:
     found = _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser())
     if options.of is not None:
         found = _studying(found, options.of)
-    if given in SCENES and options.of is None:
-        model_from(options)  # refuses options that the model does not use
-    elif options.joint is None:
+    if options.joint is None and (options.of is not None or model_name(options) == AS_DESCRIBED):
         _refuse_loose(options)
+    else:
+        model_from(options)  # refuses options that the model does not use
     return found
 
 
 def model_name(options: argparse.Namespace) -> str:
-    """What the studied joint is called in titles: the word of `--joint`, or that the file's own models are taken."""
+    """What the studied joint is called in titles: the word of `--joint`, or that the scene's own models are taken."""
     if options.joint is not None:
         return options.joint
     return "ideal" if options.scene in SCENES and _is_ideal(SCENES[options.scene]) else AS_DESCRIBED
@@ -120,7 +120,9 @@ def _from_gallery(name: str) -> Chosen:
             )
         return build(model) if takes_model else build()
 
-    return Chosen(name, "", with_model, studied_in(build), SimulationSettings(t1=PUBLISHED_DURATIONS.get(name)))
+    usual = USUAL.get(name, Usual())
+    settings = SimulationSettings(t1=usual.t1, samples=usual.samples)
+    return Chosen(name, "", with_model, studied_in(build), settings)
 
 
 def _from_file(path: Path) -> Chosen:
@@ -179,5 +181,5 @@ def _refuse_loose(options: argparse.Namespace) -> None:
         if getattr(options, name) is not None:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(
-                f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the file's own models are taken"
+                f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the scene's own models are taken"
             )

@@ -43,8 +43,7 @@ def save_scene(
         raise SceneError(f"{str(path)!r} exists; choose another name, or ask to overwrite it")
     if studied is not None and studied not in scene.joints:
         raise SceneError(f"studied: there is no joint {studied!r}")
-    if check_scene(scene):
-        raise SceneError("a traced scene cannot be written; write it outside jit, vmap and grad")
+    check_scene(scene)
     file = SceneFile(scene, title, studied, settings or SimulationSettings())
     # Imported when it is needed: reading needs no TOML writer.
     from spherejax.files.text import scene_text

@@ -25,8 +25,8 @@ UP = (0.0, 0.0, 1.0)
 A_ARM_PIVOT, A_ARM_END = (0.0, -0.259, 0.302), (0.0, -0.572, 0.229)
 LEAF_PIVOT, LEAF_TIP = (0.0, -0.1585, 0.600), (0.0, -0.488, 0.531)
 TIE_ROD_GROUND, TIE_ROD_END = (-0.140, -0.070, 0.600), (-0.140, -0.448, 0.531)
-SHOCK_ON_A_ARM, SHOCK_ON_GROUND = (0.075, -0.087856, -0.004667), (0.075, -0.297, 0.632)
-"""Where things are joined at the start, world axes [m]; the shock absorber's end on the A-arm in the A-arm's axes."""
+SHOCK_ON_A_ARM, SHOCK_ON_GROUND = (0.075, -0.500, 0.241), (0.075, -0.297, 0.632)
+"""Where things are joined at the start, world axes [m]."""
 
 SHOCK_SPRING = Polynomial([-4.0092e6, 2.8397e7, -6.7061e7, 5.2796e7])
 """Tension [N] by length [m], Eq. 42."""
@@ -133,16 +133,22 @@ def _forces(tip: str, speed: Number) -> dict[str, AbstractForce]:
 
 
 def _bar(start, end, *, mass: Number, inertia, names: tuple[str, str], points=None) -> Body:
-    """A body between two points, which it names; eta points from the end to the start, turned about the x axis."""
+    """A body between two points, which it names; eta points from the end to the start, turned about the x axis.
+
+    All places are in world axes at the start.
+    """
     start, end = np.asarray(start), np.asarray(end)
-    along = start - end
+    along, middle = start - end, (start + end) / 2
     angle, half = np.arctan2(along[2], along[1]), np.linalg.norm(along) / 2
+    cosine, sine = np.cos(angle), np.sin(angle)
+    to_body = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
+    others = {name: to_body @ (np.asarray(place) - middle) for name, place in (points or {}).items()}
     return Body(
         mass=mass,
         inertia=inertia,
-        position=(start + end) / 2,
+        position=middle,
         quaternion=(np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0),
-        points={names[0]: (0.0, half, 0.0), names[1]: (0.0, -half, 0.0), **(points or {})},
+        points={names[0]: (0.0, half, 0.0), names[1]: (0.0, -half, 0.0), **others},
     )
 
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.model.scene import Scene
 from spherejax.motion.simulate import simulate
 from spherejax.motion.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves, curves_of
@@ -170,7 +171,7 @@ def compare(subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report 
     """
     length = subject.quick if quick else subject.full
     t_end, t_limits = length.seconds, subject.t_limits if length.limits else 0.0
-    ts = jnp.linspace(0.0, t_end, round(t_end / length.interval) + 1)
+    ts = jnp.asarray(length.ts)
     models = subject.models()
     studies = subject.studies()[: length.n_studies]
     limits = subject.limits() if length.limits else []
@@ -264,40 +265,36 @@ def horizon(subject: Subject, case: Case, ts: Float[Array, " n"], run: Trajector
 
 
 def _run_for_timing(subject: Subject, case: Case, t_end: float, solver: diffrax.AbstractSolver | None) -> Trajectory:
+    return _run_few_samples(subject.build(case.model()), t_end, solver)
+
+
+def _run_few_samples(scene: Scene, t_end: float, solver: diffrax.AbstractSolver | None) -> Trajectory:
     """A run with few samples, so that integration is timed and not saving."""
-    ts = jnp.linspace(0.0, t_end, TIMED_SAMPLES)
-    run = simulate(subject.build(case.model()), ts, rtol=RTOL, solver=solver, throw=True)
+    run = simulate(scene, jnp.linspace(0.0, t_end, TIMED_SAMPLES), rtol=RTOL, solver=solver, throw=True)
     return jax.block_until_ready(run)
 
 
 def _timed(subject: Subject, models: Mapping[str, Case], t_end: float, solver, done: Progress) -> dict[str, Timed]:
     """What each model costs, alone on the machine."""
-    found: dict[str, Timed] = {}
-    ideal = warm_seconds(subject, models["ideal"], t_end, solver)
+    found: dict[str, tuple[int, float]] = {}
     for name, case in models.items():
-        seconds = ideal if name == "ideal" else warm_seconds(subject, case, t_end, solver)
-        steps = int(_run_for_timing(subject, case, t_end, solver).stats.n_steps)
-        found[name] = Timed(steps, seconds, seconds / ideal)
+        found[name] = warm_run(subject.build(case.model()), t_end, solver)
         done(f"timed: {case.label}")
-    return found
+    ideal = found["ideal"][1]
+    return {name: Timed(n_steps, seconds, seconds / ideal) for name, (n_steps, seconds) in found.items()}
 
 
-def warm_seconds(
-    subject: Subject,
-    case: Case,
-    t_end: float,
-    solver: diffrax.AbstractSolver | None = None,
-    *,
-    repeats: int = REPEATS,
-) -> float:
-    """Median time of a run that is compiled already [s]."""
-    _run_for_timing(subject, case, t_end, solver)
+def warm_run(
+    scene: Scene, t_end: float, solver: diffrax.AbstractSolver | None = None, *, repeats: int = REPEATS
+) -> tuple[int, float]:
+    """Steps and median time [s] of a run that is compiled already."""
+    n_steps = int(_run_few_samples(scene, t_end, solver).stats.n_steps)
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
-        _run_for_timing(subject, case, t_end, solver)
+        _run_few_samples(scene, t_end, solver)
         times.append(time.perf_counter() - start)
-    return float(np.median(times))
+    return n_steps, float(np.median(times))
 
 
 def _distinct(studies: Sequence[Study]) -> list[Case]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffrax
+import numpy as np
 
 from spherejax.model.scene import Scene
 from spherejax.motion.trajectory import Trajectory
@@ -64,6 +65,7 @@ class Length(NamedTuple):
     Attributes:
         seconds: length of the motion [s].
         interval: of the samples [s].
+        fine: until when [s] and at which interval [s] the beginning is sampled; None: as the rest.
         n_studies: how many parameter studies are run; None: all.
         limits: whether the limits are run.
         fixed: whether the fixed method is run.
@@ -71,9 +73,20 @@ class Length(NamedTuple):
 
     seconds: float
     interval: float
+    fine: tuple[float, float] | None = None
     n_studies: int | None = None
     limits: bool = True
     fixed: bool = True
+
+    @property
+    def ts(self) -> np.ndarray:
+        """Sample times [s], shape (n,)."""
+        usual = np.linspace(0.0, self.seconds, round(self.seconds / self.interval) + 1)
+        if self.fine is None:
+            return usual
+        until, interval = self.fine
+        first = np.linspace(0.0, until, round(until / interval) + 1)
+        return np.concatenate([first, usual[usual > until + 0.5 * interval]])
 
 
 @dataclass(frozen=True)

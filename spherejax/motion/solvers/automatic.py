@@ -23,10 +23,6 @@ LOOSE_RTOL = 1e-6
 """From this tolerance up, a W-method of order 3 with its cheap steps beats Rodas5P."""
 
 
-LITTLE_DAMPING = 0.02
-"""Ratio of decay to frequency (twice the damping ratio) below which a vibration by force elements is there to stay."""
-
-
 class StiffMethod(NamedTuple):
     """A stiff method and what it costs, measured on the four-bar.
 
@@ -115,11 +111,12 @@ def _choice_by_forces(system: System, rtol: float) -> Choice:
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
         return Choice(diffrax.Dopri8(), "numbers of the scene are traced, and force elements not looked at")
-    decay, frequency = force_rates(system, structure, np.asarray(theta))
-    # A vibration without damping goes on for ever, and any method has to follow it.
-    rate = max(decay, frequency if decay > LITTLE_DAMPING * frequency else 0.0)
     limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
-    what = f"force elements act at about {rate:.1e} per second"
+    # Constraints only slow things down: with them only what is too fast without them is looked at.
+    rate = force_rates(system, structure, np.asarray(theta), constrained=False).fastest
+    if rate > limit:
+        rate = force_rates(system, structure, np.asarray(theta)).fastest
+    what = f"force elements act at about {rate:.1e} per second or slower"
     if rate > limit:
         return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
     return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")

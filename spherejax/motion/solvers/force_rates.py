@@ -27,6 +27,10 @@ N_PRODUCTS = 12
 """Products of the power iteration: the estimate is from below, and within a tenth unless many elements are alike."""
 
 
+LITTLE_DAMPING = 0.02
+"""Ratio of decay to frequency (twice the damping ratio) below which a vibration is there to stay."""
+
+
 class Rates(NamedTuple):
     """The fastest rates of the force elements at the start.
 
@@ -38,26 +42,40 @@ class Rates(NamedTuple):
     decay: float
     frequency: float
 
+    @property
+    def fastest(self) -> float:
+        """The rate that an explicit method must follow and a stiff one need not.
 
-def force_rates(system: System, structure: Structure, theta: np.ndarray) -> Rates:
+        A vibration without damping goes on for ever, and any method has to follow it: it does not count.
+        """
+        return max(self.decay, self.frequency if self.decay > LITTLE_DAMPING * self.frequency else 0.0)
+
+
+def force_rates(system: System, structure: Structure, theta: np.ndarray, constrained: bool = True) -> Rates:
     """The fastest decay and vibration by force elements at the start, where bodies are where the scene puts them.
 
     Elements that do not act there, such as a stop that is not reached, are not seen.
+
+    Args:
+        system: the system.
+        structure: its structure.
+        theta: its numbers.
+        constrained: obey the constraints. Without them rates are higher, and found at once in a large system.
     """
     places = [[*np.asarray(body.position), *np.asarray(body.quaternion)] for body in system.bodies.values()]
     y = np.zeros(system.layout.size)
     y[: system.layout.n_position] = np.concatenate(places)
-    return _rates_at(structure, theta.tobytes(), y.tobytes())
+    return _rates_at(structure, theta.tobytes(), y.tobytes(), caused_changes if constrained else free_changes)
 
 
 @lru_cache(maxsize=1024)
-def _rates_at(structure: Structure, numbers: bytes, start: bytes) -> Rates:
+def _rates_at(structure: Structure, numbers: bytes, start: bytes, changes) -> Rates:
     theta, y = np.frombuffer(numbers), np.frombuffer(start)
     n_v = jax.eval_shape(structure.system, jax.ShapeDtypeStruct(theta.shape, jnp.float64)).layout.n_velocity
     with warnings.catch_warnings():
         # A law without a scalar program is warned about where the motion is integrated, or the user knows.
         warnings.simplefilter("ignore", ArrayPathWarning)
-        program = program_for(caused_changes, structure, True, (len(y), n_v))
+        program = program_for(changes, structure, True, (len(y), n_v))
     compiled = jax.jit(program) if program.scalar is None else None
 
     def products(x):
@@ -87,10 +105,32 @@ Point = tuple[Float[Array, " size"], Float[Array, " n_v"]]
 
 def caused_changes(system: System, t: Scalar, point: Point) -> tuple[Float[Array, " n_v"], Float[Array, " n_v"]]:
     """Changes of the accelerations by force elements along a direction of the velocities, and of the positions."""
+    motions = body_motions(system, unpack(system.layout, point[0]))
+    constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
+
+    def accelerations(loads):
+        found = solve_augmented(constraints, masses, loads, jnp.zeros_like(constraints.bias))
+        return jnp.concatenate(list(found.accelerations.values()))
+
+    by_velocity, by_position = _load_changes(system, t, point)
+    return accelerations(by_velocity), accelerations(by_position)
+
+
+def free_changes(system: System, t: Scalar, point: Point) -> tuple[Float[Array, " n_v"], Float[Array, " n_v"]]:
+    """As `caused_changes`, without constraints."""
+    masses = inverse_masses(system, body_motions(system, unpack(system.layout, point[0])))
+
+    def accelerations(loads):
+        return jnp.concatenate([masses[name].times(load) for name, load in loads.items()])
+
+    by_velocity, by_position = _load_changes(system, t, point)
+    return accelerations(by_velocity), accelerations(by_position)
+
+
+def _load_changes(system: System, t: Scalar, point: Point):
+    """Changes of the loads by force elements, by body, along a direction of the velocities, and of the positions."""
     y, direction = point
     layout, state = system.layout, unpack(system.layout, y)
-    motions = body_motions(system, state)
-    constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     rest = jnp.zeros(layout.size - layout.memory_start)
     by_body = direction.reshape(-1, VELOCITY_SIZE)
     moved = [
@@ -108,9 +148,4 @@ def caused_changes(system: System, t: Scalar, point: Point) -> tuple[Float[Array
                     total[name] = total[name] + jnp.concatenate([wrench.force, wrench.moment])
         return total
 
-    def accelerations(change):
-        by_loads = jax.jvp(loads, (y,), (change,))[1]
-        found = solve_augmented(constraints, masses, by_loads, jnp.zeros_like(constraints.bias))
-        return jnp.concatenate(list(found.accelerations.values()))
-
-    return accelerations(faster), accelerations(further)
+    return tuple(jax.jvp(loads, (y,), (change,))[1] for change in (faster, further))

@@ -2,9 +2,9 @@
 
 The path is spatial: on the four-bar no plane holds more than nine tenths of it. Each circle shows one plane of world
 axes, the same for all models, that holds gravity and most of the reaction: x-z for the four-bar, in which its rocker
-swings, y-z for the suspension, across the car. The angle is that of the projection, but the distance from the middle is the true |e|: a projected
-distance would draw contact beside the plane as if the ball were in flight, whereas here contact is on the
-circle, and only there.
+swings, y-z for the suspension, across the car. The angle is that of the projection, but the distance from the middle is
+the true |e|: a projected distance would draw contact beside the plane as if the ball were in flight, whereas here
+contact is on the circle or beyond it, and only there.
 """
 
 from collections.abc import Mapping
@@ -44,7 +44,8 @@ def eccentricity_paths(
         lower.plot(*thinned(one.ts, unit * one.distance), color=MODEL_COLORS.get(name, "0.3"), lw=0.9)
         if one.clearance is not None:
             lower.axhline(unit * one.clearance, color="black", lw=1.0)
-            lower.set_ylim(0, 1.12 * unit * max(one.clearance, one.distance.max() if outer else 0.0))
+            top = max(one.clearance, one.distance.max()) if outer else one.clearance
+            lower.set_ylim(0, 1.12 * unit * top)
         else:
             lower.set_ylim(bottom=0)
         lower.set_xlim(one.ts[0], one.ts[-1])
@@ -74,14 +75,15 @@ def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _Look) -> N
         chosen = np.flatnonzero(touching)
         chosen = chosen[:: max(1, len(chosen) // 6000)]
         ax.scatter(x[chosen], z[chosen], s=6, color=_CONTACT, lw=0, zorder=4)
-        remark = f"in contact {100 * touching.mean():.3g} % of the time"
+        share = np.sum(touching * np.gradient(one.ts)) / np.sum(np.gradient(one.ts))
+        remark = f"in contact {100 * share:.3g} % of the time"
     else:
         ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.7, zorder=2)
         remark = "never in contact" if one.clearance is not None else "circle: largest |e|"
     if look.outer:
-        remark = f"{remark}; largest |e| {distance.max():.4g} {scale}" if touching.any() else remark
-        remark = f"circle: largest |e|, {distance.max():.4g} {scale}" if one.clearance is None else remark
-    ax.set_title(f"{one.label}\n{remark}", loc="left", fontsize=9 if not look.outer else 8)
+        remark = f"{remark}\n" if one.clearance is not None else ""
+        remark += f"largest |e| (dashed): {distance.max():.4g} {scale}"
+    ax.set_title(f"{one.label}\n{remark}", loc="left", fontsize=9)
     radius = np.nanmax(distance) if one.clearance is None else unit * one.clearance
     style = {"ls": "--", "color": "0.4"} if one.clearance is None else {"ls": "-", "color": "black"}
     ax.add_patch(Circle((0.0, 0.0), radius, fill=False, lw=1.0, zorder=3, **style))

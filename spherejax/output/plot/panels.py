@@ -107,5 +107,6 @@ def _mark(ax: Axes, shade: Shade, *, speaks: bool) -> None:
     if end > start:
         ax.axvspan(start, end, color="0.5", alpha=0.10, lw=0, zorder=0)
         if speaks:
-            ax.annotate(shade.what, ((start + end) / 2, 1.0), (0, -9), xycoords=("data", "axes fraction"),
+            # At the foot of the panel, where a curve that rises over the interval is not.
+            ax.annotate(shade.what, ((start + end) / 2, 0.0), (0, 4), xycoords=("data", "axes fraction"),
                         textcoords="offset points", ha="center", fontsize=7, color="0.35")  # fmt: skip

@@ -57,7 +57,7 @@ def time_ratios_by_method(names: Sequence[str], methods: Mapping[str, Sequence[B
         methods: by the name of the method, a bar for each model.
         title: what is shown.
     """
-    figure, axes = new_figure(1, 1, 9.0, 4.8, title)
+    figure, axes = new_figure(1, 1, 10.5, 4.8, title)
     ax = axes[0, 0]
     width = 0.8 / len(methods)
     for place, (method, bars) in enumerate(methods.items()):

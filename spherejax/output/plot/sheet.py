@@ -203,7 +203,8 @@ def labels_of(view: SpaceView, pose: Pose) -> list[Label]:
     """Names of bodies and joints, where they are at a pose."""
     found = []
     for joint in view.mechanism.joints.values():
-        anchor = view.camera.project(pose.point(joint.bodies[0], joint.places[0]))
+        ends = [pose.point(body, place) for body, place in zip(joint.bodies, joint.places, strict=True)]
+        anchor = view.camera.project(np.mean(ends, axis=0) if joint.kind.startswith("Distance") else ends[1])
         found.append(Label(joint.name, anchor, 1.2 * view.size, "0.25", False, f"joint:{joint.name}"))
     for body in view.mechanism.bodies:
         places = body.places if len(body.places) > 1 else np.vstack([body.places, np.zeros((1, 3))])

@@ -327,10 +327,10 @@ class Corner:
         self.text.xy = (right - 0.5 * self.length, height)
 
 
-CORNER_HEIGHT = 0.5
+CORNER_HEIGHT = 0.6
 """Height of the strip that a spatial view keeps free for its corner [inch]."""
 
-TRIAD_CENTER, TRIAD_LENGTH = np.array([0.40, 0.32]), 0.27
+TRIAD_CENTER, TRIAD_LENGTH = np.array([0.38, 0.26]), 0.26
 """Where the world axes meet, from the lower left corner, and their length [inch]."""
 
 
