@@ -1,5 +1,6 @@
 """Laws as a user writes them, in a file of their own, for the tests of scene files."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -49,6 +50,17 @@ def hat(x):
 def helix(place):
     """Two functions that vanish on a curve."""
     return jnp.stack([place[0] - jnp.cos(place[2]), place[1] - jnp.sin(place[2])])
+
+
+class Motor(sj.AbstractForce):
+    """A torque by a function of time that is given to it."""
+
+    body: str = eqx.field(static=True)
+    torque: Callable
+
+    def wrenches(self, t, motions):
+        about = jnp.stack([jnp.zeros(()), jnp.zeros(()), self.torque(t)])
+        return {self.body: sj.Wrench(jnp.zeros(3), about)}
 
 
 class Growth(eqx.Module):

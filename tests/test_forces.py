@@ -1,12 +1,17 @@
-"""Force elements: what all of them must satisfy, exact solutions, kinks, bad input."""
+"""Force elements: what all of them must satisfy, exact solutions, the method that they get."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from elements import CONSERVATIVE, DAMPED, ELEMENTS, TWO_BODIED, advanced, answer, program, scene_with, states
+from elements import CONSERVATIVE, DAMPED, ELEMENTS, TWO_BODIED, advanced, answer, program, states
 
 import spherejax as sj
+from spherejax.foundations.rotation import rotation_matrix
+from spherejax.model.system import System, flatten_system
+from spherejax.motion.solvers.automatic import choose_solver
+from spherejax.motion.solvers.force_rates import force_rates
 
 TIME, STEP = 0.7, 1e-5
 ANSWERS = {name: program(answer(force)) for name, force in ELEMENTS.items()}
@@ -89,6 +94,33 @@ def test_slopes_by_state_and_numbers_are_finite(name):
     )
     for y in states(2):
         assert all(np.isfinite(slope).all() for slope in jax.tree.leaves(slopes.compute(numbers, y)))
+
+
+def test_laws_and_applied_forces_have_the_values_given():
+    y = states(1)[0]
+    rotation = np.asarray(rotation_matrix(jnp.asarray(y[10:14])))
+    eye = rotation @ np.array([0.0, -0.1, 0.02])
+
+    law = ANSWERS["law of three"](TIME, y)
+    length, rate = law["parts"]["length"], law["parts"]["rate"]
+    assert law["parts"]["force"] == pytest.approx(3 * length * np.sin(TIME) + rate**3)
+    assert law["parts"]["dissipated_power"] == pytest.approx(-law["power"])
+    first_eye = y[:3] + np.asarray(rotation_matrix(jnp.asarray(y[3:7]))) @ np.array([0.1, 0.0, 0.05])
+    assert length == pytest.approx(np.linalg.norm(y[7:10] + eye - first_eye))
+
+    cubic = ANSWERS["spring by a user's function"](TIME, y)["parts"]
+    assert cubic["force"] == pytest.approx(3 * length + length**3)
+
+    push = ANSWERS["push"](TIME, y)["wrenches"]["second"]
+    np.testing.assert_array_equal(push.force, [1.0, 2.0, 3.0])
+    arm = eye + rotation @ np.array([0.01, 0.02, 0.0])
+    np.testing.assert_allclose(push.moment, np.cross(arm, push.force) + np.array([0.1, 0.0, 0.2]), rtol=1e-13)
+
+    by_time = ANSWERS["push by time"](TIME, y)["wrenches"]["second"]
+    np.testing.assert_allclose(by_time.force, rotation @ [np.sin(TIME), TIME, 0.0], rtol=1e-13)
+    by_state = ANSWERS["push by state"](TIME, y)["wrenches"]["second"]
+    np.testing.assert_allclose(by_state.moment, -TIME * y[17:20], rtol=1e-13)
+    np.testing.assert_array_equal(by_state.force, 0.0)
 
 
 # Exact solutions -----------------------------------------------------------------------------------------------------
@@ -213,151 +245,83 @@ def test_stiffness_is_swept_and_differentiated():
         rest = -1.0 - MASS * G / k
         return rest + (-1.2 - rest) * jnp.cos(jnp.sqrt(k / MASS) * ts[-1])
 
-    ks = jnp.array([40.0, 80.0])
+    ks = jnp.array([40.0, 80.0, -1.0])
     heights, slopes = jax.vmap(lambda k: jax.jvp(height, (k,), (jnp.ones(()),)))(ks)
-    np.testing.assert_allclose(heights, jax.vmap(exact)(ks), atol=1e-7)
-    np.testing.assert_allclose(slopes, jax.vmap(jax.grad(exact))(ks), rtol=1e-5)
+    np.testing.assert_allclose(heights[:2], jax.vmap(exact)(ks[:2]), atol=1e-7)
+    np.testing.assert_allclose(slopes[:2], jax.vmap(jax.grad(exact))(ks[:2]), rtol=1e-5)
+    assert np.isnan(heights[2])  # a negative stiffness ends its own lane only
 
 
-# Kinks ---------------------------------------------------------------------------------------------------------------
+# Method and program --------------------------------------------------------------------------------------------------
 
 
-def slopes_at(force: sj.AbstractForce, y) -> dict:
-    """Wrenches and their derivatives by the state."""
-    of_state = answer(force)
-    function = program(lambda t, y: (of_state(t, y), jax.jacfwd(lambda y: of_state(t, y)["wrenches"])(y)))
-    value, slope = function(TIME, np.asarray(y))
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((value, slope)))
-    return {"value": value, "slope": slope}
+def system_between(stiffness: float, damping: float, mass: float) -> System:
+    """A light body on a spring below a heavy one, which hangs from another spring."""
+    return sj.compile_scene(
+        sj.Scene(
+            {
+                "heavy": sj.Body(50.0, [1.0] * 3, position=(0.0, 0.0, -1.0)),
+                "light": sj.Body(mass, [1.0] * 3, position=(0.0, 0.0, -1.5)),
+            },
+            forces={
+                "slow": sj.SpringDamper(("ground", "heavy"), 2e4, 100.0, 1.0),
+                "fast": sj.SpringDamper(("heavy", "light"), stiffness, damping, 0.5),
+            },
+        )
+    ).system
 
 
-def together(distance=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)) -> np.ndarray:
-    """Both bodies in world axes, the second at a place, the first at rest at the origin."""
-    turned = [1.0, 0.0, 0.0, 0.0]
-    return np.concatenate([np.zeros(3), turned, distance, turned, np.zeros(6), velocity, np.zeros(3)])
+def test_rates_of_force_elements():
+    system = system_between(1e7, 1e3, 0.1)
+    structure, theta = flatten_system(system)
+    rates = force_rates(system, structure, np.asarray(theta))
+    assert rates.decay == pytest.approx(1e3 * (1 / 0.1 + 1 / 50), rel=1e-2)
+    assert rates.frequency == pytest.approx(np.sqrt(1e7 * (1 / 0.1 + 1 / 50)), rel=1e-2)
+    free = force_rates(system, structure, np.asarray(theta), constrained=False)
+    assert free == pytest.approx(rates)
 
 
-CENTERS = ("first", "second")
-
-
-def test_a_spring_without_free_length_is_smooth_where_its_ends_meet():
-    found = slopes_at(sj.SpringDamper(CENTERS, 50.0), together())
-    np.testing.assert_allclose(found["slope"]["second"].force[:, 7:10], -50.0 * np.eye(3), rtol=1e-12)
-    np.testing.assert_array_equal(found["value"]["wrenches"]["second"].force, 0.0)
-
-
-@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (1.0, 2.0, 3.0)])
-def test_coinciding_ends_are_finite(velocity):
-    spring = sj.SpringDamper(CENTERS, 50.0, 4.0, 0.3, spring=sj.Linear(2.0), damper=jnp.tanh)
-    slopes_at(spring, together(velocity=velocity))
-    slopes_at(sj.BumpStop(CENTERS, 0.1, 0.2, 1e3, 1.0, 0.01), together(velocity=velocity))
-
-
-@pytest.mark.parametrize("onset", [0.0, 0.01])
-def test_exactly_at_a_stop_nothing_acts(onset):
-    for stop in (
-        sj.BumpStop(CENTERS, longest=0.5, stiffness=1e3, onset=onset),
-        sj.BumpStop(("ground", "second"), shortest=0.5, stiffness=1e3, onset=onset, direction=(0.0, 0.0, 1.0)),
-        sj.Tyre("second", 0.5, 1e3, onset=onset),
-    ):
-        found = slopes_at(stop, together((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)))
-        assert not np.any(found["value"]["wrenches"]["second"].force)
-        assert not np.any(found["slope"]["second"].force)
-
-
-def test_a_stop_never_holds():
-    stop = sj.BumpStop(CENTERS, longest=0.5, stiffness=1e3, damping=1e3, onset=0.001)
-    assert slopes_at(stop, together((0.0, 0.0, 0.51), (0.0, 0.0, -1.0)))["value"]["parts"]["force"] == 0
-    assert slopes_at(stop, together((0.0, 0.0, 0.51), (0.0, 0.0, 1.0)))["value"]["parts"]["force"] == pytest.approx(
-        1009.5
-    )
-
-
-def test_onset_has_a_continuous_slope_and_energy():
-    stop = sj.BumpStop(CENTERS, longest=0.5, stiffness=1e3, onset=0.02)
-    for depth in (0.0, 0.02):
-        before, after = (slopes_at(stop, together((0.0, 0.0, 0.5 + depth + side))) for side in (-1e-9, 1e-9))
-        for found in (lambda x: x["slope"]["second"].force[2, 9], lambda x: x["value"]["energy"]):
-            assert found(before) == pytest.approx(found(after), rel=1e-6, abs=1e-4)
-
-
-def test_shock_absorber_at_rest_and_beyond_its_transition():
-    absorber = sj.ShockAbsorber(CENTERS, sj.Linear(100.0), sj.Linear(300.0), transition=0.02)
-    for rate, force in ((-0.5, -50.0), (-0.02, -2.0), (0.0, 0.0), (0.02, 6.0), (0.5, 150.0)):
-        found = slopes_at(absorber, together((0.0, 0.0, 1.0), (0.0, 0.0, rate)))
-        assert found["value"]["parts"]["force"] == pytest.approx(force, abs=1e-12)
-    sharp = sj.ShockAbsorber(CENTERS, sj.Linear(100.0), sj.Linear(300.0), transition=0.0)
-    assert slopes_at(sharp, together((0.0, 0.0, 1.0)))["value"]["parts"]["force"] == 0
-
-
-def test_twist_tilted_by_pi_is_finite():
-    y = together()
-    spring = sj.TorsionalSpring(("ground", "second"), (0.0, 0.0, 1.0), 5.0, 1.0)
-    start = np.asarray(scene_with(spring).bodies["second"].quaternion)
-    y[10:14] = [-start[1], start[0], -start[3], start[2]]  # half a turn about x since the start, times the start
-    y[20:] = np.arange(6)
-    slopes_at(spring, y)
-
-
-# The forces of a suspension ------------------------------------------------------------------------------------------
-
-
-def test_leaf_spring_with_bump_stop():
-    up = (0.0, 0.0, 1.0)
-    leaf = sj.SpringDamper(("ground", "second"), 35900.0, free_length=-0.076, direction=up)
-    stop = sj.BumpStop(("ground", "second"), longest=0.145, stiffness=1e7, direction=up)
-    for u in (-0.05, 0.0, 0.1, 0.145, 0.146):
-        y = together((0.3, 0.2, u))
-        force = sum(slopes_at(element, y)["value"]["wrenches"]["second"].force for element in (leaf, stop))
-        expected = 35900 * (0.076 + u) + 1e7 * max(0.0, u - 0.145)
-        np.testing.assert_allclose(force, [0.0, 0.0, -expected], rtol=1e-9)
-
-
-def test_tyre_over_the_bump():
-    tyre = sj.Tyre("second", 0.36325, 460e3, road=sj.Bump(height=0.2, start=15.0, length=5.0), speed=5.0)
-    at_time = program(answer(tyre))
-    for t in (0.0, 3.2, 3.5, 4.5):
-        found = at_time(t, together((0.0, -0.615, 0.5)))
-        height = 0.1 * (1 - np.cos(2 * np.pi * (5 * t - 15) / 5)) if 3 < t < 4 else 0.0
-        assert found["parts"]["road_height"] == pytest.approx(height, abs=1e-14)
-        assert found["parts"]["load"] == pytest.approx(460e3 * max(0.0, 0.36325 - 0.5 + height), rel=1e-12)
-        np.testing.assert_allclose(found["wrenches"]["second"].force, [0.0, 0.0, found["parts"]["load"]])
-
-
-# Bad input -----------------------------------------------------------------------------------------------------------
+def test_constraints_slow_force_elements_down():
+    """A light body that is fixed to a heavy one is as slow as this; the choice looks twice."""
+    bodies = {
+        "heavy": sj.Body(50.0, [1.0] * 3, position=(0.0, 0.0, -1.0)),
+        "light": sj.Body(1e-3, [1.0] * 3, position=(0.0, 0.0, -1.5)),
+    }
+    joints = {"weld": sj.Fixed(("heavy", "light"), (0.0, 0.0, -1.5))}
+    forces = {"spring": sj.SpringDamper(("ground", "light"), 2e4, 1e3, 1.5)}
+    system = sj.compile_scene(sj.Scene(bodies, joints, forces)).system
+    structure, theta = flatten_system(system)
+    free, held = (force_rates(system, structure, np.asarray(theta), constrained) for constrained in (False, True))
+    assert free.decay == pytest.approx(1e3 / 1e-3, rel=1e-2)
+    assert held.decay == pytest.approx(1e3 / 50.001, rel=1e-2)
+    assert isinstance(choose_solver(system).solver, diffrax.Dopri8)
 
 
 @pytest.mark.parametrize(
-    ("force", "message"),
+    ("stiffness", "damping", "mass", "solver"),
     [
-        (lambda: sj.SpringDamper(CENTERS, -1.0), "force 'element': stiffness = -1 must be finite and not negative"),
-        (lambda: sj.SpringDamper(CENTERS, 1.0, -2.0), "damping = -2"),
-        (lambda: sj.SpringDamper(CENTERS, 1.0, free_length=np.nan), "free_length"),
-        (lambda: sj.SpringDamper(("first.ear", "second"), 1.0), "body 'first' has no point 'ear'; it has 'eye'"),
-        (lambda: sj.SpringDamper(("first", "third.eye"), 1.0), "there is no body 'third'"),
-        (lambda: sj.SpringDamper(("first", "first.eye"), 1.0), "must lie on two bodies"),
-        (lambda: sj.SpringDamper("first", 1.0), "must name two points"),  # pyright: ignore[reportArgumentType]
-        (lambda: sj.SpringDamper(CENTERS, 1.0, direction=(0.0, 0.0, 0.0)), "direction = .* must be a direction"),
-        (lambda: sj.SpringDamper(CENTERS, 1.0, direction=(0.0, 1.0)), "three numbers"),
-        (lambda: sj.ShockAbsorber(CENTERS, jnp.sin, jnp.sin, transition=-1.0), "transition = -1"),
-        (lambda: sj.BumpStop(CENTERS, 0.2, 0.1, 1e3), "longest = 0.1 must be above shortest"),
-        (lambda: sj.BumpStop(CENTERS, 0.2, stiffness=1e3, damping=1.0), "onset = 0 must be positive with damping"),
-        (lambda: sj.TorsionalSpring(("first", "first"), (0, 0, 1), 1.0), "bodies = .* must be two bodies"),
-        (lambda: sj.TorsionalSpring(CENTERS, (0, 0, 0), 1.0), "axis = .* must be a direction"),
-        (lambda: sj.Tyre("second", -0.3, 1e5), "radius = -0.3 must be positive"),
-        (lambda: sj.Tyre("ground", 0.3, 1e5), "must be on a moving body"),
-        (lambda: sj.Tyre("second", 0.3, 1e5, road=sj.Bump(0.1, 0.0, 0.0)), "road.length = 0"),
-        (lambda: sj.Tyre("second", 0.3, 1e5, road=0.0), "road = 0.0 is no function"),  # pyright: ignore[reportArgumentType]
-        (lambda: sj.AppliedWrench("second.ear"), "no point 'ear'"),
+        (1e7, 1e3, 50.0, diffrax.Dopri8),  # a stop of a car is not stiff
+        (1e7, 1e4, 0.1, sj.Rodas5P),  # decays at 1e5 per second
+        (1e8, 300.0, 0.01, sj.Rodas5P),  # vibrates at 1e5 rad/s, and that decays
+        (1e8, 0.0, 0.01, diffrax.Dopri8),  # vibrates at 1e5 rad/s for ever
     ],
 )
-def test_bad_input_is_named(force, message):
-    with pytest.raises(sj.SceneError, match=message):
-        sj.compile_scene(scene_with(force()))
+def test_stiff_force_elements_get_a_stiff_method(stiffness, damping, mass, solver):
+    choice = choose_solver(system_between(stiffness, damping, mass), 1e-8)
+    assert isinstance(choice.solver, solver)
+    assert "force elements act at about" in choice.reason
 
 
-def test_missing_arguments_are_named():
-    with pytest.raises(TypeError, match="shortest= or longest="):
-        sj.BumpStop(CENTERS, stiffness=1e3)
-    with pytest.raises(TypeError, match="compression= and extension="):
-        sj.ShockAbsorber(CENTERS, None, jnp.sin)  # pyright: ignore[reportArgumentType]
+def test_a_law_without_scalar_program_runs_on_array_code():
+    xs, ys = np.array([0.0, 1.0, 3.0]), np.array([-50.0, 0.0, 60.0])
+    slow = hanging(0.0)
+    forces = {"spring": sj.SpringDamper(("ground.a", "ball"), spring=lambda u: jnp.interp(u, xs, ys))}
+    slow = sj.Scene(slow.bodies, forces=forces, ground_points=slow.ground_points)
+    with pytest.warns(sj.ArrayPathWarning, match="state_rate runs as array code"):
+        run = sj.simulate(slow, ts=jnp.linspace(0.0, 0.5, 3))
+    fast = sj.Scene(
+        slow.bodies,
+        forces={"spring": sj.SpringDamper(("ground.a", "ball"), spring=sj.Table(xs, ys))},
+        ground_points=slow.ground_points,
+    )
+    np.testing.assert_allclose(run.ys, sj.simulate(fast, ts=run.ts).ys, atol=1e-6)

@@ -25,6 +25,7 @@ FUNCTIONS = {
     "table": sj.Table(X, Y),
     "smooth table": sj.SmoothTable(X, Y),
     "two points": sj.SmoothTable(X[:2], Y[:2]),
+    "one line": sj.Table(X[:2], Y[:2]),
     "sum": sj.Sum(sj.Linear(1.0), sj.Sine(1.0, 1.0)),
     "user's": as_function(lambda x: x**2 * jnp.cos(x)),
 }
@@ -37,6 +38,7 @@ BREAKS = {
     "table": X,
     "smooth table": X,
     "two points": X[:2],
+    "one line": X[:2],
 }
 SMOOTH = ["smooth step", "bump", "smooth table"]
 EVERYWHERE = np.linspace(-1.3, 1.4, 37)

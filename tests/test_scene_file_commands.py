@@ -2,8 +2,10 @@
 
 import re
 from functools import partial
+from pathlib import Path
 
 import diffrax
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from double_pendulum import TEXT, write
 
 import spherejax as sj
 from spherejax import cli
+from spherejax.command_line.scenes import model_name
 from spherejax.files.dimensions import FIELDS
 from spherejax.files.kinds import kebab
 from spherejax.files.objects import same
@@ -37,6 +40,36 @@ def test_a_file_runs_from_the_command_line_as_it_says(written, tmp_path, capsys)
     seen = capsys.readouterr().out
     assert "double pendulum with a dry elbow, as described, 0.04 s" in seen
     assert "contact onsets of elbow" in seen
+
+
+def readme_block(language: str) -> str:
+    """The double pendulum of the README."""
+    text = (Path(__file__).parents[1] / "README.md").read_text()
+    return re.search(rf"<!-- double pendulum in \w+ -->\n\n```{language}\n(.*?)```", text, re.DOTALL).group(1)
+
+
+def test_the_readme_says_the_same_in_python_and_in_a_file(tmp_path, capsys):
+    python, toml = readme_block("python"), readme_block("toml")
+    assert len(python.strip().splitlines()) < 20
+    described: dict = {}
+    exec(python, described)
+    path, out = tmp_path / "pendulum.toml", tmp_path / "run.nc"
+    path.write_text(toml)
+    scene = sj.load_scene(path)
+    assert jax.tree.structure(scene) == jax.tree.structure(described["scene"])
+    for one, other in zip(jax.tree.leaves(scene), jax.tree.leaves(described["scene"]), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-15)
+    assert cli.main(["run", str(path), "--out", str(out)]) == 0
+    run = described["run"]
+    with xarray.open_dataset(out) as ds:
+        np.testing.assert_allclose(ds.position.sel(body="lower"), run.position("lower"), atol=1e-6)
+    wrong = path.with_name("wrong.toml")
+    wrong.write_text(toml.replace('"0.1 mm"', '"3 N"'))
+    assert cli.main(["run", str(wrong)]) == 2
+    promised = "pendulum.toml:21: joints.elbow.model.clearance: '3 N' is a force [N], but a length [m] is expected"
+    assert promised.replace("pendulum", "wrong") in capsys.readouterr().err
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    assert promised in " ".join(readme.split())
 
 
 def test_a_bad_file_is_one_readable_line(written, capsys, monkeypatch):
@@ -79,6 +112,13 @@ def test_options_come_before_the_file_and_the_file_before_the_defaults(written, 
     assert options["max_steps"] == 20_000_000
 
 
+def test_the_number_of_samples_asked_for_comes_before_their_interval_in_the_file(written, asked):
+    path = str(written(TEXT, ("samples = 5", 'dt = "1 ms"')))
+    assert cli.main(["run", path]) == 2
+    assert cli.main(["run", path, "--samples", "3"]) == 2
+    assert [len(ts) for _, ts, _ in asked] == [41, 3]
+
+
 def test_joint_options_replace_the_model_of_the_studied_joint_or_another(written, asked):
     path = str(written())
     dry = ("--joint", "dry", "--of", "shoulder", "--clearance", "2e-4")
@@ -105,6 +145,16 @@ def test_joint_options_replace_the_model_of_the_studied_joint_or_another(written
 def test_joint_options_that_make_no_sense_are_refused(written, asked, capsys, words, message):
     assert cli.main(["run", str(written()), *words]) == 2
     assert message in capsys.readouterr().err
+    assert not asked
+
+
+@pytest.mark.parametrize(("name", "title"), [("four-bar", "ideal"), ("hip", "as described"), ("chain", "as described")])
+def test_titles_say_which_model_a_scene_of_the_gallery_has(name, title, asked, capsys):
+    options = cli.parser().parse_args(["run", name])
+    assert model_name(options) == title
+    assert cli.main(["run", name, "--clearance", "1e-4"]) == 2
+    expected = "means nothing with --joint ideal" if title == "ideal" else "changes nothing without --joint"
+    assert expected in capsys.readouterr().err
     assert not asked
 
 

@@ -153,6 +153,7 @@ def test_a_wrong_dimension_is_named_with_the_expected_one(text, unit, message):
         ('t1 = "40 ms"', "t1 = -1", "scene.toml:38: simulation.t1: -1.0 must be positive"),
         ("samples = 5", "samples = 1", "scene.toml:39: simulation.samples: 1 must be at least 2"),
         ("samples = 5", "samples = 5.5", "scene.toml:39: simulation.samples: 5.5 is not a whole number"),
+        ("samples = 5", "dt = 0.1", "scene.toml:39: simulation.dt: 0.1 must not be above t1 = 0.04 [s]"),
         ("samples = 5", "samples = 5\ndt = 0.1", "samples and dt say the same twice"),
         ('solver = "dopri8"', 'solver = "dopri9"', ":41: simulation.solver: 'dopri9' is unknown; did you mean 'dopri"),
         ("rtol = 1e-6", "rtoll = 1e-6", "scene.toml:40: simulation.rtoll: unknown key; did you mean 'rtol'?"),

@@ -20,7 +20,9 @@ import spherejax as sj
 from spherejax.files.dimensions import FIELDS
 from spherejax.files.kinds import kebab, kinds_of, parameters_of
 from spherejax.files.objects import same
+from spherejax.files.parts import Part
 from spherejax.files.quantities import Quantity
+from spherejax.files.units import in_si, simplified
 
 
 @pytest.fixture
@@ -86,6 +88,32 @@ def test_the_unit_of_a_stiffness_follows_its_exponent(written):
     assert scene.joints["elbow"].model.normal.stiffness == pytest.approx(3e9, rel=1e-15)
 
 
+UNITS_BY_TIME = {
+    "constant": {"value": "N"},
+    "linear": {"slope": "N/s", "offset": "N"},
+    "polynomial": {"center": "s"},
+    "sine": {"amplitude": "N", "frequency": "Hz", "phase": "rad", "offset": "N"},
+    "step": {"at": "s", "before": "N", "after": "N"},
+    "smooth-step": {"start": "s", "end": "s", "before": "N", "after": "N"},
+    "bump": {"height": "N", "start": "s", "length": "s"},
+    "table": {"x": "s", "y": "N"},
+    "smooth-table": {"x": "s", "y": "N"},
+    "piecewise": {"breaks": "s"},
+    "sum": {},
+}
+"""Of a force by time."""
+
+
+def test_units_of_functions_follow_their_argument_and_value():
+    assert set(UNITS_BY_TIME) == set(kinds_of(sj.AbstractFunction))
+    for kind, cls in kinds_of(sj.AbstractFunction).items():
+        fields = {name: field for name, field in FIELDS[cls].items() if isinstance(field, Quantity)}
+        assert set(fields) == set(UNITS_BY_TIME[kind])
+        for name, field in fields.items():
+            si = simplified(field.si.format(of_argument="s", of_value="N"))
+            assert in_si(f"1 {UNITS_BY_TIME[kind][name]}", si) == 1.0, (kind, name)
+
+
 def test_functions_have_the_units_of_the_place_where_they_stand(written):
     force = """
 [forces.shock]
@@ -105,7 +133,7 @@ spring = { kind = "linear", slope = "1 N m/deg" }
 kind = "rotation-driver"
 bodies = ["ground", "upper"]
 axis = [0, 1, 0]
-angle = { kind = "uniform", rate = "60 rpm", start = "1 deg" }
+angle = { kind = "linear", slope = "60 rpm", offset = "1 deg" }
 [joints.slide]
 kind = "distance-driver"
 first = "ground.hook"
@@ -119,8 +147,8 @@ length = { kind = "sine", amplitude = "1 cm", frequency = "2 Hz", phase = "90 de
     np.testing.assert_allclose(shock.damper.x, [-1.0, 0.0, 1.0], rtol=1e-14)
     np.testing.assert_allclose(shock.damper.y, [-1e3, 0.0, 1e3], rtol=1e-14)
     assert twist.spring.slope == pytest.approx(180 / np.pi)
-    motor, slide = scene.joints["motor"].angle.law, scene.joints["slide"].length.law
-    np.testing.assert_allclose([motor.rate, motor.start], [2 * np.pi, np.pi / 180])
+    motor, slide = scene.joints["motor"].angle, scene.joints["slide"].length
+    np.testing.assert_allclose([motor.slope, motor.offset], [2 * np.pi, np.pi / 180])
     np.testing.assert_allclose([slide.amplitude, slide.frequency, slide.phase, slide.offset], [0.01, 2, np.pi / 2, 0.3])
 
 
@@ -245,6 +273,12 @@ def test_traced_and_batched_numbers_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_scene_that_cannot_be_simulated_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(sj.SceneError, match=r"^body 'b': mass = -1 must be positive"):
+        sj.save_scene(sj.Scene({"b": sj.Body(-1.0, (1.0, 1.0, 1.0))}), tmp_path / "s.toml")
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_existing_file_is_replaced_only_on_request_and_never_by_a_failure(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text("precious")
@@ -268,7 +302,7 @@ FAMILIES = tuple(
     for family in (getattr(sj, name) for name in sj.__all__)
     if inspect.isclass(family) and family.__name__.startswith("Abstract")
 )
-NO_FAMILY = (sj.Body, sj.Material, sj.Uniform, sj.Harmonic)
+NO_FAMILY = (sj.Body, sj.Material)
 NO_KIND = {sj.UserFunction: "holds a user's own function, which a file names instead"}
 PUBLIC = [
     cls
@@ -310,8 +344,8 @@ JOINTS = [
     sj.PointOnCurve("a.tip", sj.ImplicitCurve(my_laws.helix)),
     sj.Distance("ground.hook", "a.tip"),
     sj.Distance("ground.hook", "a.tip", 0.7),
-    sj.DistanceDriver("ground.hook", "a.tip", sj.Harmonic(0.1, 2.0, 0.3, 1.0)),
-    sj.RotationDriver(BOTH, AXIS, sj.Uniform(3.0, 0.1)),
+    sj.DistanceDriver("ground.hook", "a.tip", sj.Sine(0.1, 2.0, 0.3, 1.0)),
+    sj.RotationDriver(BOTH, AXIS, sj.Linear(3.0, 0.1)),
     sj.RotationDriver(BOTH, AXIS, my_laws.hat),
     sj.TranslationDriver(BOTH, "a.tip", AXIS, sj.SmoothStep(0.0, 1.0, 0.0, 0.2)),
     sj.PositionDriver("a.tip", my_laws.gust),
@@ -342,6 +376,7 @@ FORCES = [
     sj.TorsionalSpring(BOTH, AXIS, 3.0, 0.1, 0.2, spring=sj.Linear(2.0), damper=sj.Linear(0.1)),
     sj.Tyre("a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True),
     sj.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
+    my_laws.Motor("a", sj.Sine(1.0, 2.0)),
     sj.AppliedWrench("a.tip", force=my_laws.gust, moment=(1.0, 2.0, 3.0), place=(0.1, 0.0, 0.0)),
 ]
 
@@ -397,6 +432,9 @@ def test_units_are_those_of_the_docstrings(cls):
     for name, field in FIELDS[cls].items():
         entry = re.search(rf"(?<![\w.]){name}: (.*?)(?= \w+: |$)", doc)
         unit = re.search(r"\[([^\]]+)\]", entry.group(1)) if entry else None
+        if isinstance(field, Part) and field.argument is not None and entry:
+            value_by_argument = re.match(r"[^\[]*\[([^\]]+)\] by [^\[]*\[([^\]]+)\]", entry.group(1))
+            assert not value_by_argument or value_by_argument.groups() == (field.value, field.argument), name
         depends_on_the_place = isinstance(field, Quantity) and "{of_" in (field.si or "")
         if isinstance(field, Quantity) and unit and not depends_on_the_place:
             assert field.si == UNITS_WRITTEN.get(unit.group(1), unit.group(1)), name

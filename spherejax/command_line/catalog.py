@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import spherejax as sj
+from spherejax.files.dimensions import FIELDS
 from spherejax.files.settings import SOLVERS
 
 SCENES: Mapping[str, Callable[..., sj.Scene]] = {
@@ -14,6 +15,9 @@ SCENES: Mapping[str, Callable[..., sj.Scene]] = {
     if name in sj.gallery.__all__ and inspect.signature(build).return_annotation is sj.Scene
 }
 """The scenes of the gallery: functions that can be called without arguments."""
+
+ALIASES = {"a01": "simple-pendulum", "a02": "n-four-bar", "a04": "bricard", "a05": "governor"}
+"""Short names of scenes: their numbers in the IFToMM library of benchmark problems."""
 
 
 class Usual(NamedTuple):
@@ -30,8 +34,16 @@ class Usual(NamedTuple):
     bushing: tuple[float, float] = (1e6, 1e-2)
 
 
-USUAL: Mapping[str, Usual] = {"suspension": Usual(6.0, 6001, (2e7, 1e-3))}
-"""Scenes that take other values than `Usual()`."""
+USUAL: Mapping[str, Usual] = {
+    "andrews": Usual(0.03),
+    "bricard": Usual(10.0),
+    "car-axis": Usual(3.0),
+    "governor": Usual(10.0),
+    "n-four-bar": Usual(10.0),
+    "simple-pendulum": Usual(10.0),
+    "suspension": Usual(6.0, 6001, (2e7, 1e-3)),
+}
+"""Scenes that take other values than `Usual()`: those that their sources ask for."""
 
 JOINTS = {
     "ideal": "ball and socket without any gap: constraint equations",
@@ -68,13 +80,6 @@ DRIFT_CONTROLS = {
     "post-stabilization": (sj.PostStabilization, "one Newton correction after each step"),
     "none": (sj.NoDriftControl, "the equations as they are"),
 }
-
-UNITS = {
-    "mu": "-", "mu_kinetic": "-", "mu_static": "-", "v0": "m/s", "v1": "m/s", "kappa": "s/m",
-    "restitution": "-",
-    "stribeck_velocity": "m/s", "bristle_stiffness": "1/m", "bristle_damping": "s/m", "viscous": "s/m",
-    "stiffness": "N/m", "damping": "s", "exponent": "-",
-}  # fmt: skip
 
 ABOUT_FILES = """\
 A * marks a key that must be given. Numbers are in the unit in brackets, or texts with another unit: "0.1 mm".
@@ -116,7 +121,8 @@ def list_names(options: argparse.Namespace) -> int:
     if options.kinds:
         list_kinds()
         return 0
-    scenes = [(name, (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
+    short = {name: f"{name} ({alias})" for alias, name in ALIASES.items()}
+    scenes = [(short.get(name, name), (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
     print_table("Scenes", ("name", "what"), scenes)
     print_table("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
     print_table("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))
@@ -168,15 +174,11 @@ def parameters_of(law: type) -> str:
 
     words = []
     for parameter in dataclasses.fields(law):
-        unit = (
-            "N/m^n"
-            if "exponent" in law.__dataclass_fields__ and parameter.name == "stiffness"
-            else UNITS[parameter.name]
-        )
+        unit = FIELDS[law][parameter.name].what
         if parameter.default is dataclasses.MISSING:
-            words.append(f"{parameter.name} [{unit}]")
+            words.append(f"{parameter.name} {unit}")
         elif parameter.default is None:
-            words.append(f"{parameter.name} from radii and materials [{unit}]")
+            words.append(f"{parameter.name} from radii and materials {unit}")
         else:
-            words.append(f"{parameter.name} = {parameter.default:g} [{unit}]")
+            words.append(f"{parameter.name} = {parameter.default:g} {unit}")
     return ", ".join(words) or "none"

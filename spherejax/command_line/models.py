@@ -15,7 +15,7 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--joint",
         choices=JOINTS,
-        help="model of the studied joint (default: ideal; of a file: the model that it describes)",
+        help="model of the studied joint (default: the one that the scene or the file describes)",
     )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
     gap.add_argument("--clearance", type=float, metavar="M", help="radial clearance [m] (default: 1e-4)")

@@ -28,6 +28,8 @@ EPILOG = """examples:
   spherejax run four-bar --joint bushing --stiffness 1e5 --dt 1e-3 --out run.csv
   spherejax run four-bar --t1 1000 --samples 101 --drift projection
   spherejax run my_mechanism.toml --out run.nc
+  spherejax run robot.urdf --t1 1
+  spherejax run a04
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
 """
 
@@ -44,11 +46,9 @@ def add_run(commands) -> None:
     add_scene(parser)
     add_joint_options(parser)
     times = parser.add_argument_group("times and accuracy")
-    times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2; suspension: 6)")
+    times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2, or as published)")
     sampling = times.add_mutually_exclusive_group()
-    sampling.add_argument(
-        "--samples", type=int, metavar="N", help="number of samples (default: 2001; suspension: 6001)"
-    )
+    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001, or as published)")
     sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
     times.add_argument("--rtol", type=float, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=float, help="absolute tolerance of a step, one number (default: by the scene)")

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import spherejax as sj
-from spherejax.command_line.catalog import JOINTS, SCENES, USUAL, Usual
+from spherejax.command_line.catalog import ALIASES, JOINTS, SCENES, USUAL, Usual
 from spherejax.command_line.models import USED_BY, model_from
 from spherejax.files.objects import arguments_of
 from spherejax.files.place import one_of
 from spherejax.files.settings import SimulationSettings
 
-SUFFIXES = {".toml": "a scene file"}
+SUFFIXES = {".toml": "a scene file", ".urdf": "a robot description"}
 """Files that describe a mechanism."""
 
 AS_DESCRIBED = "as described"
-"""Stands for the name of a model where the file's own models are taken."""
+"""Stands for the name of a model where the scene's or the file's own models are taken."""
 
 
 class Chosen(NamedTuple):
@@ -67,30 +67,42 @@ def chosen(options: argparse.Namespace) -> Chosen:
     found = _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser())
     if options.of is not None:
         found = _studying(found, options.of)
-    if given in SCENES and options.of is None:
-        model_from(options)  # refuses options that the model does not use
-    elif options.joint is None:
+    if options.joint is None and (options.of is not None or model_name(options) == AS_DESCRIBED):
         _refuse_loose(options)
+    else:
+        model_from(options)  # refuses options that the model does not use
     return found
 
 
 def model_name(options: argparse.Namespace) -> str:
-    """What the studied joint is called in titles: the word of `--joint`, or that the file's own models are taken."""
+    """What the studied joint is called in titles: the word of `--joint`, or that the scene's own models are taken."""
     if options.joint is not None:
         return options.joint
-    return AS_DESCRIBED if options.scene not in SCENES else "ideal"
+    return "ideal" if options.scene in SCENES and _is_ideal(SCENES[options.scene]) else AS_DESCRIBED
 
 
 def studied_in(build: Callable[..., sj.Scene]) -> str | None:
     """The joint that receives the model of a gallery scene."""
-    if "model" not in inspect.signature(build).parameters:
+    if not _takes_model(build):
         return None
     marker = sj.Ideal()
     joints = build(marker).joints
     return next((name for name, joint in joints.items() if getattr(joint, "model", None) is marker), None)
 
 
+def _is_ideal(build: Callable[..., sj.Scene]) -> bool:
+    """Whether the studied joint is ideal unless another model is given."""
+    studied = studied_in(build)
+    joint = None if studied is None else build().joints[studied]
+    return isinstance(joint, sj.Spherical) and joint.model.is_ideal
+
+
+def _takes_model(build: Callable[..., sj.Scene]) -> bool:
+    return "model" in inspect.signature(build).parameters
+
+
 def _scene_name(text: str) -> str:
+    text = ALIASES.get(text.lower(), text)
     if text not in SCENES and Path(text).suffix not in SUFFIXES:
         files = ", or a file: " + ", ".join(f"{suffix} ({what})" for suffix, what in SUFFIXES.items())
         raise argparse.ArgumentTypeError(f"there is no scene {text!r}; {one_of(SCENES, text)}{files}")
@@ -99,7 +111,7 @@ def _scene_name(text: str) -> str:
 
 def _from_gallery(name: str) -> Chosen:
     build = SCENES[name]
-    takes_model = "model" in inspect.signature(build).parameters
+    takes_model = _takes_model(build)
 
     def with_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None and not takes_model:
@@ -114,7 +126,7 @@ def _from_gallery(name: str) -> Chosen:
 
 
 def _from_file(path: Path) -> Chosen:
-    file = sj.read_scene_file(path)
+    file = sj.SceneFile(sj.load_urdf(path)) if path.suffix == ".urdf" else sj.read_scene_file(path)
 
     def without_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None:
@@ -169,5 +181,5 @@ def _refuse_loose(options: argparse.Namespace) -> None:
         if getattr(options, name) is not None:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(
-                f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the file's own models are taken"
+                f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the scene's own models are taken"
             )

@@ -8,13 +8,14 @@ from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
 Write a mechanism to a scene file (TOML) with every number and its unit, to start a mechanism of your
-own from. Reading the file gives the same scene,
+own from, or to see what a robot description (.urdf) becomes. Reading the file gives the same scene,
 to the last bit. `spherejax list --kinds` names everything that can stand in such a file.
 """
 
 EPILOG = """examples:
   spherejax write four-bar --joint friction --out four_bar.toml
   spherejax run four_bar.toml --t1 0.2
+  spherejax write robot.urdf --out robot.toml
 """
 
 GALLERY_SETTINGS = sj.SimulationSettings(t1=2.0, samples=2001, rtol=1e-8)

@@ -238,17 +238,7 @@ FUNCTIONS: Mapping[type, Fields] = {
     functions.SmoothTable: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
     functions.Piecewise: {"breaks": listed("{of_argument}"), "pieces": Parts(functions.AbstractFunction)},
     functions.Sum: {"terms": Parts(functions.AbstractFunction)},
-    joints.Uniform: {"rate": number("({of_value})/({of_argument})"), "start": _VALUE},
-    joints.Harmonic: {
-        "amplitude": _VALUE,
-        "frequency": number("1/({of_argument})"),
-        "phase": number("rad"),
-        "mean": _VALUE,
-    },
 }
-
-ALSO: Mapping[type, tuple[type, ...]] = {functions.AbstractFunction: (joints.Uniform, joints.Harmonic)}
-"""Members of a family that are not derived from it."""
 
 FIELDS: Mapping[type, Fields] = {
     Body: BODY,

@@ -4,6 +4,7 @@ The text has been parsed before, so its syntax is known to be right; what is lef
 """
 
 import re
+from bisect import bisect_left
 
 KeyPath = tuple[str | int, ...]
 """Keys from the top of the file to a value; positions in lists count from 0."""
@@ -31,6 +32,7 @@ class _Walk:
 
     def __init__(self, text: str):
         self.text, self.at = text, 0
+        self.ends = [found.start() for found in re.finditer("\n", text)]
         self.lines: dict[KeyPath, int] = {}
         self.table: KeyPath = ()
         self.n_entries: dict[KeyPath, int] = {}
@@ -124,7 +126,7 @@ class _Walk:
         return found.group()
 
     def _line(self) -> int:
-        return self.text.count("\n", 0, self.at) + 1
+        return bisect_left(self.ends, self.at) + 1
 
 
 def _unquoted(key: str) -> str:

@@ -10,14 +10,14 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 from zlib import crc32
 
-from spherejax.files.dimensions import ALSO, FIELDS, Fields
+from spherejax.files.dimensions import FIELDS, Fields
 from spherejax.files.fields import Plain, words_of
 from spherejax.files.parts import OwnFunction, Part
 from spherejax.files.place import Place, one_of
@@ -39,7 +39,7 @@ def kebab(name: str) -> str:
 
 def kinds_of(family: type) -> dict[str, type]:
     """The classes of a family by kind, as the package has them."""
-    members = (cls for cls in FIELDS if issubclass(cls, family) or cls in ALSO.get(family, ()))
+    members = (cls for cls in FIELDS if issubclass(cls, family))
     return {kebab(cls.__name__): cls for cls in members}
 
 
@@ -143,6 +143,8 @@ def is_needed(parameter: inspect.Parameter) -> bool:
 def _field_of(annotation: Any, unit: str | None):
     if annotation in (bool, str, int):
         return Plain(annotation)
+    if (get_origin(annotation) or annotation) is Callable:
+        return Part(AbstractFunction)
     if isinstance(annotation, type) and annotation in _families():
         return Part(annotation)
     return Quantity(unit, None)

@@ -15,7 +15,6 @@ from spherejax.foundations.checks import Requirement, SceneError, enforce, is_co
 from spherejax.physics.functions import UserFunction
 from spherejax.physics.functions.base import Given
 from spherejax.physics.joints import Dry, Lubricated
-from spherejax.physics.joints.time_functions import TimeFunction
 
 KIND = "kind"
 """The key that names the class."""
@@ -139,7 +138,6 @@ def unwrapped(value: Any) -> Any:
 WRAPPERS: Mapping[type, Callable[[Any], tuple]] = {
     Given: lambda given: (given.module, given.function),
     UserFunction: lambda function: (function.given,),
-    TimeFunction: lambda function: (function.law, function.plain),
 }
 """Classes in which functions of users are kept."""
 

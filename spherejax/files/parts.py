@@ -31,7 +31,8 @@ class Part(Field):
     @property
     def what(self) -> str:
         """The family."""
-        return f"a {words_of(self.family)}"
+        units = "" if self.argument is None else f", [{self.value}] by [{self.argument}]"
+        return f"a {words_of(self.family)}{units}"
 
     def read(self, value, place, context):
         """The object."""

@@ -29,7 +29,10 @@ class Quantity(Field):
     @property
     def what(self) -> str:
         """The unit and the shape."""
-        unit = "any unit" if self.si is None else "-" if self.si == PURE else self.si.translate(_WITHOUT_BRACKETS)
+        if self.si is None or self.si == PURE:
+            unit = "any unit" if self.si is None else "-"
+        else:
+            unit = self.si.translate(_WITHOUT_BRACKETS).replace("of_", "")
         if self.shapes is None or self.shapes == ((),):
             return f"[{unit}]"
         return f"{' or '.join(_shape_text(shape) for shape in self.shapes)} [{unit}]"

@@ -12,6 +12,9 @@ from spherejax.files.quantities import listed, number, vector
 FORMS = '{ axis = [0, 0, 1], angle = "30 deg" } or { sequence = "ZXZ", angles = ["10 deg", "20 deg", 0] }'
 
 
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
+"""The quaternion of no turn."""
+
 _SEQUENCE = re.compile(r"(?:([XYZ])(?!\1)){1,3}|(?:([xyz])(?!\2)){1,3}")
 
 
@@ -63,7 +66,7 @@ def _sequence(value: Any, place: Place, context: Context) -> np.ndarray:
     angles = np.asarray(listed("rad").read(value["angles"], place / "angles", context))
     if len(angles) != len(letters):
         (place / "angles").fail(f"{len(angles)} angles for the {len(letters)} axes of {letters!r}; give one for each")
-    quaternion = np.array([1.0, 0.0, 0.0, 0.0])
+    quaternion = UNTURNED
     for letter, angle in zip(letters, angles, strict=True):
         turn = turn_about(np.eye(3)["xyz".index(letter.lower())], float(angle))
         quaternion = product(quaternion, turn) if letters.isupper() else product(turn, quaternion)

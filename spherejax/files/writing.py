@@ -43,8 +43,7 @@ def save_scene(
         raise SceneError(f"{str(path)!r} exists; choose another name, or ask to overwrite it")
     if studied is not None and studied not in scene.joints:
         raise SceneError(f"studied: there is no joint {studied!r}")
-    if check_scene(scene):
-        raise SceneError("a traced scene cannot be written; write it outside jit, vmap and grad")
+    check_scene(scene)
     file = SceneFile(scene, title, studied, settings or SimulationSettings())
     # Imported when it is needed: reading needs no TOML writer.
     from spherejax.files.text import scene_text
@@ -61,7 +60,10 @@ def _store(text: str, path: Path, file: SceneFile) -> None:
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     try:
-        again = read_scene_file(draft)
+        try:
+            again = read_scene_file(draft)
+        except SceneError as error:
+            raise SceneError(f"{str(path)!r} was not written, for it could not be read again: {error}") from error
         if not same(again.scene, file.scene) or again[1:] != file[1:]:
             raise SceneError(f"{str(path)!r}: the file would not give the scene back; nothing was written")
         draft.replace(path)

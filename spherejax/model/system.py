@@ -143,7 +143,9 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
             slots.append(MemorySlot(name, start, names))
             start += len(names)
     refines = _masses_are_far_apart(bodies)
-    smallest = _smallest_pivot(bodies)
+    # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
+    is_driven = any(joint.is_driven for joint in joints.values())
+    smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
     system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines, smallest)
     return Compiled(system, conditions)
 

@@ -62,7 +62,7 @@ class ConstraintReport(NamedTuple):
     def __str__(self) -> str:
         sentences = [
             f"{self.n_equations} constraint equations of rank {self.rank}; "
-            f"{self.degrees_of_freedom} degrees of freedom (now)."
+            f"{self.degrees_of_freedom} degrees of freedom."
         ]
         if self.n_redundant:
             names = ", ".join(map(repr, self.redundant_joints))

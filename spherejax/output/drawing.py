@@ -1,4 +1,7 @@
-"""Pictures of a mechanism: `draw` one instant, `animate` a run. Matplotlib is imported when the first one is made."""
+"""Pictures of a mechanism: `draw` one instant, `animate` a run, `view` it in a notebook.
+
+Matplotlib is imported when the first one is made.
+"""
 
 import os
 from collections.abc import Callable, Sequence
@@ -117,3 +120,40 @@ def animate(
     wishes = Wishes(view, projections, magnified, plane, traces, frames, True, title)
     path = animation_path(path, overwrite=overwrite)
     return write_animation(mechanism, path, wishes, fps=fps, slow=slow, dpi=dpi, report=report)
+
+
+def view(
+    run: Trajectory | Scene,
+    *,
+    scene: Scene | None = None,
+    view: tuple[float, float] | None = None,
+    projections: bool = False,
+    magnified: Sequence[str] | None = None,
+    plane: Sequence[float] | None = None,
+    traces: Sequence[str] = (),
+    frames: bool = False,
+    title: str | None = None,
+    dpi: float = 100.0,
+):
+    """Look at a run in a notebook: slide or play the time, turn the mechanism with the mouse. Works without the web.
+
+    Args:
+        run: the run; a scene stands still and can be turned.
+
+    Other args:
+        scene, view, projections, magnified, plane, traces, frames, title: as for `draw`.
+        dpi: pixels per inch; the sheet is 7 inches wide, 10 with a magnified joint.
+
+    Returns:
+        A widget (`pip install 'spherejax[notebooks]'`), to be the last line of a cell; where ipympl or ipywidgets is
+        missing a picture, with a warning that says so.
+
+    Raises:
+        SceneError: as `draw`.
+    """
+    from spherejax.output.plot.interactive import view_of
+    from spherejax.output.plot.mechanism import mechanism_of
+    from spherejax.output.plot.sheet import Wishes
+
+    wishes = Wishes(view, projections, magnified, plane, traces, frames, True, title)
+    return view_of(mechanism_of(run, scene), wishes, dpi)

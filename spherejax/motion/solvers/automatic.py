@@ -7,6 +7,7 @@ import numpy as np
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.system import Structure, System, flatten_system
+from spherejax.motion.solvers.force_rates import force_rates
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.motion.tolerances import time_scale
@@ -62,18 +63,29 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
     """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
-    joint acts on the bodies that it joins: a film, an elastomer, or the friction of a contact that lasts under load. A
-    stiff method needs the steps of its accuracy. Contacts that only come and go are left to the explicit method: they
-    are short, and landed on. Numbers that are traced are not looked at: the choice then rests on the models alone.
+    joint acts on the bodies that it joins (a film, an elastomer, or the friction of a contact that lasts under load),
+    or with which force elements act at the start. A stiff method needs the steps of its accuracy. Contacts and stops
+    that only come and go are left to the explicit method: they are short, and landed on or passed. Numbers that are
+    traced are not looked at: the choice then rests on the models alone.
 
     Args:
         system: the system.
         rtol: relative tolerance of the run; 1e-8 is assumed when it is traced.
     """
+    known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
+    by_joints = _choice_by_joints(system, known_rtol)
+    if not system.forces:
+        return by_joints
+    by_forces = _choice_by_forces(system, known_rtol)
+    if not isinstance(by_forces.solver, diffrax.Dopri8):
+        return by_forces
+    return Choice(by_joints.solver, f"{by_joints.reason}; {by_forces.reason}")
+
+
+def _choice_by_joints(system: System, known_rtol: float) -> Choice:
     looked_at = [name for name in system.force_joints if _may_be_stiff(system.spherical(name).model)]
     if not looked_at:
         return Choice(diffrax.Dopri8(), "Dopri8: no joint has a film, an elastomer or friction")
-    known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
     stiff = stiff_method(known_rtol).solver
     name_of_stiff = type(stiff).__name__
     structure, theta = flatten_system(system)
@@ -92,6 +104,22 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
         reason = f"{name_of_stiff}: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
         return Choice(stiff, reason)
     return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol")
+
+
+def _choice_by_forces(system: System, rtol: float) -> Choice:
+    """Rodas5P where force elements are too fast for Dopri8: the W-method leaves them out of its Jacobian."""
+    structure, theta = flatten_system(system)
+    if not is_concrete(theta):
+        return Choice(diffrax.Dopri8(), "numbers of the scene are traced, and force elements not looked at")
+    limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
+    # Constraints only slow things down: with them only what is too fast without them is looked at.
+    rate = force_rates(system, structure, np.asarray(theta), constrained=False).fastest
+    if rate > limit:
+        rate = force_rates(system, structure, np.asarray(theta)).fastest
+    what = f"force elements act at about {rate:.1e} per second or slower"
+    if rate > limit:
+        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
+    return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
 
 
 class _Rate(NamedTuple):

@@ -143,9 +143,16 @@ def drawn_frames(sheet: Sheet, times: np.ndarray, report: Report | None) -> Iter
     """Pictures of a sheet, red, green and blue, shape (height, width, 3); a new array each."""
     canvas = sheet.figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
+    moving = sheet.moving_artists
+    for artist in moving:
+        artist.set_animated(True)  # left out when the figure is drawn: what rests is drawn once
+    canvas.draw()
+    resting = canvas.copy_from_bbox(sheet.figure.bbox)
     for done, t in enumerate(times, start=1):
+        canvas.restore_region(resting)
         sheet.update(sheet.mechanism.pose(float(t)))
-        canvas.draw()
+        for artist in sorted(moving, key=lambda one: one.get_zorder()):
+            sheet.figure.draw_artist(artist)
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
         if report is not None:
             report(f"frame {done} of {len(times)}", done / len(times))
@@ -219,9 +226,9 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, seconds: float) -> None
             process.stdin.close()
         except BrokenPipeError:
             pass  # ffmpeg has stopped; what it says follows
-        words = process.stderr.read().decode(errors="replace")
+        words = " ".join(process.stderr.read().decode(errors="replace").split())
     if process.returncode:
-        raise SceneError(f"ffmpeg cannot write {str(path)!r}: {words.strip()[-300:]}; or write a GIF (.gif)")
+        raise SceneError(f"ffmpeg cannot write {str(path)!r}: {words[-300:]}; or write a GIF (.gif)")
 
 
 def _even(frame: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, PathPatch
@@ -99,8 +100,18 @@ def joint_motion(mechanism: Mechanism, name: str) -> JointMotion:
     )
 
 
-def plane_of(motion: JointMotion, gravity: np.ndarray, normal: Sequence[float] | None) -> Camera:
-    """A view of the plane in which the ball's center moves, or of the one with the normal that is asked for."""
+def plane_of(motion: JointMotion, gravity: np.ndarray, normal: Sequence[float] | None, viewer: np.ndarray) -> Camera:
+    """A view of the plane in which the ball's center moves, or of the one with the normal that is asked for.
+
+    Args:
+        motion: of the ball.
+        gravity: world axes; what is opposite to it is up, where that is possible.
+        normal: towards the viewer; None for the plane that holds most of the path, seen from the side of `viewer`.
+        viewer: direction towards the viewer of the whole mechanism.
+
+    Raises:
+        SceneError: for a normal that is no direction.
+    """
     if normal is not None:
         toward = np.asarray(normal, float)
         if toward.shape != (3,) or not 0 < np.linalg.norm(toward) < np.inf:
@@ -108,14 +119,12 @@ def plane_of(motion: JointMotion, gravity: np.ndarray, normal: Sequence[float] |
         toward = toward / np.linalg.norm(toward)
     else:
         toward = _least_direction(motion.eccentricity)
-    first, second, up = world_directions(gravity)
+        toward = toward if toward @ viewer >= 0 else -toward
+    _, second, up = world_directions(gravity)
     upward = second if abs(toward @ up) > SNAP else up
     upward = upward - (upward @ toward) * toward
     upward = upward / np.linalg.norm(upward)
-    right = np.cross(upward, toward)
-    if normal is None and right @ (first + 0.5 * second) < 0:  # seen from the side from which the world is drawn
-        right, toward = -right, -toward
-    return Camera(right, upward)
+    return Camera(np.cross(upward, toward), upward)
 
 
 def _least_direction(eccentricity: np.ndarray) -> np.ndarray:
@@ -137,10 +146,12 @@ class MagnifiedView:
         camera: the plane.
     """
 
-    def __init__(self, ax: Axes, mechanism: Mechanism, name: str, normal: Sequence[float] | None = None):
+    def __init__(
+        self, ax: Axes, mechanism: Mechanism, name: str, *, normal: Sequence[float] | None, viewer: np.ndarray
+    ):
         self.ax, self.motion = ax, joint_motion(mechanism, name)
         self.joint = mechanism.joints[name]
-        self.camera = plane_of(self.motion, mechanism.gravity, normal)
+        self.camera = plane_of(self.motion, mechanism.gravity, normal, viewer)
         every = max(1, len(self.motion.ts) // LONGEST_PATH)
         self.path, self.path_ts = self._on_paper(self.motion.eccentricity[::every]), self.motion.ts[::every]
         ax.set_axis_off()
@@ -149,8 +160,8 @@ class MagnifiedView:
         self.whole.set_data(*self.path.T)
         self.passed = self._line(color=FLIGHT, lw=0.8, zorder=3)
         self.arm = self._line(color=INK, lw=0.9, zorder=5)
-        self.normal = self._patch(INK, 5)
-        self.force = self._patch(FORCE_COLOR, 6)
+        self.normal = self._patch(INK, 5, "normal")
+        self.force = self._patch(FORCE_COLOR, 6, "force")
         self.ball = self._line(marker="o", ms=6, mec="white", mew=0.6, ls="none", zorder=7, gid=f"ball:{name}")
         self.text = ax.text(
             0.5, 0.0, "", transform=ax.transAxes, ha="center", va="top", fontsize=7.5, linespacing=1.3, zorder=8
@@ -185,8 +196,14 @@ class MagnifiedView:
         self.view = view
         self.update(pose)
 
-    def update(self, pose: Pose) -> list:
-        """Move everything to a time; returns the artists that moved."""
+    @property
+    def moving_artists(self) -> list[Artist]:
+        """What `update` moves."""
+        own = [self.passed, self.arm, self.ball, self.normal, self.force, self.text]
+        return own if self.link is None else [self.link, *own]
+
+    def update(self, pose: Pose) -> None:
+        """Move everything to a time."""
         e, force = self.motion.at(pose.t)
         at = self._on_paper(e[None])[0]
         distance, radius = float(np.linalg.norm(e)), self.motion.radius
@@ -207,7 +224,6 @@ class MagnifiedView:
         if self.link is not None:
             place = pose.point(self.joint.bodies[0], self.joint.places[0])
             self.link.xy1 = tuple(self.view.camera.project(place))
-        return [self.passed, self.arm, self.ball, self.normal, self.force, self.text]
 
     def _words(self, distance: float, touches: bool, force: np.ndarray | None) -> str:
         c = self.motion.clearance
@@ -243,8 +259,8 @@ class MagnifiedView:
         self.ax.add_line(line)
         return line
 
-    def _patch(self, color: str, zorder: float) -> PathPatch:
-        patch = PathPatch(Path(np.zeros((1, 2))), facecolor=color, edgecolor=color, lw=1.2, zorder=zorder)
+    def _patch(self, color: str, zorder: float, name: str) -> PathPatch:
+        patch = PathPatch(Path(np.zeros((1, 2))), facecolor=color, edgecolor=color, lw=1.2, zorder=zorder, gid=name)
         self.ax.add_patch(patch)
         return patch
 

@@ -6,7 +6,7 @@ evenly whatever the samples are; at a sample they are the sample.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -161,7 +161,7 @@ class Mechanism:
 
     def hangs(self, joint: DrawnJoint) -> bool:
         """Whether a joint's body hangs from the ground at the start, so that the ground is drawn above it."""
-        if GROUND not in joint.bodies:
+        if (joint.bodies[0] == GROUND) == (joint.bodies[1] == GROUND):
             return False
         on_ground = joint.bodies.index(GROUND)
         other = joint.bodies[1 - on_ground]
@@ -226,10 +226,15 @@ def _of_scene(scene: Scene) -> Mechanism:
 
 def _mechanism(system: System, layout: Layout, ts, ys, scene: Scene | None, run: Trajectory | None) -> Mechanism:
     state = unpack(layout, ys)
-    joints = {name: _drawn_joint(name, joint) for name, joint in system.joints.items()}
+    placed = list(system.joints.values())
+    joints = {name: _drawn_joint(name, joint, placed) for name, joint in system.joints.items()}
     places = _places(joints.values(), system.forces, scene)
+    bodies = [_drawn_body(name, body, places.get(name, [])) for name, body in system.bodies.items()]
+    size = float(np.ptp(state.position[0], axis=0).max()) + max(
+        (float(np.linalg.norm(place)) for name in system.bodies for place in places.get(name, [])), default=0.0
+    )
     return Mechanism(
-        bodies=tuple(_drawn_body(name, body, places.get(name, [])) for name, body in system.bodies.items()),
+        bodies=tuple(_fitting(one, size) for one in bodies),
         joints=joints,
         forces=system.forces,
         gravity=np.asarray(system.gravity, float),
@@ -248,6 +253,8 @@ def _places(joints, forces: Mapping[str, Any], scene: Scene | None) -> dict[str,
     found: dict[str, list[np.ndarray]] = {}
     for joint in joints:
         for body, place in zip(joint.bodies, joint.places, strict=True):
+            if joint.kind == "RotationDriver":
+                continue
             found.setdefault(body, []).append(place)
     for force in forces.values():
         for body, place in force_places(force):
@@ -282,10 +289,20 @@ def _distinct(points: list[np.ndarray]) -> list[np.ndarray]:
     return kept
 
 
-def _drawn_joint(name: str, joint: Any) -> DrawnJoint:
-    first, second = joint.points
-    places = (np.asarray(first, float), np.asarray(second, float))
-    return DrawnJoint(name, _kind(joint), tuple(joint.bodies), places, _axes(joint), getattr(joint, "model", None))
+def _drawn_joint(name: str, joint: Any, others: Sequence[Any]) -> DrawnJoint:
+    kind, bodies, axes = _kind(joint), tuple(joint.bodies), _axes(joint)
+    first, second = (np.asarray(point, float) for point in joint.points)
+    if kind == "RotationDriver":  # a torque has no point: it is drawn at the joint that it drives
+        driven = [one for one in others if set(one.bodies) == set(bodies) and not getattr(one, "is_driven", False)]
+        if driven:
+            return replace(_drawn_joint(name, driven[0], ()), kind=kind, model=None)
+    if kind in ONE_POINT:  # the other point is an origin, where nothing is
+        return DrawnJoint(name, kind, (bodies[1], bodies[1]), (second, second), ())
+    return DrawnJoint(name, kind, bodies, (first, second), axes, getattr(joint, "model", None))
+
+
+ONE_POINT = ("PositionDriver", "PointOnCurve")
+"""Kinds of joints with a point on the second body only."""
 
 
 KINDS = {
@@ -315,6 +332,8 @@ def _axes(joint: Any) -> tuple[tuple[int, np.ndarray], ...]:
     own = getattr(joint, "axes", ()) or ([joint.axis] if getattr(joint, "axis", None) is not None else [])
     found = [(1, _unit(axis)) for axis in own]
     kind = _kind(joint)
+    if kind == "TranslationDriver":
+        found = [(0, _unit(joint.axis))]
     if kind == "Universal":
         found.append((0, _unit(joint.right_angles[0][0])))
     if kind == "PointOnPlane":
@@ -335,6 +354,24 @@ def _drawn_body(name: str, body: Body, places: list[np.ndarray]) -> DrawnBody:
     squares = 6 * (moments.sum() - 2 * moments) / float(np.asarray(body.mass))
     half_sides = 0.5 * np.sqrt(np.maximum(squares, 0.0))
     return DrawnBody(name, np.array(places).reshape(-1, 3), half_sides, axes)
+
+
+def _fitting(body: DrawnBody, size: float) -> DrawnBody:
+    """The body with a box that does not hide the mechanism, whose inertia may be that of a bigger body.
+
+    The box reaches at most a quarter beyond the body's farthest point; one that is held at its center of mass is at
+    most `SMALL_BOX` of the mechanism. A free body keeps its box.
+    """
+    reach = float(np.linalg.norm(body.half_sides))
+    if len(body.places) == 0 or reach == 0:
+        return body
+    farthest = float(np.linalg.norm(body.places, axis=1).max())
+    most = 1.25 * farthest if farthest > SMALL_BOX * size else SMALL_BOX * size
+    return replace(body, half_sides=body.half_sides * min(1.0, most / reach))
+
+
+SMALL_BOX = 0.1
+"""Half diagonal of the box of a body that is held at its center of mass, as a share of the mechanism, at most."""
 
 
 def _hermite(ts: np.ndarray, values: np.ndarray, rates: np.ndarray, s: float) -> np.ndarray:

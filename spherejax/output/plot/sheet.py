@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -47,6 +48,7 @@ class Sheet:
     Attributes:
         figure: the figure.
         mechanism: what is drawn.
+        pose: what is drawn now.
         views: the mechanism, first in space.
         joints: magnified joints.
     """
@@ -59,6 +61,7 @@ class Sheet:
         *,
         pace: str = "",
         dpi: float = RESOLUTION,
+        turns: bool = False,
     ):
         """A sheet whose limits enclose the mechanism at all `poses`, drawn at the last of them.
 
@@ -68,9 +71,10 @@ class Sheet:
             wishes: what is shown.
             pace: how fast the time passes, written beside the time.
             dpi: pixels per inch.
+            turns: whether the spatial view will be turned, so that its limits enclose everything from all sides.
         """
         pose = poses[-1]
-        self.mechanism, self.wishes, self.pace = mechanism, wishes, pace
+        self.mechanism, self.wishes, self.pace, self.pose = mechanism, wishes, pace, pose
         traces = traces_of(mechanism, wishes.traces)
         points = np.concatenate([drawn_points(mechanism, poses), *(trace.until(pose) for trace in traces)])
         camera = camera_for(mechanism, points, wishes.view)
@@ -83,14 +87,25 @@ class Sheet:
             SpaceView(ax, mechanism, one, pose, points, frames=wishes.frames, traces=traces)
             for ax, one in zip(axes, cameras, strict=True)
         ]
-        self.joints = [MagnifiedView(ax, mechanism, n, wishes.plane) for ax, n in zip(beside, magnified, strict=True)]
+        self.views[0].turns = turns
+        self.joints = [
+            MagnifiedView(ax, mechanism, name, normal=wishes.plane, viewer=camera.toward)
+            for ax, name in zip(beside, magnified, strict=True)
+        ]
         self._say(pose)
         self._settle(pose)
         if bottom is not None:
             key.draw_key(bottom, mechanism, bodies=len(poses) > 1)
 
+    @property
+    def moving_artists(self) -> list[Artist]:
+        """What `update` moves."""
+        parts = (*self.views, *self.joints)
+        return [self.title, *(artist for part in parts for artist in part.moving_artists)]
+
     def update(self, pose: Pose) -> None:
         """Move everything to another time."""
+        self.pose = pose
         self._say(pose)
         for one in (*self.views, *self.joints):
             one.update(pose)
@@ -188,7 +203,8 @@ def labels_of(view: SpaceView, pose: Pose) -> list[Label]:
     """Names of bodies and joints, where they are at a pose."""
     found = []
     for joint in view.mechanism.joints.values():
-        anchor = view.camera.project(pose.point(joint.bodies[0], joint.places[0]))
+        ends = [pose.point(body, place) for body, place in zip(joint.bodies, joint.places, strict=True)]
+        anchor = view.camera.project(np.mean(ends, axis=0) if joint.kind.startswith("Distance") else ends[1])
         found.append(Label(joint.name, anchor, 1.2 * view.size, "0.25", False, f"joint:{joint.name}"))
     for body in view.mechanism.bodies:
         places = body.places if len(body.places) > 1 else np.vstack([body.places, np.zeros((1, 3))])

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
@@ -14,10 +15,11 @@ from matplotlib.transforms import ScaledTranslation
 
 from spherejax.output.plot.camera import Camera, axis_name
 from spherejax.output.plot.elements import mechanism_strokes
-from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.mechanism import Mechanism, Pose, force_places
 from spherejax.output.plot.shapes import AXIS_COLORS
 from spherejax.output.plot.strokes import INK, Stroke
 from spherejax.output.plot.style import dress
+from spherejax.physics.forces import Tyre
 
 SYMBOL_SHARE, SMALLEST_SHARE = 0.017, 0.005
 """Radius of a joint's symbol as a share of the drawing's size: the usual one, and the least."""
@@ -66,6 +68,11 @@ def drawn_points(mechanism: Mechanism, poses: Sequence[Pose]) -> np.ndarray:
     for pose in poses:
         for joint in mechanism.joints.values():
             found.extend(pose.point(body, place)[None] for body, place in zip(joint.bodies, joint.places, strict=True))
+        for force in mechanism.forces.values():
+            found.extend(pose.point(body, place)[None] for body, place in force_places(force))
+            if isinstance(force, Tyre):
+                around = float(np.asarray(force.radius)) * np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+                found.append(pose.point(force.center.partition(".")[0], np.asarray(force.place, float) + around))
         for body in mechanism.bodies:
             found.append(pose.positions[body.name][None])
             found.append(pose.point(body.name, body.places))
@@ -106,7 +113,10 @@ class SpaceView:
         ax: the panel.
         camera: from where it is seen.
         artists: one for each stroke, in the order of `strokes`.
+        turns: whether limits enclose all points from all sides, so that the view can be turned.
     """
+
+    turns = False
 
     def __init__(
         self,
@@ -170,7 +180,12 @@ class SpaceView:
             self.corner.follow(self.camera, scale)
 
     def _extent(self) -> tuple[np.ndarray, np.ndarray]:
-        return _limits(self.camera.project(self.points), 3.2 * self.size)
+        if not self.turns:
+            return _limits(self.camera.project(self.points), 3.2 * self.size)
+        middle = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        radius = float(np.linalg.norm(self.points - middle, axis=1).max())
+        center = self.camera.project(middle)
+        return _limits(np.array([center - radius, center + radius]), 3.2 * self.size)
 
     def _panel(self) -> np.ndarray:
         """Width and height of the panel [pixel]."""
@@ -181,8 +196,13 @@ class SpaceView:
         """Height that is kept free for world axes and scale bar [pixel]."""
         return 0.0 if self.corner is None else CORNER_HEIGHT * self.ax.figure.dpi
 
-    def update(self, pose: Pose) -> list:
-        """Move everything to a pose; returns the artists that moved."""
+    @property
+    def moving_artists(self) -> list[Artist]:
+        """What `update` moves."""
+        return [*self.artists, *self.trace_lines]
+
+    def update(self, pose: Pose) -> None:
+        """Move everything to a pose."""
         groups = self.strokes(pose)
         ranks = {id(group): rank for rank, group in enumerate(sorted(groups, key=lambda group: group[0].depth))}
         flat = [(group, stroke) for group in groups for stroke in group]
@@ -192,7 +212,6 @@ class SpaceView:
         for line, trace in zip(self.trace_lines, self.traces, strict=True):
             passed = self.camera.project(trace.until(pose))
             line.set_data(passed[:, 0], passed[:, 1])
-        return [*self.artists, *self.trace_lines]
 
 
 def patch_of(stroke: Stroke) -> PathPatch:
@@ -259,8 +278,8 @@ class Triad:
             name = ax.text(0, 0, "", color=color, fontsize=8, transform=origin, ha="center", va="center", zorder=9)
             self.axes.append((line, name))
 
-    def follow(self, camera: Camera) -> list:
-        """Point the axes as a camera sees them; returns what moved."""
+    def follow(self, camera: Camera) -> None:
+        """Point the axes as a camera sees them."""
         for (line, name), axis, letter in zip(self.axes, np.eye(3), "xyz", strict=True):
             tip = self.length * camera.project(axis)
             length = float(np.linalg.norm(tip))
@@ -269,7 +288,6 @@ class Triad:
             beside = tip * (1 + 0.1 / length) if length > 0.05 else np.array([-0.09, -0.09])
             name.set_position(tuple(self.center + beside))
             name.set_text(letter)
-        return [artist for pair in self.axes for artist in pair]
 
 
 class Corner:
@@ -309,10 +327,10 @@ class Corner:
         self.text.xy = (right - 0.5 * self.length, height)
 
 
-CORNER_HEIGHT = 0.5
+CORNER_HEIGHT = 0.6
 """Height of the strip that a spatial view keeps free for its corner [inch]."""
 
-TRIAD_CENTER, TRIAD_LENGTH = np.array([0.40, 0.32]), 0.27
+TRIAD_CENTER, TRIAD_LENGTH = np.array([0.38, 0.26]), 0.26
 """Where the world axes meet, from the lower left corner, and their length [inch]."""
 
 

@@ -7,7 +7,16 @@ import numpy as np
 
 from spherejax.output.plot.camera import Camera
 from spherejax.output.plot.mechanism import DrawnJoint, Pose
-from spherejax.output.plot.strokes import CIRCLE, INK, PAPER, Stroke, box_faces, convex_hull, ground_marks
+from spherejax.output.plot.strokes import (
+    CIRCLE,
+    INK,
+    PAPER,
+    Stroke,
+    arrow_outline,
+    box_faces,
+    convex_hull,
+    ground_marks,
+)
 from spherejax.output.plot.style import MODEL_COLORS
 from spherejax.physics.bodies import GROUND
 
@@ -45,7 +54,7 @@ def symbol_strokes(joint: DrawnJoint, ends: list, axes: list, camera: Camera, s:
 
 def _ground_strokes(joint: DrawnJoint, ends: list[np.ndarray], camera: Camera, s: float) -> list[Stroke]:
     """Hatching below a joint's point on the ground."""
-    if GROUND not in joint.bodies:
+    if GROUND not in joint.bodies or joint.kind.endswith("Driver") or joint.kind == "PointOnPlane":
         return []
     at = camera.project(ends[joint.bodies.index(GROUND)])
     return [replace(stroke, name=f"ground:{joint.name}") for stroke in ground_marks(at, s)]
@@ -128,17 +137,65 @@ def _distance(joint, ends, axes, camera, s) -> list[Stroke]:
 
 
 def _on_plane(joint, ends, axes, camera, s) -> list[Stroke]:
-    """A patch of the plane below a point."""
+    """A patch of the plane around the point that stays in it."""
     if not axes:
         return _unknown(joint, ends, axes, camera, s)
     first, second = _perpendiculars(axes[0])
-    corners = [ends[0] + 2.6 * s * (p * first + q * second) for p, q in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
-    normal = np.array([ends[0], ends[0] + 2.2 * s * axes[0]])
+    corners = [ends[1] + 2.1 * s * (p * first + q * second) for p, q in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
+    normal = np.array([ends[1], ends[1] + 2.2 * s * axes[0]])
     return [
         Stroke(camera.project(np.array(corners)), 0.0, INK, 0.7, "0.9", 0.8),
         Stroke(camera.project(normal), 0.0, INK, 0.9),
         Stroke(camera.project(ends[1]) + 0.5 * s * CIRCLE, 0.0, INK, 1.0, PAPER),
     ]
+
+
+def _rotation_driver(joint, ends, axes, camera, s) -> list[Stroke]:
+    """An arc with an arrow around the joint that is driven."""
+    angle = np.radians(np.linspace(-60.0, 200.0, 41))
+    arc = camera.project(ends[0]) + 2.0 * s * np.stack([np.cos(angle), np.sin(angle)], -1)
+    tip = arc[-1] + 0.9 * s * np.array([-np.sin(angle[-1]), np.cos(angle[-1])])
+    return [
+        Stroke(arc, 0.0, DRIVER_COLOR, 1.4),
+        Stroke(arrow_outline(arc[-1], tip, 0.5 * s), 0.0, DRIVER_COLOR, 0.8, DRIVER_COLOR),
+    ]
+
+
+def _translation_driver(joint, ends, axes, camera, s) -> list[Stroke]:
+    """An arrow along the axis, beside the point that is driven."""
+    along = camera.project(axes[0]) if axes else np.array([1.0, 0.0])
+    length = float(np.linalg.norm(along))
+    across = np.array([-along[1], along[0]]) / length if length > 0 else np.array([0.0, 1.0])
+    at = camera.project(ends[1]) + 1.7 * s * across
+    arrow = arrow_outline(at - 2.4 * s * along, at + 2.4 * s * along, 0.5 * s)
+    return [Stroke(arrow, 0.0, DRIVER_COLOR, 1.4, DRIVER_COLOR)]
+
+
+def _position_driver(joint, ends, axes, camera, s) -> list[Stroke]:
+    """A cross in a ring."""
+    at = camera.project(ends[1])
+    cross = 1.5 * s * np.array([[-1, 0], [1, 0], [np.nan, np.nan], [0, -1], [0, 1]])
+    return [Stroke(at + 0.9 * s * CIRCLE, 0.0, DRIVER_COLOR, 1.2, PAPER), Stroke(at + cross, 0.0, DRIVER_COLOR, 1.2)]
+
+
+def _distance_driver(joint, ends, axes, camera, s) -> list[Stroke]:
+    """The link of a distance, in the color of what is driven."""
+    return [
+        replace(stroke, edge=DRIVER_COLOR if stroke.edge == INK else stroke.edge)
+        for stroke in _distance(joint, ends, axes, camera, s)
+    ]
+
+
+def _on_curve(joint, ends, axes, camera, s) -> list[Stroke]:
+    """A point on a piece of a curve."""
+    x = np.linspace(-2.4, 2.4, 25)
+    curve = s * np.stack([x, 0.12 * x * x], -1)
+    at = camera.project(ends[1])
+    return [Stroke(at + curve, 0.0, INK, 1.0), Stroke(at + 0.5 * s * CIRCLE, 0.0, INK, 1.0, PAPER)]
+
+
+DRIVER_COLOR = "#882255"
+"""Of what is prescribed as a function of time."""
 
 
 def _unknown(joint, ends, axes, camera, s) -> list[Stroke]:
@@ -160,6 +217,11 @@ SYMBOLS: dict[str, Callable[..., list[Stroke]]] = {
     "Fixed": _fixed,
     "Distance": _distance,
     "PointOnPlane": _on_plane,
+    "PointOnCurve": _on_curve,
+    "RotationDriver": _rotation_driver,
+    "TranslationDriver": _translation_driver,
+    "PositionDriver": _position_driver,
+    "DistanceDriver": _distance_driver,
 }
 """Symbols by the kind of joint."""
 

@@ -182,6 +182,11 @@ class Tyre(AbstractForce):
     def _law(self) -> OneSided:
         return OneSided(self.stiffness, self.damping, self.spring, self.damper, self.onset)
 
+    def road_heights(self, x, t) -> np.ndarray:
+        """Height of the road [m] below places x [m] of the scene at a time t [s]; shape of `x`."""
+        below = jnp.asarray(x, jnp.float64) + self.speed * t
+        return np.asarray(jax.vmap(lambda one: self._road_height(one, jnp.asarray(t, jnp.float64)))(below))
+
     def _road_height(self, x: Scalar, t: Scalar) -> Scalar:
         if self.road is None:
             return jnp.zeros(())
