@@ -10,13 +10,8 @@ from functools import reduce
 import jax
 import numpy as np
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph
-from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
-
-
-class NotScalarizable(Exception):  # noqa: N818 - it says what it is
-    """The function has no scalar program; the message says which operation stands in the way."""
-
+from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph, NotScalarizable
+from spherejax.foundations.scalar_solves import SOLVES
 
 STRUCTURAL = frozenset(
     [
@@ -264,135 +259,6 @@ def _dot_general(graph, inputs, parameters, shapes, dtypes):
     return [np.array(names, np.int64).reshape(shapes[0])]
 
 
-def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
-    del parameters, dtypes
-    matrix, right_side = inputs
-    size, columns = right_side.shape[-2:]
-    matrices = matrix.reshape(-1, size, size)
-    right_sides = right_side.reshape(-1, size, columns)
-    solved = [_eliminate(graph, m, b) for m, b in zip(matrices, right_sides, strict=True)]
-    return [np.array(solved, np.int64).reshape(shapes[0])]
-
-
-def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
-    """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution.
-
-    Redundant rows are left out as in `symmetric_solve`.
-    """
-    size = len(matrix)
-    order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
-    s = [[int(matrix[max(i, j), min(i, j)]) for j in order] for i in order]
-    x = [[int(node) for node in right_side[i]] for i in order]
-    diagonal = [s[j][j] for j in range(size)]
-    inverse_pivots = []
-    factors: list[dict[int, int]] = []
-    for j in range(size):
-        inverse_pivot = _inverse_pivot(graph, s[j][j], diagonal[j])
-        below = {i: graph.mul(s[i][j], inverse_pivot) for i in range(j + 1, size) if not graph.is_value(s[i][j], 0)}
-        for i in below:
-            for k in below:
-                if k <= i:
-                    s[i][k] = graph.sub(s[i][k], graph.mul(below[i], s[k][j]))
-        for i, factor in below.items():
-            x[i] = [graph.sub(a, graph.mul(factor, b)) for a, b in zip(x[i], x[j], strict=True)]
-        inverse_pivots.append(inverse_pivot)
-        factors.append(below)
-    for j in reversed(range(size)):
-        x[j] = [graph.mul(a, inverse_pivots[j]) for a in x[j]]
-        for i, factor in factors[j].items():
-            x[j] = [graph.sub(a, graph.mul(factor, b)) for a, b in zip(x[j], x[i], strict=True)]
-    solution = np.empty_like(right_side)
-    for position, row in enumerate(order):
-        solution[row] = x[position]
-    return solution
-
-
-def _inverse_pivot(graph: Graph, pivot: int, diagonal: int) -> int:
-    """1 / pivot, or 0 for a redundant row; the guarded divisor keeps derivatives finite."""
-    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
-    if pivot == diagonal:
-        return graph.div(one, pivot)
-    smallest = graph.mul(diagonal, graph.constant(REDUNDANT_PIVOT, FLOAT))
-    is_redundant = graph.apply(jax.lax.le_p, (pivot, smallest), BOOL, ())
-    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
-
-
-def _general_solve(graph, inputs, parameters, shapes, dtypes):
-    del parameters, dtypes
-    matrix, right_side = inputs
-    if matrix.ndim != 2 or right_side.shape[1] != 1:
-        raise NotScalarizable("a general solve for several matrices or right-hand sides")
-    return [_eliminate_general(graph, matrix, right_side[:, 0]).reshape(shapes[0])]
-
-
-def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
-    """L U elimination, unrolled, with rows and columns in an order that keeps structural zeros.
-
-    A row without a diagonal entry gets its pivot from the rows before it; where their contributions cancel, the row is
-    redundant and left out, as in `symmetric_solve`.
-    """
-    size = len(matrix)
-    order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
-    a = [[int(matrix[i, j]) for j in order] for i in order]
-    x = [int(right_side[i]) for i in order]
-    zero = graph.constant(0, FLOAT)
-    contributed = {i: zero for i in range(size) if graph.is_value(a[i][i], 0)}
-    inverse_pivots = []
-    for j in range(size):
-        inverse_pivots.append(_inverse_of_contributions(graph, a[j][j], contributed.get(j)))
-        right_of_pivot = [k for k in range(j + 1, size) if not graph.is_value(a[j][k], 0)]
-        for i in range(j + 1, size):
-            if graph.is_value(a[i][j], 0):
-                continue
-            factor = graph.mul(a[i][j], inverse_pivots[j])
-            for k in right_of_pivot:
-                product = graph.mul(factor, a[j][k])
-                a[i][k] = graph.sub(a[i][k], product)
-                if k == i and i in contributed:
-                    size_of = graph.apply(jax.lax.abs_p, (product,), FLOAT, ())
-                    contributed[i] = graph.add(contributed[i], size_of)
-            x[i] = graph.sub(x[i], graph.mul(factor, x[j]))
-    for j in reversed(range(size)):
-        for k in range(j + 1, size):
-            x[j] = graph.sub(x[j], graph.mul(a[j][k], x[k]))
-        x[j] = graph.mul(x[j], inverse_pivots[j])
-    solution = np.empty(size, np.int64)
-    solution[order] = x
-    return solution
-
-
-def _inverse_of_contributions(graph: Graph, pivot: int, contributed: int | None) -> int:
-    """1 / pivot, or 0 where what made the pivot has cancelled; None: the row has a diagonal entry of its own."""
-    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
-    if contributed is None:
-        return graph.div(one, pivot)
-    magnitude = graph.apply(jax.lax.abs_p, (pivot,), FLOAT, ())
-    smallest = graph.mul(contributed, graph.constant(REDUNDANT_PIVOT, FLOAT))
-    is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
-    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
-
-
-def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:
-    """Elimination order that takes, again and again, the row with the fewest neighbors (Tinney's second scheme).
-
-    A row whose diagonal entry is a structural zero waits for all its neighbors: they make its pivot, and only all of
-    them together make one that cannot vanish.
-    """
-    has_pivot = np.diagonal(is_nonzero)
-    is_nonzero = is_nonzero | is_nonzero.T
-    neighbors = {i: {j for j in np.flatnonzero(row).tolist() if j != i} for i, row in enumerate(is_nonzero)}
-    awaited = {i: set() if has_pivot[i] else set(neighbors[i]) for i in neighbors}
-    order = []
-    while neighbors:
-        row = min(neighbors, key=lambda i: (len(awaited[i]), len(neighbors[i]), i))
-        joined = neighbors.pop(row)
-        for i in joined:
-            neighbors[i] = (neighbors[i] | joined) - {i, row}
-            awaited[i].discard(row)
-        order.append(row)
-    return order
-
-
 RULES = {
     "add": _folding("add"),
     "add_any": _folding("add"),
@@ -414,6 +280,5 @@ RULES = {
     "reduce_and": _extremum(jax.lax.and_p, True),
     "reduce_or": _extremum(jax.lax.or_p, False),
     "dot_general": _dot_general,
-    "symmetric_solve": _symmetric_solve,
-    "general_solve": _general_solve,
+    **SOLVES,
 }

@@ -1,0 +1,122 @@
+"""One function for many things of the same kind: bodies, joints, pairs of joints, side by side as lanes.
+
+What is written for one body or one joint is mapped over all of a kind. As array code that is `jax.vmap`. Where the
+array code itself is to be compiled, the function is first turned into a straight-line scalar program, and each of its
+operations then acts on all lanes at once: XLA makes long loops over lanes of it instead of many small blocks.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.scalar_rules import NotScalarizable
+from spherejax.foundations.scalarize import ScalarProgram, scalarize
+
+_AS_PROGRAMS: ContextVar[bool] = ContextVar("lanes run as scalar programs", default=False)
+
+
+@contextmanager
+def lanes_as_programs(chosen: bool = True) -> Iterator[None]:
+    """Within this context (of tracing) `over_lanes` maps scalar programs; outside, the functions themselves."""
+    token = _AS_PROGRAMS.set(chosen)
+    try:
+        yield
+    finally:
+        _AS_PROGRAMS.reset(token)
+
+
+def over_lanes(function: Callable, *lanes, shared: tuple = ()) -> Any:
+    """`function(*shared, *lane)` for each lane.
+
+    Args:
+        function: written for one lane; a module-level function, for its program is kept.
+        *lanes: arguments (pytrees) whose arrays have a leading axis of lanes.
+
+    Other args:
+        shared: arguments that all lanes share, given first.
+
+    Returns:
+        The results, with a leading axis of lanes.
+    """
+    axes = (*(None for _ in shared), *(0 for _ in lanes))
+    arguments = (*shared, *lanes)
+    if _AS_PROGRAMS.get():
+        flat, tree = jax.tree.flatten(arguments)
+        flat_axes = [axis for axis, argument in zip(axes, arguments, strict=True) for _ in jax.tree.leaves(argument)]
+        shapes = tuple(np.shape(x)[0 if axis is None else 1 :] for x, axis in zip(flat, flat_axes, strict=True))
+        program = _lane_program(function, tree, shapes)
+        if program is not None:
+            return jax.vmap(program, flat_axes)(*(jnp.asarray(x, jnp.float64) for x in flat))
+    return jax.vmap(function, axes)(*arguments)
+
+
+@lru_cache(maxsize=512)
+def _lane_program(function: Callable, tree, shapes: tuple[tuple[int, ...], ...]) -> ScalarProgram | None:
+    """The scalar program of a function for one lane; None where it has none, or is too large to be unrolled."""
+
+    def of_leaves(*leaves):
+        return function(*jax.tree.unflatten(tree, leaves))
+
+    examples = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
+    try:
+        with lanes_as_programs(False):
+            return scalarize(of_leaves, *examples, maximum_operations=LARGEST_LANE)
+    except NotScalarizable:
+        return None
+
+
+LARGEST_LANE = 5_000
+"""Functions of more operations than this are mapped as array code: compiling the program would take seconds."""
+
+
+def sums_by_index(values: Float[Array, "k ..."], index: Int[np.ndarray, " k"], size: int) -> Float[Array, "size ..."]:
+    """For each target the sum of the values that name it: out[i] = sum of values[j] over index[j] = i.
+
+    Gathered in turns, the r-th value of each target in turn r, because XLA on the CPU writes scattered sums one by one.
+    Targets of many values are summed in chunks first, so that the work stays proportional to the number of values.
+
+    Args:
+        values: what is summed.
+        index: target of each value (static).
+        size: number of targets.
+    """
+    counts = np.bincount(index, minlength=size)
+    if counts.max(initial=0) > LARGEST_FAN_IN:
+        chunks, of_chunk = _chunked(index)
+        values = sums_by_index(values, chunks, len(of_chunk))
+        return sums_by_index(values, of_chunk, size)
+    order = np.argsort(index, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
+    padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]), values.dtype)])
+    nothing = len(order)
+    order = np.append(order, nothing)
+    total = jnp.zeros((size, *values.shape[1:]), values.dtype)
+    for turn in range(counts.max(initial=0)):
+        source = np.where(counts > turn, order[np.minimum(starts + turn, nothing)], nothing)
+        total = total + padded[source] if turn else padded[source]
+    return total
+
+
+LARGEST_FAN_IN = 8
+"""Values of one target that are summed in one go."""
+
+
+def _chunked(index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Chunk of each value, with at most `LARGEST_FAN_IN` in a chunk, and the target of each chunk."""
+    chunks, of_chunk = np.zeros(len(index), int), []
+    seen: dict[int, tuple[int, int]] = {}
+    for position, target in enumerate(index.tolist()):
+        chunk, filled = seen.get(target, (-1, LARGEST_FAN_IN))
+        if filled == LARGEST_FAN_IN:
+            chunk, filled = len(of_chunk), 0
+            of_chunk.append(target)
+        chunks[position] = chunk
+        seen[target] = (chunk, filled + 1)
+    return chunks, np.array(of_chunk, int)
