@@ -127,7 +127,7 @@ def displaced():
 
 def violations(system, y):
     motions = body_motions(system, unpack(system.layout, jnp.asarray(y)))
-    constraints = constraint_set(system, motions)
+    constraints = constraint_set(system, 0.0, motions)
     return np.asarray(constraints.residual), np.asarray(velocity_violation(constraints, motions))
 
 

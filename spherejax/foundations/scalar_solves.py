@@ -106,12 +106,17 @@ def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray) -> np.ndarray:
 
 
 def _inverse_pivot(graph: Graph, pivot: int, diagonal: int) -> int:
-    """1 / pivot, or 0 for a redundant row; the guarded divisor keeps derivatives finite."""
-    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
+    """1 / pivot, or 0 for a redundant row."""
     if pivot == diagonal:
-        return graph.div(one, pivot)
-    smallest = graph.mul(diagonal, graph.constant(REDUNDANT_PIVOT, FLOAT))
-    is_redundant = graph.apply(jax.lax.le_p, (pivot, smallest), BOOL, ())
+        return graph.div(graph.constant(1, FLOAT), pivot)
+    return _inverse_unless_small(graph, pivot, pivot, diagonal)
+
+
+def _inverse_unless_small(graph: Graph, pivot: int, magnitude: int, scale: int) -> int:
+    """1 / pivot, or 0 where its magnitude is rounding of `scale`; the guarded divisor keeps derivatives finite."""
+    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
+    smallest = graph.mul(scale, graph.constant(REDUNDANT_PIVOT, FLOAT))
+    is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
     return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
 
 
@@ -161,13 +166,10 @@ def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray)
 
 def _inverse_of_contributions(graph: Graph, pivot: int, contributed: int | None) -> int:
     """1 / pivot, or 0 where what made the pivot has cancelled; None: the row has a diagonal entry of its own."""
-    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
     if contributed is None:
-        return graph.div(one, pivot)
+        return graph.div(graph.constant(1, FLOAT), pivot)
     magnitude = graph.apply(jax.lax.abs_p, (pivot,), FLOAT, ())
-    smallest = graph.mul(contributed, graph.constant(REDUNDANT_PIVOT, FLOAT))
-    is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
-    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
+    return _inverse_unless_small(graph, pivot, magnitude, contributed)
 
 
 def _order_of(lower: Rows) -> list[int]:

@@ -10,7 +10,7 @@ from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractJoint, Revolute, Spherical
+from spherejax.physics.joints import AbstractJoint
 
 
 class Scene(eqx.Module):
@@ -137,42 +137,44 @@ def _check_names(scene: Scene) -> None:
 
 def joint_bodies(scene: Scene, joint: AbstractJoint) -> tuple[str, str]:
     """Names of the two bodies that a joint joins."""
-    if isinstance(joint, Spherical):
-        return scene.find(joint.socket)[0], scene.find(joint.ball)[0]
-    if isinstance(joint, Revolute):
-        return joint.bodies
-    raise SceneError(f"{type(joint).__name__} is no joint that the scene knows")
+    return joint.joined(scene.find)
 
 
 def _check_connected(scene: Scene) -> None:
-    """Joints that exist must form one mechanism with the ground, or none at all (free bodies are legal)."""
-    neighbors: dict[str, set[str]] = {}
-    for joint in scene.joints.values():
-        first, second = joint_bodies(scene, joint)
-        neighbors.setdefault(first, set()).add(second)
-        neighbors.setdefault(second, set()).add(first)
-    jointed = [name for name in scene.bodies if name in neighbors]
-    loose = [name for name in scene.bodies if name not in neighbors]
-    if jointed and loose:
-        raise SceneError(
-            f"body {loose[0]!r} is joined to nothing while the others form a mechanism; add a joint, remove the body, "
-            "or simulate it in a scene of its own"
-        )
-    if not jointed:
+    """Refuse what is most likely a mistake: a body left out, or a mechanism in two parts that do not act on each other.
+
+    Force elements connect the bodies that they name; one that names none may act on any body, and nothing is refused.
+    A scene without joints is a scene of free bodies.
+    """
+    named = [force.body_names for force in scene.forces.values()]
+    if not scene.joints or not all(named):
         return
-    reached, frontier = set(), [jointed[0]]
-    while frontier:
-        body = frontier.pop()
-        if body not in reached:
-            reached.add(body)
-            # Two mechanisms that both stand on the ground are connected through it.
-            frontier.extend(neighbors[body])
+    links = [joint_bodies(scene, joint) for joint in scene.joints.values()]
+    jointed = [name for name in scene.bodies if any(name in link for link in links)]
+    touched = {name for names in [*links, *named] for name in names}
+    loose = [name for name in scene.bodies if name not in touched]
+    if loose:
+        raise SceneError(
+            f"body {loose[0]!r} is joined to nothing, and no force element names it, while the others form a "
+            "mechanism; add a joint, remove the body, or simulate it in a scene of its own"
+        )
+    # Two mechanisms that both stand on the ground are connected through it.
+    reached = _connected_with(jointed[0], [*links, *named])
     apart = [name for name in jointed if name not in reached]
     if apart:
         raise SceneError(
-            f"body {apart[0]!r} is not connected to body {jointed[0]!r}; add a joint between the two groups, or "
-            "simulate them in scenes of their own"
+            f"body {apart[0]!r} is not connected to body {jointed[0]!r}; add a joint between the two groups, a force "
+            "element, or simulate them in scenes of their own"
         )
+
+
+def _connected_with(start: str, links: Sequence[tuple[str, ...]]) -> set[str]:
+    """Names that can be reached from one by links."""
+    reached, grows = {start}, True
+    while grows:
+        more = {name for link in links if reached & set(link) for name in link} - reached
+        reached, grows = reached | more, bool(more)
+    return reached
 
 
 def _listed(names) -> str:

@@ -15,7 +15,7 @@ from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractPlacedJoint, PlacedRevolute, PlacedSpherical
+from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
 from spherejax.physics.state import Layout
 
 
@@ -70,11 +70,7 @@ class System(eqx.Module):
     @property
     def force_joints(self) -> tuple[str, ...]:
         """Names of the joints that answer with a force."""
-        return tuple(
-            name
-            for name, joint in self.joints.items()
-            if isinstance(joint, PlacedSpherical) and not joint.model.is_ideal
-        )
+        return tuple(name for name, joint in self.joints.items() if joint.answers_with_force)
 
     @property
     def contact_joints(self) -> tuple[str, ...]:
@@ -90,7 +86,12 @@ class System(eqx.Module):
     @property
     def n_constraints(self) -> int:
         """Number of constraint equations."""
-        return sum(_n_rows(joint) for joint in self.joints.values())
+        return sum(joint.n_rows for joint in self.joints.values())
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether a joint prescribes a motion as a function of time."""
+        return any(joint.is_driven for joint in self.joints.values())
 
     def memory_of(self, joint: str) -> slice:
         """The joint's entries in the memory; an empty slice without memory."""
@@ -157,12 +158,6 @@ def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
 def _with_array_fields(body: Body) -> Body:
     # Points are resolved into the joints; leaving them here would make unused numbers part of the program's shape.
     return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
-
-
-def _n_rows(joint: AbstractPlacedJoint) -> int:
-    if isinstance(joint, PlacedRevolute):
-        return 5
-    return 3 if isinstance(joint, PlacedSpherical) and joint.model.is_ideal else 0
 
 
 SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)

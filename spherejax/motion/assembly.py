@@ -60,40 +60,40 @@ class Assembly(NamedTuple):
         )
 
 
-def assemble(structure: Structure, theta: Numeric) -> Assembly:
-    """Move bodies and velocities to a consistent start; for traced numbers, and differentiable."""
+def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> Assembly:
+    """Move bodies and velocities to a consistent start at time t [s]; for traced numbers, and differentiable."""
     step, project, residual = _programs(structure)
     described = described_state(structure.system(theta))
-    t = jnp.zeros(())
+    t = jnp.asarray(t, jnp.float64)
     moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
     moved = project(theta, t, moved)
     before, after = (_largest(residual(theta, t, y)) for y in (described, moved))
     return _report(described, moved, before, after)
 
 
-def assemble_now(structure: Structure, theta: Numeric) -> Assembly:
+def assemble_now(structure: Structure, theta: Numeric, t: float = 0.0) -> Assembly:
     """`assemble` for concrete numbers, computed at once, with a check of the result.
 
     Raises:
         SceneError: when the mechanism cannot be closed, naming the joint that gapes most.
     """
-    return _assembled(structure, theta.tobytes())
+    return _assembled(structure, theta.tobytes(), float(t))
 
 
 @lru_cache(maxsize=1024)
-def _assembled(structure: Structure, numbers: bytes) -> Assembly:
+def _assembled(structure: Structure, numbers: bytes, t: float) -> Assembly:
     """Kept: studies of joint models start from the same geometry again and again."""
     theta = np.frombuffer(numbers)
     step, project, residual = _programs(structure)
     described = program_for(_described, structure).compute(theta, 0.0, np.zeros(_n_start(structure)))
     moved = described
     for _ in range(N_NEWTON_STEPS):
-        gaps = residual.compute(theta, 0.0, moved)
+        gaps = residual.compute(theta, t, moved)
         if all(np.max(np.abs(gap)) <= _ROUNDING for gap in gaps.values()):
             break
-        moved = step.compute(theta, 0.0, moved)
-    moved = project.compute(theta, 0.0, moved)
-    before, gaps = residual.compute(theta, 0.0, described), residual.compute(theta, 0.0, moved)
+        moved = step.compute(theta, t, moved)
+    moved = project.compute(theta, t, moved)
+    before, gaps = residual.compute(theta, t, described), residual.compute(theta, t, moved)
     assembly = _report(described, moved, _largest(before, np), _largest(gaps, np), np)
     if not assembly.residual_after < CLOSING_TOLERANCE:
         size_of = {name: float(np.nan_to_num(np.max(np.abs(gap)), nan=np.inf)) for name, gap in gaps.items()}
@@ -163,17 +163,15 @@ def described_state(system: System) -> Float[Array, " n"]:
 
 def assembly_residuals(system: System, t: Scalar, y: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:
     """Residual Phi of each joint that the start must satisfy [m or 1]."""
-    del t
-    rows = assembly_set(system, body_motions(system, unpack(system.layout, y))).rows
+    rows = assembly_set(system, t, body_motions(system, unpack(system.layout, y))).rows
     return {name: found.residual for name, found in rows.items()}
 
 
 def newton_step(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
     """Move the bodies by -M^-1 D^T (D M^-1 D^T)^-1 Phi."""
-    del t
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
-    constraints = assembly_set(system, motions)
+    constraints = assembly_set(system, t, motions)
     steps = least_correction(system, motions, constraints, constraints.residual)
     turned = [
         normalized(quaternion_product(quaternion_from_rotation_vector(-turn), p))
@@ -184,10 +182,9 @@ def newton_step(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array
 
 def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
     """Remove the part of the velocities that violates the constraints."""
-    del t
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
-    constraints = assembly_set(system, motions)
+    constraints = assembly_set(system, t, motions)
     violation = velocity_violation(constraints, motions)
     return pack(without_velocities(state, least_correction(system, motions, constraints, violation)))
 

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.symmetric_solve import symmetric_solve
+from spherejax.foundations.types import Scalar
 from spherejax.model.system import System
 from spherejax.motion.loads import Wrenches
 from spherejax.physics.bodies import GROUND, inverse_inertia_in_world
-from spherejax.physics.joints import ConstraintRows
-from spherejax.physics.joints.places import Motions
+from spherejax.physics.joints import ConstraintRows, Motions
 
 
 class InverseMass(NamedTuple):
@@ -35,7 +35,7 @@ class InverseMass(NamedTuple):
 
 
 class ConstraintSet(NamedTuple):
-    """The constraint equations of a system.
+    """The constraint equations of a system, Phi(t, q) = 0.
 
     Attributes:
         rows: rows of each constraining joint, by name.
@@ -54,6 +54,11 @@ class ConstraintSet(NamedTuple):
     def bias(self) -> Float[Array, " n"]:
         """gamma [m/s^2 or 1/s^2]."""
         return _joined([rows.bias for rows in self.rows.values()])
+
+    @property
+    def rate_at_rest(self) -> Float[Array, " n"]:
+        """Phi_t [m/s or 1/s]."""
+        return _joined([rows.rate_at_rest for rows in self.rows.values()])
 
     def blocks_of(self, body: str) -> dict[str, Float[Array, "n 6"]]:
         """The blocks of D that belong to a body, by joint."""
@@ -89,14 +94,14 @@ class ConstraintSet(NamedTuple):
         return total
 
 
-def constraint_set(system: System, motions: Motions) -> ConstraintSet:
-    """The equations of the joints that constrain."""
-    return _collected(system, {name: joint.constraint_rows(motions) for name, joint in system.joints.items()})
+def constraint_set(system: System, t: Scalar, motions: Motions) -> ConstraintSet:
+    """The equations of the joints that constrain, at time t [s]."""
+    return _collected(system, {name: joint.constraint_rows(t, motions) for name, joint in system.joints.items()})
 
 
-def assembly_set(system: System, motions: Motions) -> ConstraintSet:
+def assembly_set(system: System, t: Scalar, motions: Motions) -> ConstraintSet:
     """The equations that a consistent start satisfies: joints that start concentric count as ideal."""
-    return _collected(system, {name: joint.assembly_rows(motions) for name, joint in system.joints.items()})
+    return _collected(system, {name: joint.assembly_rows(t, motions) for name, joint in system.joints.items()})
 
 
 def _collected(system: System, rows: dict[str, ConstraintRows | None]) -> ConstraintSet:
@@ -105,13 +110,13 @@ def _collected(system: System, rows: dict[str, ConstraintRows | None]) -> Constr
 
 
 def velocity_violation(constraints: ConstraintSet, motions: Motions) -> Float[Array, " n"]:
-    """Phi_dot = D v [m/s or 1/s]."""
+    """Phi_dot = D v + Phi_t [m/s or 1/s]."""
     velocities = {
         name: jnp.concatenate([motion.velocity, motion.angular_velocity])
         for name, motion in motions.items()
         if name != GROUND
     }
-    return constraints.times(velocities)
+    return constraints.times(velocities) + constraints.rate_at_rest
 
 
 def inverse_masses(system: System, motions: Motions) -> dict[str, InverseMass]:

@@ -48,7 +48,7 @@ def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> Evaluation:
     motions = body_motions(system, state)
     loads = joint_loads(system, motions, state.memory)
     applied = applied_wrenches(system, t, motions, loads)
-    constraints = constraint_set(system, motions)
+    constraints = constraint_set(system, t, motions)
     solution = constrained_accelerations(system, motions, constraints, applied)
     return Evaluation(state, motions, loads, constraints, solution)
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.types import Flag
+from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble
@@ -26,7 +26,6 @@ from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
 from spherejax.motion.status import Status, status_of
 from spherejax.motion.trajectory import Statistics
-from spherejax.physics.joints import Ideal, PlacedSpherical
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def integrate(
 ) -> Outcome:
     """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
     theta = plan.theta(values, known)
-    assembly, y0 = beginning(plan, theta, start)
+    assembly, y0 = beginning(plan, theta, ts[0], start)
     is_closed = assembly.residual_after < CLOSING_TOLERANCE
     may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
     # A lane that cannot run must not hold up the others: it gets an interval of length zero.
@@ -163,10 +162,12 @@ def samples(ts: Float[Array, " n"], correct: Callable | None) -> diffrax.SubSave
     return diffrax.SubSaveAt(ts=ts, fn=lambda t, y, args: correct(args, t, y))
 
 
-def beginning(plan: Plan, theta: Float[Array, " p"], start: Assembly | None) -> tuple[Assembly, Float[Array, " size"]]:
-    """The consistent start, assembled unless it is given, and the flat state there."""
+def beginning(
+    plan: Plan, theta: Float[Array, " p"], t: Scalar, start: Assembly | None
+) -> tuple[Assembly, Float[Array, " size"]]:
+    """The consistent start at time t [s], assembled unless it is given, and the flat state there."""
     system = plan.structure.system(theta)
-    assembly = assemble(*flatten_system(as_ideal(system))) if start is None else start
+    assembly = assemble(*flatten_system(as_ideal(system)), t) if start is None else start
     return assembly, initial_state(system, assembly)
 
 
@@ -214,13 +215,8 @@ def example_of(structure: Structure) -> System:
 
 def as_ideal(system: System) -> System:
     """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
-    joints = {
-        name: eqx.tree_at(lambda j: j.model, joint, Ideal())
-        if isinstance(joint, PlacedSpherical) and joint.starts_concentric
-        else joint
-        for name, joint in system.joints.items()
-        if not isinstance(joint, PlacedSpherical) or joint.starts_concentric or joint.model.is_ideal
-    }
+    ideal = {name: joint.as_if_ideal() for name, joint in system.joints.items()}
+    joints = {name: joint for name, joint in ideal.items() if joint is not None}
     return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 
 

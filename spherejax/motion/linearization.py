@@ -78,7 +78,7 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
     memory = state.memory + x_change[n_v : n_v + system.layout.n_memory]
     loads = joint_loads(system, motions, memory)
     applied = applied_wrenches(system, t, motions, loads)
-    constraints = constraint_set(system, motions)
+    constraints = constraint_set(system, t, motions)
     acceleration_of = dict(zip(system.bodies, accelerations.reshape(-1, VELOCITY_SIZE), strict=True))
     balance = []
     for name, acceleration in acceleration_of.items():
@@ -199,14 +199,13 @@ def stage_solver(pattern: Pattern):
     """The function (system, t, (y, gamma_h, changes, rhs)) -> k with (I - gamma h J) k = rhs."""
 
     def solve_stage(system: System, t: Scalar, point) -> Float[Array, " size"]:
-        del t
         y, gamma_h, changes, rhs = point
         h = gamma_h[0]
         layout = system.layout
         n_q, n_v, n_x = layout.n_position, layout.n_velocity, layout.size - layout.n_position
         state = unpack(layout, y)
         motions = body_motions(system, state)
-        constraints = constraint_set(system, motions)
+        constraints = constraint_set(system, t, motions)
         by_direction = pattern.expand(changes.reshape(pattern.n_colors, -1))
         by_position, by_x = by_direction[:, :n_v], by_direction[:, n_v:]
         positions = [_position_elimination(system, state, i, h) for i in range(layout.n_bodies)]

@@ -61,11 +61,11 @@ class Here(NamedTuple):
     masses: dict[str, InverseMass]
 
 
-def mechanism_at(system: System, y: Float[Array, " size"]) -> Here:
+def mechanism_at(system: System, t: Scalar, y: Float[Array, " size"]) -> Here:
     """Motions, constraints and masses at a flat state."""
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
-    return Here(system, state, motions, constraint_set(system, motions), inverse_masses(system, motions))
+    return Here(system, state, motions, constraint_set(system, t, motions), inverse_masses(system, motions))
 
 
 # One joint -----------------------------------------------------------------------------------------------------------
@@ -185,9 +185,8 @@ def accelerations_by(here: Here, name: str, answer: Float[Array, "6 k"]) -> Vect
 
 def inexact_product(system: System, t: Scalar, point) -> Float[Array, " size"]:
     """The approximate Jacobian times a vector: (system, t, (y, vector)) -> J vector."""
-    del t
     y, vector = point
-    here = mechanism_at(system, y)
+    here = mechanism_at(system, t, y)
     positions, velocities, rest = _split(here, vector)
     accelerations = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
     for name in system.force_joints:
@@ -201,10 +200,9 @@ def inexact_product(system: System, t: Scalar, point) -> Float[Array, " size"]:
 
 def solve_inexact_stage(system: System, t: Scalar, point) -> Float[Array, " size"]:
     """(system, t, (y, gamma_h, rhs)) -> k with (I - gamma h J) k = rhs for the approximate Jacobian J."""
-    del t
     y, gamma_h, rhs = point
     h = gamma_h[0]
-    here = mechanism_at(system, y)
+    here = mechanism_at(system, t, y)
     positions, velocities, rest = _split(here, rhs)
     moved = {body: positions[body] + h * velocities[body] for body in system.bodies}
     slopes = {name: joint_slopes(here, name) for name in system.force_joints}

@@ -103,13 +103,12 @@ def _mobility_function(joint: str):
     """The function for one joint; the same object each time, so that its program is found again."""
 
     def mobility(system: System, t, y):
-        del t
-        return _normal_mobility(system, joint, y)
+        return _normal_mobility(system, joint, t, y)
 
     return mobility
 
 
-def _normal_mobility(system: System, joint: str, y):
+def _normal_mobility(system: System, joint: str, t, y):
     """Acceleration along n of ball against socket per unit of a pair of opposite forces along n [1/kg]."""
     motions = body_motions(system, unpack(system.layout, y))
     placed = system.spherical(joint)
@@ -118,7 +117,7 @@ def _normal_mobility(system: System, joint: str, y):
     pair = {body: block.T @ n for body, block in zip(placed.bodies, rows.jacobians, strict=True)}
     masses = inverse_masses(system, motions)
     free = {body: masses[body].times(pair[body]) if body in pair else jnp.zeros(6) for body in masses}
-    constraints = constraint_set(system, motions)
+    constraints = constraint_set(system, t, motions)
     moved = free
     if constraints.rows:
         multipliers = symmetric_solve(constraint_mobility(constraints, masses), constraints.times(free))

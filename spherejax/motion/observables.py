@@ -10,7 +10,7 @@ from spherejax.model.system import System
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import inertia_in_world
-from spherejax.physics.joints import PlacedRevolute, PlacedSpherical
+from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.kinematics import point_motion
 
 
@@ -86,8 +86,7 @@ def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
     body = joint.bodies[1]
     jacobian = evaluation.constraints.rows[name].jacobians[1]
     wrench = -jacobian.T @ evaluation.solution.multipliers[name]
-    place = joint.places[1] if isinstance(joint, PlacedRevolute) else system.spherical(name).ball_place
-    arm = point_motion(evaluation.motions[body], jnp.asarray(place)).arm
+    arm = point_motion(evaluation.motions[body], jnp.asarray(joint.points[1])).arm
     return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
 
 

@@ -20,7 +20,7 @@ from spherejax.motion.constraints import (
 )
 from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import program_for
-from spherejax.physics.joints.places import Motions
+from spherejax.physics.joints import Motions
 from spherejax.physics.state import State, pack, unpack
 
 REGULARIZATION = 1e-13
@@ -55,14 +55,13 @@ def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arra
 
     Both corrections use the same S, of the state before: in a scalar program it is factorized once.
     """
-    del t
     state = unpack(system.layout, y)
     state = state._replace(quaternion=jnp.stack([normalized(p) for p in state.quaternion]))
     motions = body_motions(system, state)
-    constraints = constraint_set(system, motions)
+    constraints = constraint_set(system, t, motions)
     moved = _moved_back(state, least_correction(system, motions, constraints, constraints.residual))
     motions_moved = body_motions(system, moved)
-    violation = velocity_violation(constraint_set(system, motions_moved), motions_moved)
+    violation = velocity_violation(constraint_set(system, t, motions_moved), motions_moved)
     return pack(without_velocities(moved, least_correction(system, motions, constraints, violation)))
 
 

@@ -130,7 +130,7 @@ def _controlled_slopes(
         return Parameters(theta, rate.ahead(theta))
 
     def beginning_of(values):
-        return beginning(plan, plan.theta(values, known), start)
+        return beginning(plan, plan.theta(values, known), ts[0], start)
 
     (assembly, y0), (assembly_slopes, Y0) = _linearized(beginning_of, values, scale)
     may_run = (assembly.residual_after < CLOSING_TOLERANCE) & values_are_legal & jnp.all(jnp.isfinite(y0))

@@ -97,7 +97,7 @@ def simulate(
     else:
         explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
     structure, theta = flatten_system(system)
-    start = _start_now(system)
+    start = _start_now(system, ts)
     known, unknown = _split(system)
     plan = Plan(structure, unknown, scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
@@ -131,10 +131,13 @@ def simulate(
     return _reported(run, throw)
 
 
-def _start_now(system: System) -> Assembly | None:
+def _start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:
     """The consistent start, when the geometry is known now; None when it is traced."""
     structure, theta = flatten_system(as_ideal(system))
-    return assemble_now(structure, theta) if is_concrete(theta) else None
+    if not is_concrete(theta) or (system.is_driven and not is_concrete(ts)):
+        return None
+    # What is not driven starts alike at any time.
+    return assemble_now(structure, theta, float(ts[0]) if system.is_driven else 0.0)
 
 
 def _split(system: System) -> tuple[Numeric, tuple[int, ...]]:

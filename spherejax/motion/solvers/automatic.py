@@ -140,7 +140,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
     """
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
-    constraints, masses = constraint_set(system, motions), inverse_masses(system, motions)
+    constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     wrenches = applied_wrenches(system, t, motions, {})
     weights = {name: jnp.concatenate([wrenches[name].force, wrenches[name].moment]) for name in system.bodies}
     falling = solve_augmented(constraints, masses, weights, constraints.bias).accelerations

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
+from spherejax.motion.solvers.wrapping import AbstractForwardingController, AbstractForwardingSolver
 
 LANDING_WINDOW = 1e-8
 """A step has landed when the crossing function is within this of zero, on the far side: for a clearance of 0.1 mm
@@ -84,7 +84,7 @@ class LandingState(NamedTuple):
     is_landing: Bool[Array, ""]
 
 
-class LandingController(diffrax.AbstractAdaptiveStepSizeController):
+class LandingController(AbstractForwardingController):
     """A step-size controller that ends steps on contact onsets and releases.
 
     A step that the wrapped controller would keep, but that crosses a contact surface, is rejected; the next one ends
@@ -98,21 +98,6 @@ class LandingController(diffrax.AbstractAdaptiveStepSizeController):
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
     contacts: Contacts | None = eqx.field(static=True)
-
-    @property
-    def rtol(self):
-        """As the wrapped controller's."""
-        return self.controller.rtol
-
-    @property
-    def atol(self):
-        """As the wrapped controller's."""
-        return self.controller.atol
-
-    @property
-    def norm(self):
-        """As the wrapped controller's."""
-        return self.controller.norm
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""

@@ -20,8 +20,8 @@ tolerance the iteration never ends on a stiff bushing."""
 def with_converging_root_finder(solver: AbstractSolver, rtol: Number) -> Any:
     """An implicit method with a chord iteration that converges below the step's tolerance.
 
-    diffrax's default, `VeryChord` at the step's own tolerance, rejects more steps of a mechanism than it keeps (bushing
-    of 1e6 N/m: 2,020 steps where 143 do). Only that default is replaced: a root finder that the user gave, with
+    diffrax's default, `VeryChord` at the step's own tolerance, rejects steps of a mechanism because its noise counts as
+    error. Only that default is replaced: a root finder that the user gave, with
     tolerances of its own, stays; so does any solver that has none.
     """
     if not isinstance(solver, diffrax.AbstractImplicitSolver):

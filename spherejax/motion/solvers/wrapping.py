@@ -1,8 +1,9 @@
-"""A diffrax solver around another: what passes through unchanged."""
+"""A diffrax solver or step-size controller around another: what passes through unchanged."""
 
 from typing import Any
 
 import diffrax
+import equinox as eqx
 
 
 class AbstractForwardingSolver(diffrax.AbstractWrappedSolver):
@@ -59,3 +60,24 @@ class AbstractForwardingSolver(diffrax.AbstractWrappedSolver):
     def func(self, terms, t0, y0, args):
         """As the wrapped solver's."""
         return self.solver.func(terms, t0, y0, args)
+
+
+class AbstractForwardingController(diffrax.AbstractAdaptiveStepSizeController):
+    """A step-size controller that leaves the judgment of errors to another one, its field `controller`."""
+
+    controller: eqx.AbstractVar[Any]  # diffrax.AbstractAdaptiveStepSizeController
+
+    @property
+    def rtol(self):
+        """As the wrapped controller's."""
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        """As the wrapped controller's."""
+        return self.controller.atol
+
+    @property
+    def norm(self):
+        """As the wrapped controller's."""
+        return self.controller.norm

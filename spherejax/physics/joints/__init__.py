@@ -3,16 +3,12 @@
 from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Response
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.dry import Dry
-from spherejax.physics.joints.ideal import ConstraintRows, Ideal
+from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.lubricated import Lubricated
-from spherejax.physics.joints.places import (
-    AbstractJoint,
-    AbstractPlacedJoint,
-    PlacedRevolute,
-    PlacedSpherical,
-    Revolute,
-    Spherical,
-)
+from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
+from spherejax.physics.joints.revolute import PlacedRevolute, Revolute
+from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
+from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
 
 __all__ = [
     "AbstractJoint",
@@ -24,9 +20,11 @@ __all__ = [
     "Dry",
     "Ideal",
     "Lubricated",
+    "Motions",
     "PlacedRevolute",
     "PlacedSpherical",
     "Response",
     "Revolute",
     "Spherical",
+    "differentiated_rows",
 ]

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.simulate import simulate
+from spherejax.motion.solvers.wrapping import AbstractForwardingController
 from spherejax.motion.trajectory import Statistics
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
@@ -25,7 +26,7 @@ mercy of whatever the machine does in it."""
 _NO_LIMIT = np.iinfo(np.int64).max
 
 
-class StepBudget(diffrax.AbstractAdaptiveStepSizeController):
+class StepBudget(AbstractForwardingController):
     """A step-size controller that ends the integration after a number of steps, which may be traced.
 
     `max_steps` of `simulate` is part of the program; this budget is a number, so one program serves all budgets.
@@ -37,21 +38,6 @@ class StepBudget(diffrax.AbstractAdaptiveStepSizeController):
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
     n_steps: Array
-
-    @property
-    def rtol(self):
-        """As the wrapped controller's."""
-        return self.controller.rtol
-
-    @property
-    def atol(self):
-        """As the wrapped controller's."""
-        return self.controller.atol
-
-    @property
-    def norm(self):
-        """As the wrapped controller's."""
-        return self.controller.norm
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""

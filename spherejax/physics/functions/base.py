@@ -1,0 +1,112 @@
+"""What a function of one variable is: a pytree of numbers that is called with a number.
+
+The numbers in a function are leaves: a table's ordinates can be swept and fitted like a mass. A function is written for
+one number; `jax.vmap(f)(xs)` evaluates it at many.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from spherejax.foundations.checks import Requirement, SceneError
+from spherejax.foundations.types import Number, Scalar
+
+
+class AbstractFunction(eqx.Module):
+    """A function y = f(x) of one number; units are those of the place where it is used.
+
+    A function of your own is a plain Python function of one number in `jnp`, wherever a function is asked for; or, to
+    have numbers in it that can be swept and fitted, a subclass of this with `__call__`.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, x: Number) -> Scalar:
+        """f(x)."""
+
+    @property
+    def knows_primitive(self) -> bool:
+        """Whether `primitive` is given (static); a spring with such a law has a potential energy."""
+        return False
+
+    def primitive(self, x: Number) -> Scalar:
+        """F(x) with dF/dx = f, up to a constant."""
+        raise TypeError(f"{type(self).__name__} does not know its primitive")
+
+    def derivative(self, x: Number) -> Scalar:
+        """df/dx; at a kink that of one side."""
+        return _derivative(self, x)
+
+    def second_derivative(self, x: Number) -> Scalar:
+        """d2f/dx2; zero at a kink."""
+        return _derivative(lambda x: _derivative(self, x), x)
+
+    def requirements(self) -> list[Requirement]:
+        """What the function's numbers must satisfy."""
+        return []
+
+
+def _derivative(function: Callable, x: Number) -> Scalar:
+    x = jnp.asarray(x, jnp.float64)
+    return jax.jvp(function, (x,), (jnp.ones_like(x),))[1]
+
+
+class Given(eqx.Module):
+    """A callable that a user gave, as a pytree.
+
+    Attributes:
+        module: the callable, where it is an `equinox.Module`: its numbers are leaves.
+        function: the callable, where it is a plain function: it is structure, and two scenes with different functions
+            are different programs. Define it once, outside of what is called repeatedly.
+    """
+
+    module: Any
+    function: Callable | None = eqx.field(static=True)
+
+    def __init__(self, given: Callable):
+        is_module = isinstance(given, eqx.Module)
+        self.module = given if is_module else None
+        self.function = None if is_module else given
+
+    def __call__(self, *arguments):
+        """The callable's value."""
+        return (self.function or self.module)(*arguments)
+
+
+class UserFunction(AbstractFunction):
+    """A user's callable f(x).
+
+    Attributes:
+        given: the callable.
+    """
+
+    given: Given
+
+    def __init__(self, function: Callable):
+        self.given = Given(function)
+
+    def __call__(self, x: Number) -> Scalar:
+        """f(x)."""
+        return jnp.asarray(self.given(x))
+
+
+def as_function(value) -> AbstractFunction | None:
+    """A function as given, a callable as `UserFunction`; None stays None.
+
+    Raises:
+        SceneError: for what cannot be called.
+    """
+    if value is None or isinstance(value, AbstractFunction):
+        return value
+    if not callable(value):
+        raise SceneError(f"{value!r} is no function; give e.g. Linear(slope), Table(x, y) or a function of one number")
+    return UserFunction(value)
+
+
+def function_requirements(field: str, function: AbstractFunction | None) -> list[Requirement]:
+    """The requirements of a function that is the field of something else."""
+    rows = [] if function is None else function.requirements()
+    return [row._replace(field=f"{field}.{row.field}") for row in rows]

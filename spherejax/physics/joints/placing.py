@@ -1,0 +1,129 @@
+"""From world axes at the start to body axes: where a joint described in the world meets its bodies."""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import Requirement, concretely, is_concrete
+from spherejax.foundations.rotation import (
+    conjugate,
+    normalized,
+    quaternion_product,
+    rotation_matrix,
+)
+from spherejax.foundations.types import Numeric
+from spherejax.physics.bodies import GROUND, Body, numbers
+
+_ROUNDING = 1e-14
+"""Entries of turned unit vectors below this are rounding, not geometry: they are made exact zeros when concrete."""
+
+
+# Compiled once: scenes are built again and again, and a handful of single operations costs milliseconds.
+@jax.jit
+def _relative_start(socket: Numeric, ball: Numeric):
+    return quaternion_product(conjugate(normalized(socket)), normalized(ball))
+
+
+@jax.jit
+def _in_turned_axes(quaternion: Numeric, vector: Numeric):
+    return rotation_matrix(normalized(quaternion)).T @ vector
+
+
+@jax.jit
+def _out_of_turned_axes(quaternion: Numeric, vector: Numeric):
+    return rotation_matrix(normalized(quaternion)) @ vector
+
+
+def start_quaternion(bodies: Mapping[str, Body], name: str):
+    """Orientation of a body at the start, as described; the ground's is the identity."""
+    return np.array([1.0, 0.0, 0.0, 0.0]) if name == GROUND else bodies[name].quaternion
+
+
+def relative_start(bodies: Mapping[str, Body], first: str, second: str):
+    """Orientation of the second body against the first at the start."""
+    return concretely(_relative_start, start_quaternion(bodies, first), start_quaternion(bodies, second))
+
+
+def turned(bodies: Mapping[str, Body], name: str, vector):
+    """A world vector in the axes that the body has at the start."""
+    if name == GROUND:
+        return vector
+    return without_rounding(concretely(_in_turned_axes, start_quaternion(bodies, name), vector))
+
+
+def in_body(bodies: Mapping[str, Body], name: str, point):
+    """A world point in the axes that the body has at the start, from its center of mass [m]."""
+    if name == GROUND:
+        return point
+    return turned(bodies, name, point - bodies[name].position)
+
+
+def in_world(bodies: Mapping[str, Body], name: str, place):
+    """A place on a body as a world point at the start [m]."""
+    if name == GROUND:
+        return place
+    return bodies[name].position + concretely(_out_of_turned_axes, start_quaternion(bodies, name), place)
+
+
+def split_point(point) -> tuple[str | None, Numeric | None]:
+    """A point as its name, if it is given by `"body.point"`, or as its numbers: one of the two is None."""
+    return (point, None) if isinstance(point, str) else (None, numbers(point))
+
+
+def places_of(bodies: Mapping[str, Body], find, pair: tuple[str, str], name: str | None, point):
+    """A point, by its name or in world axes at the start, on each of two bodies, body axes [m]."""
+    first, second = pair
+    if name is None:
+        return in_body(bodies, first, point), in_body(bodies, second, point)
+    owner, place = find(name)
+    world = in_world(bodies, owner, place)
+
+    def on(body: str):
+        # On the body that the point belongs to its numbers are taken as they are, without rounding.
+        return place if body == owner else in_body(bodies, body, world)
+
+    return on(first), on(second)
+
+
+def unit(vector):
+    """A vector divided by its length."""
+    return vector / (vector**2).sum() ** 0.5
+
+
+def perpendicular(axis):
+    """A unit vector perpendicular to `axis`, along the coordinate direction that is farthest from it."""
+    xp = np if is_concrete(axis) else jnp
+    a = abs(axis)
+    # Nested choices instead of argmin: they work on traced values.
+    x, y, z = xp.eye(3)
+    helper = xp.where((a[0] <= a[1]) & (a[0] <= a[2]), x, xp.where(a[1] <= a[2], y, z))
+    return unit(cross(axis, helper))
+
+
+def cross(a, b):
+    """The vector product, in NumPy where both are known."""
+    return np.cross(a, b) if is_concrete(a) and is_concrete(b) else jnp.cross(a, b)
+
+
+def without_rounding(vector):
+    """The vector with its rounding made exact zeros; traced ones pass."""
+    if not is_concrete(vector):
+        return vector
+    array = np.array(vector)
+    array[np.abs(array) < _ROUNDING] = 0.0
+    return array
+
+
+def point_requirements(point, field: str = "point") -> list[Requirement]:
+    """A finite point; one given by name is checked with the scene's names."""
+    if point is None:
+        return []
+    return [Requirement(field, point, abs(point) < np.inf, "be finite [m]", "Give three numbers.")]
+
+
+def direction_requirement(axis, field: str = "axis") -> Requirement:
+    """A direction: finite and not zero."""
+    length = (axis**2).sum()
+    return Requirement(field, axis, (length > 0) & (length < np.inf), "be a direction", "Give a non-zero vector.")

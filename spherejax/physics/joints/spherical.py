@@ -1,0 +1,128 @@
+"""The spherical joint: a ball in a socket, ideal or with a model of how they resist."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.rotation import conjugate, quaternion_product
+from spherejax.foundations.types import Numeric
+from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
+from spherejax.physics.joints.placing import relative_start
+from spherejax.physics.joints.rows import ConstraintRows, coincidence_rows
+from spherejax.physics.kinematics import PointMotion, RelativeMotion, point_motion
+
+
+class Spherical(AbstractJoint):
+    """A ball in a socket, with a model of how they resist.
+
+    Attributes:
+        socket: `"body.point"` of the socket's center (body i).
+        ball: `"body.point"` of the ball's center (body j).
+        model: `Ideal()`, `Dry(...)`, `Lubricated(...)`, `Bushing(...)`.
+        starts_concentric: whether the start is assembled so that the two centers coincide and move together, as if
+            the joint were ideal; False leaves the ball where the bodies' initial positions put it.
+    """
+
+    socket: str = eqx.field(static=True)
+    ball: str = eqx.field(static=True)
+    model: AbstractSphericalModel = eqx.field(default_factory=Ideal)
+    starts_concentric: bool = eqx.field(static=True, default=True)
+
+    def requirements(self) -> list[Requirement]:
+        """What the model requires."""
+        return self.model.requirements()
+
+    def joined(self, find):
+        """The bodies of socket and ball."""
+        return find(self.socket)[0], find(self.ball)[0]
+
+    def placed(self, bodies, find):
+        """The centers in body axes, and the relative orientation at the start."""
+        (socket_body, socket_place), (ball_body, ball_place) = find(self.socket), find(self.ball)
+        start = relative_start(bodies, socket_body, ball_body)
+        return PlacedSpherical(
+            (socket_body, ball_body), socket_place, ball_place, start, self.model, self.starts_concentric
+        )
+
+
+class PlacedSpherical(AbstractPlacedJoint):
+    """A ball in a socket, in body axes.
+
+    Attributes:
+        bodies: names of the socket's and the ball's body.
+        socket_place: socket center on its body, body axes [m].
+        ball_place: ball center on its body, body axes [m].
+        start_quaternion: ball's body against socket's body at the start.
+        model: how the joint resists.
+        starts_concentric: whether the start is assembled as if the joint were ideal.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    socket_place: Numeric
+    ball_place: Numeric
+    start_quaternion: Numeric
+    model: AbstractSphericalModel
+    starts_concentric: bool = eqx.field(static=True)
+
+    @property
+    def points(self) -> tuple[Numeric, Numeric]:
+        """The centers of socket and ball, on their bodies."""
+        return self.socket_place, self.ball_place
+
+    @property
+    def n_rows(self) -> int:
+        """Three for an ideal joint, none for the others."""
+        return 3 if self.model.is_ideal else 0
+
+    @property
+    def answers_with_force(self) -> bool:
+        """Whether the model is not ideal."""
+        return not self.model.is_ideal
+
+    def constraint_rows(self, t, motions):
+        """Three equations for an ideal joint, none for the others."""
+        del t
+        return self.coincidence(motions) if self.model.is_ideal else None
+
+    def assembly_rows(self, t, motions):
+        """The centers coincide at the start, unless the user placed the ball elsewhere."""
+        del t
+        return self.coincidence(motions) if self.model.is_ideal or self.starts_concentric else None
+
+    def as_if_ideal(self):
+        """The ideal joint; None where the ball stays where the user placed it."""
+        if self.model.is_ideal or not self.starts_concentric:
+            return self if self.model.is_ideal else None
+        return eqx.tree_at(lambda joint: joint.model, self, Ideal())
+
+    def coincidence(self, motions: Motions) -> ConstraintRows:
+        """The equations of the ideal joint, whatever the model."""
+        socket, ball = self.bodies
+        return coincidence_rows(motions[socket], motions[ball], self.socket_place, self.ball_place)
+
+    def centers(self, motions: Motions) -> tuple[PointMotion, PointMotion]:
+        """Motion of the socket's and of the ball's center."""
+        socket, ball = self.bodies
+        return point_motion(motions[socket], self.socket_place), point_motion(motions[ball], self.ball_place)
+
+    def relative_motion(self, motions: Motions) -> RelativeMotion:
+        """Motion of the ball in the socket (Eqs 12 to 14)."""
+        socket, ball = motions[self.bodies[0]], motions[self.bodies[1]]
+        socket_center, ball_center = self.centers(motions)
+        now = quaternion_product(conjugate(socket.quaternion), ball.quaternion)
+        # Turned back by the start, in socket axes: zero rotation at the start whatever the bodies' axes are.
+        relative = quaternion_product(now, conjugate(self.start_quaternion))
+        return RelativeMotion(
+            ball_center.position - socket_center.position,
+            ball_center.velocity - socket_center.velocity,
+            socket.rotation,
+            relative,
+            socket.angular_velocity,
+            ball.angular_velocity,
+        )
+
+    def respond(self, motions: Motions, memory: Float[Array, " n_memory"]) -> Response:
+        """Force and moments at the centers."""
+        return self.model.respond(self.relative_motion(motions), memory)
