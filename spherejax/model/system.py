@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
@@ -132,6 +132,7 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
     joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
     forces = {name: scene.forces[name] for name in sorted(scene.forces)}
+    _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
         names = joint.model.memory_names if isinstance(joint, PlacedSpherical) else ()
@@ -141,6 +142,17 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     refines = _masses_are_far_apart(bodies)
     system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines)
     return Compiled(system, conditions)
+
+
+def _check_leaves(parts: dict[str, Any]) -> None:
+    """Parts that a user has written hold numbers; names and functions are structure."""
+    for place, part in parts.items():
+        for leaf in jax.tree.leaves(part):
+            if isinstance(leaf, str) or callable(leaf):
+                raise SceneError(
+                    f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
+                    "with equinox.field(static=True)"
+                )
 
 
 LARGE_MASS_RATIO = 1e4

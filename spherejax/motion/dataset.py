@@ -120,6 +120,12 @@ def _of_joints(run: "Trajectory") -> dict[str, Column]:
         "reaction_moment": (joints, _stack(run.reaction_moment(name) for name in system.joints), "N m",
                             "moment on the joint's second body about the joint's point, world axes"),
     }  # fmt: skip
+    for name in seen.driving_effort:
+        effort = run.driving_effort(name)
+        dims = ("time", "axis") if effort.ndim == 2 else ("time",)
+        columns[f"driving_effort_{name}"] = (dims, effort, "N m or N", f"torque or force of the driver {name}")
+        power = run.driving_power(name)
+        columns[f"driving_power_{name}"] = (("time",), power, "W", f"power that the driver {name} puts in")
     if seen.eccentricity:
         columns["eccentricity"] = (
             spherical, _stack(run.eccentricity(name) for name in _spherical(run)), "m",

@@ -84,6 +84,7 @@ class Outcome(eqx.Module):
     Attributes:
         ys: flat states at the sample times.
         t_reached: time reached [s].
+        y_reached: flat state there.
         status: integer of `Status`.
         stats: counts.
         assembly: how the start was made consistent.
@@ -91,6 +92,7 @@ class Outcome(eqx.Module):
 
     ys: Float[Array, "n size"]
     t_reached: Float[Array, ""]
+    y_reached: Float[Array, " size"]
     status: Array
     stats: Statistics
     assembly: Assembly
@@ -140,7 +142,7 @@ def integrate(
     reached = times[1][0]
     is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
     ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
-    return Outcome(ys, reached, status, _statistics(solution, options.solver, contacts), assembly)
+    return Outcome(ys, reached, sampled[1][0], status, _statistics(solution, options.solver, contacts), assembly)
 
 
 def correction_for(plan: Plan) -> Callable | None:

@@ -33,6 +33,9 @@ class Observation(NamedTuple):
         acceleration: of the centers of mass, world axes [m/s^2], shape (n_bodies, 3).
         angular_acceleration: world axes [rad/s^2], shape (n_bodies, 3).
         reactions: by joint.
+        driving_effort: torque [N m] or force [N] of each driver on its second body, along what it prescribes, shape
+            (n_rows,), by joint.
+        driving_power: power that each driver puts into the mechanism [W], by joint.
         eccentricity: socket center to ball center, world axes [m], by spherical joint.
         eccentricity_rate: its time derivative [m/s].
         parts: named contributions of the joints that answer with a force, by joint.
@@ -46,6 +49,8 @@ class Observation(NamedTuple):
     acceleration: Float[Array, "b 3"]
     angular_acceleration: Float[Array, "b 3"]
     reactions: dict[str, Reaction]
+    driving_effort: dict[str, Array]
+    driving_power: dict[str, Scalar]
     eccentricity: dict[str, Vector3]
     eccentricity_rate: dict[str, Vector3]
     parts: dict[str, dict[str, Array]]
@@ -63,10 +68,13 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     spherical = {name: joint for name, joint in system.joints.items() if isinstance(joint, PlacedSpherical)}
     relative = {name: joint.relative_motion(evaluation.motions) for name, joint in spherical.items()}
     position_violation, velocity_violation = _violations(evaluation)
+    driven = [name for name, joint in system.joints.items() if joint.is_driven]
     return Observation(
         acceleration=accelerations[:, :3],
         angular_acceleration=accelerations[:, 3:],
         reactions={name: _reaction(system, evaluation, name) for name in system.joints},
+        driving_effort={name: -evaluation.solution.multipliers[name] for name in driven},
+        driving_power={name: _driving_power(evaluation, name) for name in driven},
         eccentricity={name: motion.eccentricity for name, motion in relative.items()},
         eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
         parts={name: load.response.parts for name, load in evaluation.loads.items()},
@@ -88,6 +96,11 @@ def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
     wrench = -jacobian.T @ evaluation.solution.multipliers[name]
     arm = point_motion(evaluation.motions[body], jnp.asarray(joint.points[1])).arm
     return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
+
+
+def _driving_power(evaluation: Evaluation, name: str) -> Scalar:
+    """-(D^T lambda).v = lambda.Phi_t, for D v = -Phi_t."""
+    return evaluation.solution.multipliers[name] @ evaluation.constraints.rows[name].rate_at_rest
 
 
 def _kinetic_energy(system: System, evaluation: Evaluation) -> Scalar:

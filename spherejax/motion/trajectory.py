@@ -145,6 +145,19 @@ class Trajectory(eqx.Module):
         """Moment of a joint on its second body about the joint's point, world axes [N m]."""
         return self.observation.reactions[self._joint(joint)].moment
 
+    def driving_effort(self, joint: str) -> Float[Array, "n ..."]:
+        """What a driver exerts on its second body to keep to what it prescribes.
+
+        Torque about the axis [N m] of a rotation, force along the axis or the line of points [N], shape (n,); force in
+        world axes [N] of a position, shape (n, 3).
+        """
+        effort = self._of_driver(self.observation.driving_effort, joint)
+        return effort[:, 0] if effort.shape[-1] == 1 else effort
+
+    def driving_power(self, joint: str) -> Float[Array, " n"]:
+        """Power that a driver puts into the mechanism [W]."""
+        return self._of_driver(self.observation.driving_power, joint)
+
     def eccentricity(self, joint: str) -> Float[Array, "n 3"]:
         """From the socket's center to the ball's center, world axes [m]."""
         return self._of_spherical(self.observation.eccentricity, joint)
@@ -256,6 +269,11 @@ class Trajectory(eqx.Module):
         if name not in self.system.joints:
             raise SceneError(f"there is no joint {name!r}; the run has {', '.join(map(repr, self.system.joints))}")
         return name
+
+    def _of_driver(self, values: dict, joint: str):
+        if self._joint(joint) not in values:
+            raise SceneError(f"joint {joint!r} is no driver; the run has {', '.join(map(repr, values)) or 'none'}")
+        return values[joint]
 
     def _of_spherical(self, values: dict, joint: str):
         if self._joint(joint) not in values:

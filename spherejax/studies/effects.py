@@ -14,7 +14,7 @@ from spherejax.motion.assembly import assemble_now
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.integrate import as_ideal, initial_state
 from spherejax.motion.programs import program_for
-from spherejax.physics.joints import AbstractSphericalModel, Ideal, Spherical
+from spherejax.physics.joints import AbstractSphericalModel, Ideal
 
 _REPEATS = 5
 _CALLS = 20_000
@@ -83,7 +83,7 @@ class Effects(NamedTuple):
 def effects(scene: Scene, *, timed: bool = True) -> Effects:
     """What is compiled into a scene, and what each effect adds.
 
-    The first row is the scene with every spherical joint ideal; each further row adds one effect of one joint: the
+    The first row is the scene with every joint ideal; each further row adds one effect of one joint: the
     states, constraint rows and memory of the scene so far, the scalar operations of its right-hand side, and the time
     of one evaluation inside a compiled loop (median of five).
 
@@ -99,11 +99,8 @@ def effects(scene: Scene, *, timed: bool = True) -> Effects:
     Raises:
         SceneError: for a scene that cannot be simulated.
     """
-    modeled = {
-        name: joint.model
-        for name, joint in scene.joints.items()
-        if isinstance(joint, Spherical) and not joint.model.is_ideal
-    }
+    models = {name: getattr(joint, "model", Ideal()) for name, joint in scene.joints.items()}
+    modeled = {name: model for name, model in models.items() if not model.is_ideal}
     built = scene
     for name in modeled:
         built = _with_model(built, name, Ideal())

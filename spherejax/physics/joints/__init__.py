@@ -2,29 +2,52 @@
 
 from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Response
 from spherejax.physics.joints.bushing import Bushing
+from spherejax.physics.joints.curves import AbstractCurve, Circle, ImplicitCurve, Line, PointOnCurve
+from spherejax.physics.joints.distance import Distance, DistanceDriver
+from spherejax.physics.joints.drivers import PositionDriver, RotationDriver, TranslationDriver
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.joints.pairs import Cylindrical, Fixed, PlacedPair, PointOnPlane, Prismatic, Universal
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
 from spherejax.physics.joints.revolute import PlacedRevolute, Revolute
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
+from spherejax.physics.joints.time_functions import Harmonic, Uniform
 
 __all__ = [
+    "AbstractCurve",
     "AbstractJoint",
     "AbstractPlacedJoint",
     "AbstractSphericalModel",
     "Bushing",
+    "Circle",
     "ConstraintRows",
     "Crossing",
+    "Cylindrical",
+    "Distance",
+    "DistanceDriver",
     "Dry",
+    "Fixed",
+    "Harmonic",
     "Ideal",
+    "ImplicitCurve",
+    "Line",
     "Lubricated",
     "Motions",
+    "PlacedPair",
     "PlacedRevolute",
     "PlacedSpherical",
+    "PointOnCurve",
+    "PointOnPlane",
+    "PositionDriver",
+    "Prismatic",
     "Response",
     "Revolute",
+    "RotationDriver",
     "Spherical",
+    "TranslationDriver",
+    "Uniform",
+    "Universal",
     "differentiated_rows",
 ]

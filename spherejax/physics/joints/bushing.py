@@ -60,17 +60,17 @@ class Bushing(AbstractSphericalModel):
         force = self.law.force(deflection, deflection_rate)
         if not self.law.isotropic:
             force = socket @ force
-        rotation = jnp.zeros(3)
-        moment = jnp.zeros(3)
+        rotation, measure, moment = jnp.zeros(3), jnp.zeros(3), jnp.zeros(3)
         if self.law.resists_rotation:
             rotation = rotation_vector(motion.relative_quaternion)
+            measure = self.law.measure_of_rotation(motion.relative_quaternion)
             relative = socket.T @ (motion.ball_angular_velocity - motion.socket_angular_velocity)
-            moment = socket @ self.law.moment(rotation, relative)
+            moment = socket @ self.law.moment(measure, relative)
         return Response(
             force=force,
             ball_moment=moment,
             socket_moment=-jnp.cross(e, force) - moment,
             memory_rate=jnp.zeros(0),
-            elastic_energy=self.law.elastic_energy(deflection, rotation),
+            elastic_energy=self.law.elastic_energy(deflection, measure),
             parts={"deflection": deflection, "rotation": rotation},
         )

@@ -76,3 +76,14 @@ class AbstractJoint(eqx.Module):
     @abc.abstractmethod
     def requirements(self) -> list[Requirement]:
         """What the joint's numbers must satisfy."""
+
+
+class AbstractPairJoint(AbstractJoint):
+    """A joint that names its two bodies; what is fixed in the first one guides the second."""
+
+    bodies: eqx.AbstractVar[tuple[str, str]]
+
+    def joined(self, find):
+        """The two bodies."""
+        del find
+        return self.bodies

@@ -67,6 +67,13 @@ def in_world(bodies: Mapping[str, Body], name: str, place):
     return bodies[name].position + concretely(_out_of_turned_axes, start_quaternion(bodies, name), place)
 
 
+def world_at_start(bodies: Mapping[str, Body], name: str):
+    """The world's origin [m] and its three axes, in the axes that a body has at the start."""
+    x, y, z = np.eye(3)
+    axes = turned(bodies, name, x), turned(bodies, name, y), turned(bodies, name, z)
+    return in_body(bodies, name, np.zeros(3)), axes
+
+
 def split_point(point) -> tuple[str | None, Numeric | None]:
     """A point as its name, if it is given by `"body.point"`, or as its numbers: one of the two is None."""
     return (point, None) if isinstance(point, str) else (None, numbers(point))
@@ -127,3 +134,19 @@ def direction_requirement(axis, field: str = "axis") -> Requirement:
     """A direction: finite and not zero."""
     length = (axis**2).sum()
     return Requirement(field, axis, (length > 0) & (length < np.inf), "be a direction", "Give a non-zero vector.")
+
+
+def frame_along(bodies: Mapping[str, Body], name: str, axis, second=None):
+    """Axes with z along `axis`, as columns in the axes that a body has at the start, shape (3, 3).
+
+    Args:
+        bodies: the scene's bodies.
+        name: the body.
+        axis: a world direction at the start, any length.
+        second: where x points, as nearly as it can; any direction across the axis where it is None.
+    """
+    z = unit(axis)
+    x = perpendicular(z) if second is None else unit(cross(cross(z, second), z))
+    columns = [turned(bodies, name, direction) for direction in (x, cross(z, x), z)]
+    xp = np if all(is_concrete(column) for column in columns) else jnp
+    return xp.stack([xp.asarray(column) for column in columns], 1)

@@ -1,6 +1,7 @@
 """The spherical joint: a ball in a socket, ideal or with a model of how they resist."""
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
@@ -57,6 +58,8 @@ class PlacedSpherical(AbstractPlacedJoint):
         start_quaternion: ball's body against socket's body at the start.
         model: how the joint resists.
         starts_concentric: whether the start is assembled as if the joint were ideal.
+        frame: socket axes in those of its body, as columns, shape (3, 3); None: they are the same.
+        ideal: the joint that this one is with an ideal model, where that is not spherical.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -65,6 +68,8 @@ class PlacedSpherical(AbstractPlacedJoint):
     start_quaternion: Numeric
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
+    frame: Numeric | None = None
+    ideal: AbstractPlacedJoint | None = None
 
     @property
     def points(self) -> tuple[Numeric, Numeric]:
@@ -88,11 +93,14 @@ class PlacedSpherical(AbstractPlacedJoint):
 
     def assembly_rows(self, t, motions):
         """The centers coincide at the start, unless the user placed the ball elsewhere."""
-        del t
+        if self.ideal is not None:
+            return self.ideal.assembly_rows(t, motions)
         return self.coincidence(motions) if self.model.is_ideal or self.starts_concentric else None
 
     def as_if_ideal(self):
         """The ideal joint; None where the ball stays where the user placed it."""
+        if self.ideal is not None:
+            return self.ideal
         if self.model.is_ideal or not self.starts_concentric:
             return self if self.model.is_ideal else None
         return eqx.tree_at(lambda joint: joint.model, self, Ideal())
@@ -114,10 +122,14 @@ class PlacedSpherical(AbstractPlacedJoint):
         now = quaternion_product(conjugate(socket.quaternion), ball.quaternion)
         # Turned back by the start, in socket axes: zero rotation at the start whatever the bodies' axes are.
         relative = quaternion_product(now, conjugate(self.start_quaternion))
+        axes = socket.rotation
+        if self.frame is not None:
+            axes = axes @ self.frame
+            relative = jnp.concatenate([relative[:1], jnp.asarray(self.frame).T @ relative[1:]])
         return RelativeMotion(
             ball_center.position - socket_center.position,
             ball_center.velocity - socket_center.velocity,
-            socket.rotation,
+            axes,
             relative,
             socket.angular_velocity,
             ball.angular_velocity,

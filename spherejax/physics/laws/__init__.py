@@ -7,11 +7,12 @@ from spherejax.physics.laws.base import AbstractLaw
 from spherejax.physics.laws.elastomer import (
     AbstractElastomer,
     AbstractPivotElastomer,
-    CurveElastomer,
-    MatrixElastomer,
     RadialElastomer,
     VectorElastomer,
 )
+from spherejax.physics.laws.elastomer_axes import CrossElastomer, HingeElastomer
+from spherejax.physics.laws.elastomer_curve import CurveElastomer
+from spherejax.physics.laws.elastomer_matrix import MatrixElastomer
 from spherejax.physics.laws.film import (
     AbstractFilmBoundary,
     Guembel,
@@ -64,12 +65,14 @@ __all__ = [
     "BengisuAkay",
     "BrownMcPhee",
     "Coulomb",
+    "CrossElastomer",
     "CurveElastomer",
     "ExactRestitution",
     "Flores",
     "Gonthier",
     "Guembel",
     "Hertz",
+    "HingeElastomer",
     "HuntCrossley",
     "LankaraniNikravesh",
     "LuGre",

@@ -1,0 +1,49 @@
+"""Joints of any kind with a bushing: placed as a ball in a socket whose axes are the joint's own."""
+
+from collections.abc import Mapping
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.types import Numeric
+from spherejax.physics.bodies import Body
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.bushing import Bushing
+from spherejax.physics.joints.places import AbstractPlacedJoint
+from spherejax.physics.joints.placing import frame_along, relative_start
+from spherejax.physics.joints.spherical import PlacedSpherical
+
+
+def with_model(
+    ideal: AbstractPlacedJoint,
+    model: AbstractSphericalModel,
+    bodies: Mapping[str, Body],
+    axis: Numeric | None = None,
+    second_axis: Numeric | None = None,
+) -> AbstractPlacedJoint:
+    """A placed joint with a model: itself where the model is ideal, else a ball in a socket that starts like it.
+
+    Args:
+        ideal: the ideal joint.
+        model: how it resists.
+        bodies: the scene's bodies.
+        axis: where z of the joint's axes points, world axes at the start; None: they are those of its first body.
+        second_axis: where x points, as nearly as it can; any direction across the axis where it is None.
+    """
+    if model.is_ideal:
+        return ideal
+    start = relative_start(bodies, *ideal.bodies)
+    frame = None if axis is None else frame_along(bodies, ideal.bodies[0], axis, second_axis)
+    return PlacedSpherical(ideal.bodies, *ideal.points, start, model, True, frame, ideal)
+
+
+def model_requirements(model: AbstractSphericalModel, *, turns_freely: bool) -> list[Requirement]:
+    """What a joint that is not spherical asks of its model: ideal, or a bushing that holds its direction."""
+    if model.is_ideal:
+        return []
+    if not isinstance(model, Bushing) or not model.law.resists_rotation:
+        remedy = (
+            "Give Ideal() or Bushing(law=...) with MatrixElastomer, HingeElastomer or CrossElastomer; contact and "
+            "film belong to spherical joints."
+        )
+        name = type(model.law if isinstance(model, Bushing) else model).__name__
+        return [Requirement("model", name, False, "be ideal or a bushing whose law resists rotation", remedy)]
+    return [*model.requirements(), *(model.law.requirements_of_free_turning() if turns_freely else [])]

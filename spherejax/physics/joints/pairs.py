@@ -1,0 +1,306 @@
+"""Joints made of elementary equations: cylindrical, prismatic, universal, fixed, and a point on a plane.
+
+Points and axes are given in world axes at the start. On the first body the equations use directions that turn with it.
+"""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.types import Numeric
+from spherejax.physics.bodies import Body, numbers
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.elastic import model_requirements, with_model
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.places import AbstractJoint, AbstractPairJoint, AbstractPlacedJoint
+from spherejax.physics.joints.placing import (
+    cross,
+    direction_requirement,
+    perpendicular,
+    places_of,
+    point_requirements,
+    split_point,
+    turned,
+    unit,
+)
+from spherejax.physics.joints.rows import coincidence_rows, perpendicularity_row, plane_row, stacked
+
+Directions = tuple[Numeric, ...]
+
+
+class PlacedPair(AbstractPlacedJoint):
+    """A joint made of elementary equations, in body axes.
+
+    Attributes:
+        bodies: names of the two bodies.
+        places: the joint's point on each body, body axes [m].
+        coincides: whether the two points coincide: three equations.
+        normals: directions on the first body; the second point stays in the planes through the first point that they
+            are normal to: one equation each.
+        right_angles: pairs of directions, on the first and on the second body, that stay perpendicular: one equation
+            each.
+        axes: the joint's axes on the second body, for whoever draws or drives it.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    places: tuple[Numeric, Numeric]
+    coincides: bool = eqx.field(static=True)
+    normals: Directions
+    right_angles: tuple[tuple[Numeric, Numeric], ...]
+    axes: Directions
+
+    @property
+    def points(self) -> tuple[Numeric, Numeric]:
+        """The joint's point on each body."""
+        return self.places
+
+    @property
+    def n_rows(self) -> int:
+        """As many as its equations."""
+        return (3 if self.coincides else 0) + len(self.normals) + len(self.right_angles)
+
+    def constraint_rows(self, t, motions):
+        """The elementary equations, one after the other."""
+        del t
+        first, second = motions[self.bodies[0]], motions[self.bodies[1]]
+        return stacked(
+            *([coincidence_rows(first, second, *self.places)] if self.coincides else []),
+            *(plane_row(first, second, *self.places, b) for b in self.normals),
+            *(perpendicularity_row(first, second, b, u) for b, u in self.right_angles),
+        )
+
+
+class Cylindrical(AbstractPairJoint):
+    """Two bodies turn about one axis and slide along it: four constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: a point on the axis, world axes at the start [m], shape (3,), or its name `"body.point"`.
+        axis: direction of the axis, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    point: Numeric | None
+    point_name: str | None = eqx.field(static=True)
+    axis: Numeric
+    model: AbstractSphericalModel
+
+    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+        self.bodies = (bodies[0], bodies[1])
+        self.point_name, self.point = split_point(point)
+        self.axis = numbers(axis)
+        self.model = Ideal() if model is None else model
+
+    def requirements(self) -> list[Requirement]:
+        """A finite point, a direction, and a model for a joint that turns freely."""
+        return [
+            *point_requirements(self.point),
+            direction_requirement(self.axis),
+            *model_requirements(self.model, turns_freely=True),
+        ]
+
+    def placed(self, bodies, find):
+        """The second point stays on the axis, which stays perpendicular to two directions."""
+        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        across = _across(bodies, self.bodies[0], self.axis)
+        axis = turned(bodies, self.bodies[1], unit(self.axis))
+        ideal = PlacedPair(self.bodies, places, False, across, tuple((b, axis) for b in across), (axis,))
+        return with_model(ideal, self.model, bodies, self.axis)
+
+
+class Prismatic(AbstractPairJoint):
+    """Two bodies slide along one axis without turning: five constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: where the bodies meet at the start, world axes at the start [m], shape (3,), or its name
+            `"body.point"`; reactions are about it.
+        axis: direction of sliding, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    point: Numeric | None
+    point_name: str | None = eqx.field(static=True)
+    axis: Numeric
+    model: AbstractSphericalModel
+
+    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+        self.bodies = (bodies[0], bodies[1])
+        self.point_name, self.point = split_point(point)
+        self.axis = numbers(axis)
+        self.model = Ideal() if model is None else model
+
+    def requirements(self) -> list[Requirement]:
+        """A finite point, a direction, and a model."""
+        return [
+            *point_requirements(self.point),
+            direction_requirement(self.axis),
+            *model_requirements(self.model, turns_freely=False),
+        ]
+
+    def placed(self, bodies, find):
+        """The second point stays on the axis, and three right angles stay."""
+        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        axis = unit(self.axis)
+        across = _across(bodies, self.bodies[0], axis)
+        ideal = PlacedPair(
+            self.bodies,
+            places,
+            False,
+            across,
+            _right_angles_of_all_axes(bodies, self.bodies, axis),
+            (turned(bodies, self.bodies[1], axis),),
+        )
+        return with_model(ideal, self.model, bodies, axis)
+
+
+class Universal(AbstractPairJoint):
+    """Two bodies joined by a cross: each turns about its own arm of it; four constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: the center of the cross, world axes at the start [m], shape (3,), or its name `"body.point"`.
+        first_axis: the arm that is fixed in the first body, world axes at the start, any length, shape (3,).
+        second_axis: the arm that is fixed in the second body, perpendicular to the first.
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the first arm
+            and x along the second at the start.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    point: Numeric | None
+    point_name: str | None = eqx.field(static=True)
+    first_axis: Numeric
+    second_axis: Numeric
+    model: AbstractSphericalModel
+
+    def __init__(
+        self, bodies: tuple[str, str], point, first_axis, second_axis, model: AbstractSphericalModel | None = None
+    ):
+        self.bodies = (bodies[0], bodies[1])
+        self.point_name, self.point = split_point(point)
+        self.first_axis = numbers(first_axis)
+        self.second_axis = numbers(second_axis)
+        self.model = Ideal() if model is None else model
+
+    def requirements(self) -> list[Requirement]:
+        """A finite point, two perpendicular directions, and a model."""
+        a, b = self.first_axis, self.second_axis
+        cosine_squared = (a * b).sum() ** 2 / ((a**2).sum() * (b**2).sum() + _UNDERFLOW)
+        return [
+            *point_requirements(self.point),
+            direction_requirement(a, "first_axis"),
+            direction_requirement(b, "second_axis"),
+            Requirement(
+                "second_axis",
+                b,
+                cosine_squared < RIGHT_ANGLE_TOLERANCE**2,
+                "be perpendicular to first_axis",
+                "Give the two arms of the cross at the start.",
+            ),
+            *model_requirements(self.model, turns_freely=True),
+        ]
+
+    def placed(self, bodies, find):
+        """The points coincide and the arms stay perpendicular."""
+        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        first = turned(bodies, self.bodies[0], unit(self.first_axis))
+        second = turned(bodies, self.bodies[1], unit(self.second_axis))
+        ideal = PlacedPair(self.bodies, places, True, (), ((first, second),), (second,))
+        return with_model(ideal, self.model, bodies, self.first_axis, self.second_axis)
+
+
+RIGHT_ANGLE_TOLERANCE = 1e-3
+"""Cosine of the angle between two axes that still counts as a right one: printed tables carry few digits; the start is
+assembled to the right angle."""
+
+_UNDERFLOW = 1e-300
+"""Keeps the cosine of a zero vector finite; the vector itself is refused."""
+
+
+class Fixed(AbstractPairJoint):
+    """Two bodies move as one: six constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: a point of both, about which reactions are given, world axes at the start [m], shape (3,), or its name
+            `"body.point"`.
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in the axes of the first body.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    point: Numeric | None
+    point_name: str | None = eqx.field(static=True)
+    model: AbstractSphericalModel
+
+    def __init__(self, bodies: tuple[str, str], point, model: AbstractSphericalModel | None = None):
+        self.bodies = (bodies[0], bodies[1])
+        self.point_name, self.point = split_point(point)
+        self.model = Ideal() if model is None else model
+
+    def requirements(self) -> list[Requirement]:
+        """A finite point and a model."""
+        return [*point_requirements(self.point), *model_requirements(self.model, turns_freely=False)]
+
+    def placed(self, bodies, find):
+        """The points coincide and three right angles stay."""
+        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        angles = _right_angles_of_all_axes(bodies, self.bodies, numbers((0.0, 0.0, 1.0)))
+        return with_model(PlacedPair(self.bodies, places, True, (), angles, ()), self.model, bodies)
+
+
+class PointOnPlane(AbstractJoint):
+    """A point of one body stays in a plane of another: one constraint equation.
+
+    Attributes:
+        point: `"body.point"`, the point that stays in the plane.
+        body: the body that the plane belongs to.
+        through: a point of the plane, world axes at the start [m], shape (3,), or its name `"body.point"`.
+        normal: the plane's normal, world axes at the start, any length, shape (3,).
+    """
+
+    point: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    through: Numeric | None
+    through_name: str | None = eqx.field(static=True)
+    normal: Numeric
+
+    def __init__(self, point: str, through, normal, body: str = "ground"):
+        self.point = point
+        self.body = body
+        self.through_name, self.through = split_point(through)
+        self.normal = numbers(normal)
+
+    def joined(self, find):
+        """The plane's body, then the point's."""
+        return self.body, find(self.point)[0]
+
+    def requirements(self) -> list[Requirement]:
+        """A finite point and a direction."""
+        return [*point_requirements(self.through, "through"), direction_requirement(self.normal, "normal")]
+
+    def placed(self, bodies, find):
+        """Plane and point in body axes."""
+        owner, place = find(self.point)
+        pair = (self.body, owner)
+        through = places_of(bodies, find, pair, self.through_name, self.through)[0]
+        normal = turned(bodies, self.body, unit(self.normal))
+        return PlacedPair(pair, (through, place), False, (normal,), (), ())
+
+
+def _across(bodies: Mapping[str, Body], body: str, axis) -> tuple[Numeric, Numeric]:
+    """Two directions of a body that are perpendicular to an axis and to each other."""
+    along = unit(axis)
+    across = perpendicular(along)
+    return turned(bodies, body, across), turned(bodies, body, cross(along, across))
+
+
+def _right_angles_of_all_axes(bodies: Mapping[str, Body], pair: tuple[str, str], axis):
+    """Three right angles that hold two bodies' orientations together: x with y, y with z, z with x."""
+    z = unit(axis)
+    x = perpendicular(z)
+    y = cross(z, x)
+    first, second = pair
+    return tuple((turned(bodies, first, b), turned(bodies, second, u)) for b, u in ((x, y), (y, z), (z, x)))

@@ -1,0 +1,110 @@
+"""Every kind of joint once, between two bodies in general position, and what it leaves free."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import spherejax as sj
+
+POINT = (0.1, -0.2, 0.3)
+AXIS = (1.0, 2.0, -0.5)
+ACROSS = (2.0, -1.0, 0.0)  # perpendicular to AXIS
+
+
+class OnParabola(sj.AbstractJoint):
+    """A user's own joint, written as the documentation says: a point of the second body on a surface of the first."""
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+
+    def joined(self, find):
+        return self.bodies
+
+    def requirements(self):
+        return []
+
+    def placed(self, bodies, find):
+        return PlacedOnParabola(self.bodies)
+
+
+class PlacedOnParabola(sj.AbstractPlacedJoint):
+    bodies: tuple[str, str] = eqx.field(static=True)
+
+    @property
+    def points(self):
+        return np.zeros(3), np.zeros(3)
+
+    @property
+    def n_rows(self):
+        return 1
+
+    def constraint_rows(self, t, motions):
+        def residual(t, first, second):
+            x = first.rotation.T @ (second.position - first.position)
+            return jnp.stack([x[2] - 0.5 * (x[0] ** 2 + x[1] ** 2) - 0.1])
+
+        return sj.differentiated_rows(residual, t, *(motions[name] for name in self.bodies), is_driven=False)
+
+
+class Kind(NamedTuple):
+    """A kind of joint.
+
+    Attributes:
+        build: the joint between bodies a and b.
+        n_rows: its equations.
+    """
+
+    build: Callable
+    n_rows: int
+
+
+AB = ("a", "b")
+KINDS = {
+    "spherical": Kind(lambda: sj.Spherical("a.p", "b.p"), 3),
+    "revolute": Kind(lambda: sj.Revolute(AB, POINT, AXIS), 5),
+    "revolute at a named point": Kind(lambda: sj.Revolute(AB, "a.p", AXIS), 5),
+    "universal": Kind(lambda: sj.Universal(AB, POINT, AXIS, ACROSS), 4),
+    "cylindrical": Kind(lambda: sj.Cylindrical(AB, POINT, AXIS), 4),
+    "prismatic": Kind(lambda: sj.Prismatic(AB, "b.p", AXIS), 5),
+    "fixed": Kind(lambda: sj.Fixed(AB, POINT), 6),
+    "point on plane": Kind(lambda: sj.PointOnPlane("b.p", POINT, AXIS, body="a"), 1),
+    "circle": Kind(lambda: sj.PointOnCurve("b.p", sj.Circle(POINT, AXIS, 0.3), body="a"), 2),
+    "line": Kind(lambda: sj.PointOnCurve("b.p", sj.Line(POINT, AXIS), body="a"), 2),
+    "implicit curve": Kind(
+        lambda: sj.PointOnCurve(
+            "b.p", sj.ImplicitCurve(lambda x: jnp.stack([x[2] - jnp.sin(3 * x[0]), x[1] - x[0] ** 2])), body="a"
+        ),
+        2,
+    ),
+    "distance": Kind(lambda: sj.Distance("a.p", "b.p", 0.7), 1),
+    "distance at the start": Kind(lambda: sj.Distance("a.p", "b.q"), 1),
+    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.Harmonic(0.7, 0.3, 0.2, 0.1)), 1),
+    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.Harmonic(0.1, 0.4, 0.3)), 1),
+    "distance driver": Kind(lambda: sj.DistanceDriver("a.p", "b.q", lambda t: 0.5 + 0.1 * jnp.tanh(t)), 1),
+    "position driver": Kind(
+        lambda: sj.PositionDriver("b.p", lambda t: jnp.stack([0.1 * t, jnp.sin(t), jnp.cos(2 * t)]), body="a"), 3
+    ),
+    "one's own": Kind(lambda: OnParabola(AB), 1),
+}
+
+
+def pair(joint=None, **options) -> sj.Scene:
+    """Two bodies in general position and motion; joined to each other or not at all."""
+    rng = np.random.default_rng(7)
+
+    def body(position):
+        quaternion = rng.normal(size=4)
+        return sj.Body(
+            1.0 + rng.random(),
+            0.02 + 0.01 * rng.random(3),
+            position=position,
+            quaternion=quaternion / np.linalg.norm(quaternion),
+            velocity=0.3 * rng.normal(size=3),
+            angular_velocity=rng.normal(size=3),
+            points={"p": 0.2 * rng.normal(size=3), "q": 0.2 * rng.normal(size=3)},
+        )
+
+    bodies = {"a": body((0.0, 0.1, 0.2)), "b": body((0.3, -0.2, 0.4))}
+    return sj.Scene(bodies, {} if joint is None else {"joint": joint}, **options)
