@@ -5,7 +5,7 @@ array code itself is to be compiled, the function is first turned into a straigh
 operations then acts on all lanes at once: XLA makes long loops over lanes of it instead of many small blocks.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
@@ -76,6 +76,18 @@ LARGEST_LANE = 5_000
 """Functions of more operations than this are mapped as array code: compiling the program would take seconds."""
 
 
+def rows_at(array: Float[Array, "n ..."], index: Sequence[int] | Int[np.ndarray, " k"]) -> Float[Array, "k ..."]:
+    """Rows of an array by static, non-negative numbers; a run of numbers is a slice."""
+    numbers = np.asarray(index, np.int32)
+    if numbers.size == 0:
+        return array[:0]
+    if np.array_equal(numbers, np.arange(numbers[0], numbers[0] + numbers.size)):
+        return array[numbers[0] : numbers[0] + numbers.size]
+    dimensions = jax.lax.GatherDimensionNumbers(tuple(range(1, array.ndim)), (0,), (0,))
+    mode = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return jax.lax.gather(array, numbers[:, None], dimensions, (1, *array.shape[1:]), mode=mode)
+
+
 def sums_by_index(values: Float[Array, "k ..."], index: Int[np.ndarray, " k"], size: int) -> Float[Array, "size ..."]:
     """For each target the sum of the values that name it: out[i] = sum of values[j] over index[j] = i.
 
@@ -84,23 +96,26 @@ def sums_by_index(values: Float[Array, "k ..."], index: Int[np.ndarray, " k"], s
 
     Args:
         values: what is summed.
-        index: target of each value (static).
+        index: target of each value (static); a value with the target -1 counts nowhere.
         size: number of targets.
     """
-    counts = np.bincount(index, minlength=size)
+    index = np.asarray(index)
+    counts = np.bincount(index[index >= 0], minlength=size)
+    if np.array_equal(index, np.arange(size)):
+        return values
     if counts.max(initial=0) > LARGEST_FAN_IN:
         chunks, of_chunk = _chunked(index)
         values = sums_by_index(values, chunks, len(of_chunk))
         return sums_by_index(values, of_chunk, size)
-    order = np.argsort(index, kind="stable")
+    order = np.argsort(index, kind="stable")[np.sum(index < 0) :]
     starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
     padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]), values.dtype)])
-    nothing = len(order)
+    nothing = len(index)
     order = np.append(order, nothing)
     total = jnp.zeros((size, *values.shape[1:]), values.dtype)
     for turn in range(counts.max(initial=0)):
-        source = np.where(counts > turn, order[np.minimum(starts + turn, nothing)], nothing)
-        total = total + padded[source] if turn else padded[source]
+        source = np.where(counts > turn, order[np.minimum(starts + turn, len(order) - 1)], nothing)
+        total = total + rows_at(padded, source) if turn else rows_at(padded, source)
     return total
 
 
@@ -113,6 +128,9 @@ def _chunked(index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     chunks, of_chunk = np.zeros(len(index), int), []
     seen: dict[int, tuple[int, int]] = {}
     for position, target in enumerate(index.tolist()):
+        if target < 0:
+            chunks[position] = -1
+            continue
         chunk, filled = seen.get(target, (-1, LARGEST_FAN_IN))
         if filled == LARGEST_FAN_IN:
             chunk, filled = len(of_chunk), 0

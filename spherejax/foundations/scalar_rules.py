@@ -32,6 +32,7 @@ STRUCTURAL = frozenset(
         "dynamic_update_slice",
         "scatter",
         "tile",
+        "pad",
     ]
 )
 
@@ -104,11 +105,21 @@ def move_names(graph: Graph, primitive, parameters, inputs, shapes) -> list[np.n
         operands.append(
             np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape)
         )
+    if name == "gather" and _picks_rows(parameters, inputs):
+        return [inputs[0][operands[1][:, 0]]]
     with jax.ensure_compile_time_eval():
         moved_names = np.asarray(primitive.bind(*operands, **_filling_with_nothing(name, parameters)))
     if np.any(moved_names < 0):
         raise NotScalarizable(f"{name!r} with an index out of range")
     return [moved_names]
+
+
+def _picks_rows(parameters, inputs) -> bool:
+    """Whether a gather takes whole rows that exist: NumPy does that at once, where JAX would compile a program."""
+    array, dimensions = inputs[0], parameters["dimension_numbers"]
+    picked = jax.lax.GatherDimensionNumbers(tuple(range(1, array.ndim)), (0,), (0,))
+    is_within = parameters["mode"] == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return is_within and dimensions == picked and parameters["slice_sizes"] == (1, *array.shape[1:])
 
 
 def _filling_with_nothing(name, parameters):
@@ -132,6 +143,14 @@ def _slice(inputs, parameters):
     return [inputs[0][tuple(slice(*bound) for bound in bounds)]]
 
 
+def _pad(inputs, parameters):
+    array, filling = inputs
+    config = parameters["padding_config"]
+    if any(low < 0 or high < 0 or interior for low, high, interior in config):
+        raise NotScalarizable("a negative or interior padding")
+    return [np.pad(array, [(low, high) for low, high, _ in config], constant_values=int(filling))]
+
+
 _MOVES = {
     "reshape": lambda inputs, p: [inputs[0].reshape(p["new_sizes"])],
     "squeeze": lambda inputs, p: [np.squeeze(inputs[0], tuple(p["dimensions"]))],
@@ -143,6 +162,7 @@ _MOVES = {
     "stack": lambda inputs, p: [np.stack(inputs, p["axis"])],
     "split": lambda inputs, p: np.split(inputs[0], np.cumsum(p["sizes"])[:-1], p["axis"]),
     "broadcast_in_dim": _broadcast,
+    "pad": _pad,
     "copy": lambda inputs, p: [inputs[0]],
     "copy_p": lambda inputs, p: [inputs[0]],
 }

@@ -27,10 +27,11 @@ def _block_solve(graph, inputs, parameters, shapes, dtypes):
     pattern: BlockPattern = parameters["pattern"]
     diagonal, pairs, right = inputs
     n, m, columns = right.shape[-3:]
+    size = int(np.prod(right.shape[:-3]))
     batches = zip(
-        diagonal.reshape(-1, n, m, m),
-        pairs.reshape(-1, len(pattern.pairs), m, m),
-        right.reshape(-1, n * m, columns),
+        diagonal.reshape(size, n, m, m),
+        pairs.reshape(size, len(pattern.pairs), m, m),
+        right.reshape(size, n * m, columns),
         strict=True,
     )
     solved = [_eliminate(graph, _lower_rows_of_blocks(graph, pattern, d, p), b) for d, p, b in batches]

@@ -50,6 +50,8 @@ class System(eqx.Module):
         memory_slots: where the joints' memory is; empty where no law needs one.
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
+        stacks: the numbers of bodies and joints as `model.groups.Stacks`, where they have been stacked already (once,
+            ahead of a loop); None otherwise.
     """
 
     bodies: dict[str, Body]
@@ -60,6 +62,7 @@ class System(eqx.Module):
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
     refines_constraints: bool = eqx.field(static=True, default=False)
+    stacks: Any = None
 
     @property
     def layout(self) -> Layout:

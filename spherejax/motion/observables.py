@@ -5,13 +5,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.types import Scalar, Vector3
+from spherejax.model.groups import stacks_of
 from spherejax.model.system import System
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
-from spherejax.physics.bodies import inertia_in_world
+from spherejax.physics.bodies import Body, inertia_in_world
 from spherejax.physics.joints import PlacedSpherical
-from spherejax.physics.kinematics import point_motion
+from spherejax.physics.kinematics import BodyMotion, point_motion
 
 
 class Reaction(NamedTuple):
@@ -64,7 +66,7 @@ class Observation(NamedTuple):
 def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     """All observables at one state."""
     evaluation = evaluate(system, t, y)
-    accelerations = jnp.stack(list(evaluation.solution.accelerations.values()))
+    accelerations = evaluation.solution.accelerations
     spherical = {name: joint for name, joint in system.joints.items() if isinstance(joint, PlacedSpherical)}
     relative = {name: joint.relative_motion(evaluation.motions) for name, joint in spherical.items()}
     position_violation, velocity_violation = _violations(evaluation)
@@ -79,7 +81,7 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
         eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
         parts={name: load.response.parts for name, load in evaluation.loads.items()},
         elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
-        kinetic_energy=_kinetic_energy(system, evaluation),
+        kinetic_energy=jnp.sum(over_lanes(_kinetic_energy, stacks_of(system).bodies, evaluation.motions.moving)),
         potential_energy=_potential_energy(system, t, evaluation),
         constraint_violation=position_violation,
         velocity_violation=velocity_violation,
@@ -103,28 +105,27 @@ def _driving_power(evaluation: Evaluation, name: str) -> Scalar:
     return evaluation.solution.multipliers[name] @ evaluation.constraints.rows[name].rate_at_rest
 
 
-def _kinetic_energy(system: System, evaluation: Evaluation) -> Scalar:
-    total = jnp.zeros(())
-    for name, body in system.bodies.items():
-        motion = evaluation.motions[name]
-        w = motion.angular_velocity
-        rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
-        total = total + (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
-    return total
+def _kinetic_energy(body: Body, motion: BodyMotion) -> Scalar:
+    w = motion.angular_velocity
+    rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
+    return (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
 
 
 def _potential_energy(system: System, t: Scalar, evaluation: Evaluation) -> Scalar:
-    total = jnp.zeros(())
-    for name, body in system.bodies.items():
-        total = total - body.mass * (system.gravity @ evaluation.motions[name].position)
+    bodies, motions = stacks_of(system).bodies, evaluation.motions.moving
+    total = jnp.sum(over_lanes(_weight_energy, bodies, motions, shared=(system.gravity,)))
     for force in system.forces.values():
         total = total + force.potential_energy(t, evaluation.motions)
     return total
 
 
+def _weight_energy(gravity: Vector3, body: Body, motion: BodyMotion) -> Scalar:
+    return -body.mass * (gravity @ motion.position)
+
+
 def _violations(evaluation: Evaluation) -> tuple[Scalar, Scalar]:
     constraints = evaluation.constraints
-    if not constraints.rows:
+    if not constraints.groups:
         return jnp.zeros(()), jnp.zeros(())
     rates = velocity_violation(constraints, evaluation.motions)
     return jnp.max(jnp.abs(constraints.residual)), jnp.max(jnp.abs(rates))

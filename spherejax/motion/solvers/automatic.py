@@ -13,9 +13,9 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System, flatten_system
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.dynamics import body_motions
-from spherejax.motion.loads import applied_wrenches
+from spherejax.motion.loads import BodyVectors, applied_wrenches
 from spherejax.motion.programs import program_for
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.physics.joints import Bushing, Lubricated, PlacedSpherical
@@ -141,9 +141,8 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
-    wrenches = applied_wrenches(system, t, motions, {})
-    weights = {name: jnp.concatenate([wrenches[name].force, wrenches[name].moment]) for name in system.bodies}
-    falling = solve_augmented(constraints, masses, weights, constraints.bias).accelerations
+    weights = applied_wrenches(system, t, motions, None)
+    falling = _by_name(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
     decays, squares = [], []
     for name in system.force_joints:
         joint = system.spherical(name)
@@ -176,9 +175,14 @@ def _mobility(system: System, motions, constraints, masses, joint: PlacedSpheric
         for body, center, force in zip(joint.bodies, (socket, ball), (-unit, unit), strict=True):
             if body in loads:
                 loads[body] = jnp.concatenate([force, jnp.cross(center.arm, force)])
-        accelerations = solve_augmented(constraints, masses, loads, jnp.zeros_like(constraints.bias)).accelerations
-        columns.append(_relative_acceleration(joint, motions, accelerations))
+        wrenches = jnp.stack(list(loads.values()))
+        moved = solve_augmented(constraints, masses, wrenches, jnp.zeros_like(constraints.bias)).accelerations
+        columns.append(_relative_acceleration(joint, motions, _by_name(system, moved)))
     return jnp.stack(columns, 1)
+
+
+def _by_name(system: System, accelerations: BodyVectors) -> dict[str, Float[Array, "6"]]:
+    return {name: accelerations[i] for i, name in enumerate(system.bodies)}
 
 
 def _relative_acceleration(joint: PlacedSpherical, motions, accelerations) -> Float[Array, "3"]:
