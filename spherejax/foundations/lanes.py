@@ -1,14 +1,6 @@
-"""One function for many things of the same kind: bodies, joints, pairs of joints, side by side as lanes.
+"""One function for many things of the same kind: bodies, joints, pairs of joints, side by side as lanes."""
 
-What is written for one body or one joint is mapped over all of a kind. As array code that is `jax.vmap`. Where the
-array code itself is to be compiled, the function is first turned into a straight-line scalar program, and each of its
-operations then acts on all lanes at once: XLA makes long loops over lanes of it instead of many small blocks.
-"""
-
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-from functools import lru_cache
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -16,27 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.scalar_rules import NotScalarizable
-from spherejax.foundations.scalarize import ScalarProgram, scalarize
-
-_AS_PROGRAMS: ContextVar[bool] = ContextVar("lanes run as scalar programs", default=False)
-
-
-@contextmanager
-def lanes_as_programs(chosen: bool = True) -> Iterator[None]:
-    """Within this context (of tracing) `over_lanes` maps scalar programs; outside, the functions themselves."""
-    token = _AS_PROGRAMS.set(chosen)
-    try:
-        yield
-    finally:
-        _AS_PROGRAMS.reset(token)
-
 
 def over_lanes(function: Callable, *lanes, shared: tuple = ()) -> Any:
     """`function(*shared, *lane)` for each lane.
 
     Args:
-        function: written for one lane; a module-level function, for its program is kept.
+        function: written for one lane.
         *lanes: arguments (pytrees) whose arrays have a leading axis of lanes.
 
     Other args:
@@ -46,34 +23,7 @@ def over_lanes(function: Callable, *lanes, shared: tuple = ()) -> Any:
         The results, with a leading axis of lanes.
     """
     axes = (*(None for _ in shared), *(0 for _ in lanes))
-    arguments = (*shared, *lanes)
-    if _AS_PROGRAMS.get():
-        flat, tree = jax.tree.flatten(arguments)
-        flat_axes = [axis for axis, argument in zip(axes, arguments, strict=True) for _ in jax.tree.leaves(argument)]
-        shapes = tuple(np.shape(x)[0 if axis is None else 1 :] for x, axis in zip(flat, flat_axes, strict=True))
-        program = _lane_program(function, tree, shapes)
-        if program is not None:
-            return jax.vmap(program, flat_axes)(*(jnp.asarray(x, jnp.float64) for x in flat))
-    return jax.vmap(function, axes)(*arguments)
-
-
-@lru_cache(maxsize=512)
-def _lane_program(function: Callable, tree, shapes: tuple[tuple[int, ...], ...]) -> ScalarProgram | None:
-    """The scalar program of a function for one lane; None where it has none, or is too large to be unrolled."""
-
-    def of_leaves(*leaves):
-        return function(*jax.tree.unflatten(tree, leaves))
-
-    examples = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
-    try:
-        with lanes_as_programs(False):
-            return scalarize(of_leaves, *examples, maximum_operations=LARGEST_LANE)
-    except NotScalarizable:
-        return None
-
-
-LARGEST_LANE = 5_000
-"""Functions of more operations than this are mapped as array code: compiling the program would take seconds."""
+    return jax.vmap(function, axes)(*shared, *lanes)
 
 
 def rows_at(array: Float[Array, "n ..."], index: Sequence[int] | Int[np.ndarray, " k"]) -> Float[Array, "k ..."]:

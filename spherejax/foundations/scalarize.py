@@ -21,6 +21,7 @@ from jax.extend import core as jex
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph, TooManyOperations
 from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, NotScalarizable, move_names
 
+
 class ScalarProgram:
     """A function as a straight-line scalar program; call it like the function it was made from.
 

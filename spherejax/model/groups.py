@@ -6,6 +6,7 @@ there are of each kind then changes the length of the arrays, and not the progra
 
 import copy
 import dataclasses
+from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.model.system import System
+from spherejax.model.system import Structure, System
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints import AbstractPlacedJoint
 
@@ -54,6 +55,25 @@ def stacks_of(system: System) -> Stacks:
     if system.stacks is not None:
         return system.stacks
     return Stacks(_stacked_bodies(system), _joint_groups(system))
+
+
+def stacks_from(structure: Structure, theta) -> Stacks:
+    """The stacked numbers, picked from the flat vector: a few operations, however many bodies there are."""
+    places = _places_of(structure)
+    if places is None:
+        return stacks_of(structure.system(theta))
+    return jax.tree.map(lambda place: jnp.asarray(theta)[place], places)
+
+
+@lru_cache(maxsize=256)
+def _places_of(structure: Structure) -> Stacks | None:
+    """Where in the flat vector each of the stacked numbers is; None where stacking converts some."""
+    size = sum(int(np.prod(shape)) for shape in structure.shapes)
+    with jax.ensure_compile_time_eval():
+        system = structure.system(np.arange(size, dtype=np.float64))
+        if len({np.shape(body.inertia) for body in system.bodies.values()}) > 1:
+            return None
+        return jax.tree.map(lambda place: np.asarray(place, np.int64), stacks_of(system))
 
 
 def _stacked_bodies(system: System) -> Body:

@@ -109,7 +109,7 @@ class ConstraintSet:
         """D^T lambda."""
         parts = [
             over_lanes(_rows_transposed_times, found.rows.jacobians, values)
-            for found, values in zip(self.groups, self._by_group(multipliers), strict=True)
+            for found, values in zip(self.groups, self.by_group(multipliers), strict=True)
         ]
         if not parts:
             return jnp.zeros((len(self.names), 6))
@@ -118,13 +118,13 @@ class ConstraintSet:
 
     def split(self, values: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:
         """A vector with one entry an equation, by joint."""
-        groups = zip(self.groups, self._by_group(values), strict=True)
+        groups = zip(self.groups, self.by_group(values), strict=True)
         return {name: part[i] for found, part in groups for i, name in enumerate(found.group.names)}
 
     def padded(self, values: Float[Array, " n"]) -> Float[Array, "n_joints n_rows"]:
         """A vector with one entry an equation as rows of equal length, one for each joint, filled up with zeros."""
         width = max((found.shape[1] for found in self.groups), default=0)
-        parts = [jnp.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in self._by_group(values)]
+        parts = [jnp.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in self.by_group(values)]
         return jnp.concatenate([jnp.zeros((0, width)), *parts])
 
     def unpadded(self, rows: Float[Array, "n_joints n_rows"]) -> Float[Array, " n"]:
@@ -135,7 +135,8 @@ class ConstraintSet:
             for start, found in zip(starts, self.groups, strict=False)
         )
 
-    def _by_group(self, values: Float[Array, " n"]) -> list[Float[Array, "n_joints n_rows"]]:
+    def by_group(self, values: Float[Array, " n"]) -> list[Float[Array, "n_joints n_rows"]]:
+        """A vector with one entry an equation, by kind of joint and joint."""
         starts = np.cumsum([0, *(found.rows.residual.size for found in self.groups)])
         return [
             values[start : start + found.rows.residual.size].reshape(found.shape)
@@ -208,10 +209,12 @@ class Solution(NamedTuple):
     Attributes:
         accelerations: linear [m/s^2] and angular [rad/s^2] of each body, world axes, shape (n_bodies, 6).
         multipliers: lambda of each constraining joint, by name; the constraint's wrench on a body is -D^T lambda.
+        flat: lambda, one entry an equation.
     """
 
     accelerations: BodyVectors
     multipliers: dict[str, Float[Array, " n_joint"]]
+    flat: Float[Array, " n"]
 
 
 def constrained_accelerations(
@@ -244,7 +247,7 @@ def solve_augmented(
     """
     free = masses.times(loads)
     if not constraints.groups:
-        return Solution(free, {})
+        return Solution(free, {}, jnp.zeros(0))
     mobility = mobility_of(constraints, masses)
 
     def corrected(accelerations, multipliers):
@@ -255,7 +258,7 @@ def solve_augmented(
     accelerations, multipliers = corrected(free, jnp.zeros_like(desired))
     if refine:
         accelerations, multipliers = corrected(accelerations, multipliers)
-    return Solution(accelerations, constraints.split(multipliers))
+    return Solution(accelerations, constraints.split(multipliers), multipliers)
 
 
 def _joined(parts) -> Float[Array, " total"]:

@@ -1,19 +1,21 @@
 """What can be observed of a motion besides the state: accelerations, reactions, energies, constraint violation."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.types import Scalar, Vector3
-from spherejax.model.groups import stacks_of
+from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System
+from spherejax.motion.body_motions import between
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import Body, inertia_in_world
 from spherejax.physics.joints import PlacedSpherical
-from spherejax.physics.kinematics import BodyMotion, point_motion
+from spherejax.physics.kinematics import BodyMotion, RelativeMotion, point_motion
 
 
 class Reaction(NamedTuple):
@@ -67,14 +69,13 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     """All observables at one state."""
     evaluation = evaluate(system, t, y)
     accelerations = evaluation.solution.accelerations
-    spherical = {name: joint for name, joint in system.joints.items() if isinstance(joint, PlacedSpherical)}
-    relative = {name: joint.relative_motion(evaluation.motions) for name, joint in spherical.items()}
+    relative = _relative_motions(system, evaluation)
     position_violation, velocity_violation = _violations(evaluation)
     driven = [name for name, joint in system.joints.items() if joint.is_driven]
     return Observation(
         acceleration=accelerations[:, :3],
         angular_acceleration=accelerations[:, 3:],
-        reactions={name: _reaction(system, evaluation, name) for name in system.joints},
+        reactions=_reactions(evaluation),
         driving_effort={name: -evaluation.solution.multipliers[name] for name in driven},
         driving_power={name: _driving_power(evaluation, name) for name in driven},
         eccentricity={name: motion.eccentricity for name, motion in relative.items()},
@@ -88,16 +89,41 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     )
 
 
-def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
-    joint = system.joints[name]
-    if name in evaluation.loads:
-        response = evaluation.loads[name].response
-        return Reaction(response.force, response.ball_moment)
-    body = joint.bodies[1]
-    jacobian = evaluation.constraints.rows[name].jacobians[1]
-    wrench = -jacobian.T @ evaluation.solution.multipliers[name]
-    arm = point_motion(evaluation.motions[body], jnp.asarray(joint.points[1])).arm
+def _relative_motions(system: System, evaluation: Evaluation) -> dict[str, RelativeMotion]:
+    """Motion of ball in socket of each spherical joint."""
+    found = {}
+    for group in stacks_of(system).joints:
+        if isinstance(group.joint, PlacedSpherical):
+            found |= _by_name(group, over_lanes(_relative_motion, group.joint, *evaluation.motions.of_ends(group)))
+    return {name: found[name] for name in system.joints if name in found}
+
+
+def _relative_motion(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion) -> RelativeMotion:
+    return joint.relative_motion(between(first, second))
+
+
+def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
+    """What each joint exerts on its second body."""
+    constraints = evaluation.constraints
+    found = {}
+    for rows, multipliers in zip(constraints.groups, constraints.by_group(evaluation.solution.flat), strict=True):
+        second = evaluation.motions.at(rows.group.second)
+        reaction = over_lanes(_constraint_reaction, rows.group.joint, second, rows.rows.jacobians[1], multipliers)
+        found |= _by_name(rows.group, reaction)
+    for loads in evaluation.loads.groups:
+        response = loads.load.response
+        found |= _by_name(loads.group, Reaction(response.force, response.ball_moment))
+    return dict(sorted(found.items()))
+
+
+def _constraint_reaction(joint, second: BodyMotion, jacobian, multipliers) -> Reaction:
+    wrench = -jacobian.T @ multipliers
+    arm = point_motion(second, jnp.asarray(joint.points[1])).arm
     return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
+
+
+def _by_name(group: JointGroup, stacked: Any) -> dict[str, Any]:
+    return {name: jax.tree.map(lambda x, i=i: x[i], stacked) for i, name in enumerate(group.names)}
 
 
 def _driving_power(evaluation: Evaluation, name: str) -> Scalar:

@@ -76,7 +76,7 @@ def _turned_back(p: Quaternion, turn: Vector3) -> Quaternion:
 
 
 @lru_cache(maxsize=64)
-def correction_of(structure: Structure, use_scalars: bool, n_corrections: int) -> Callable:
+def correction_of(structure: Structure, use_scalars: bool | None, n_corrections: int) -> Callable:
     """The drift control's correction of a state, for the integrator: a function of (parameters, t, y)."""
     program = program_for(corrected, structure, use_scalars)
 

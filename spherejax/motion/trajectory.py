@@ -59,7 +59,7 @@ class Trajectory(eqx.Module):
         t_reached: the time that was reached [s].
         assembly: how the start was made consistent.
         choice: which method was used, and why.
-        scalar: whether the scalar program is used.
+        scalar: whether scalar programs are used; None: those that are not too large.
     """
 
     ts: Float[Array, " n"]
@@ -70,7 +70,7 @@ class Trajectory(eqx.Module):
     t_reached: Float[Array, ""]
     assembly: Assembly
     choice: str = eqx.field(static=True)
-    scalar: bool = eqx.field(static=True)
+    scalar: bool | None = eqx.field(static=True)
 
     def __repr__(self) -> str:
         if not is_concrete(self.status):
@@ -282,7 +282,7 @@ class Trajectory(eqx.Module):
 
 
 @eqx.filter_jit
-def _observed(structure, use_scalars: bool, theta, ts, ys) -> Observation:
+def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
     program = program_for(observe, structure, use_scalars)
     ahead = program.ahead(theta)

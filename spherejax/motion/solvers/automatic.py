@@ -70,7 +70,7 @@ class Choice(NamedTuple):
     reason: str
 
 
-def choose_solver(system: System, rtol=1e-8) -> Choice:
+def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> Choice:
     """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
@@ -81,10 +81,18 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
     Args:
         system: the system.
         rtol: relative tolerance of the run; 1e-8 is assumed when it is traced.
+
+    Other args:
+        explicit_only: the system is too large for a stiff method: on the array path its linear systems are dense.
     """
     stiff_models = [name for name in system.force_joints if _may_be_stiff(system.joints[name])]
     if not stiff_models:
         return Choice(diffrax.Dopri8(), "Dopri8: no joint has a film or an elastomer")
+    if explicit_only:
+        reason = (
+            f"Dopri8: joint {stiff_models[0]!r} may be stiff, but the linear systems of a stiff method would be dense"
+        )
+        return Choice(diffrax.Dopri8(), reason)
     known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
     stiff = stiff_method(known_rtol).solver
     name_of_stiff = type(stiff).__name__
@@ -143,6 +151,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     weights = applied_wrenches(system, t, motions, None)
     falling = _by_name(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
+    mobilities = _mobilities(system, motions, constraints, masses)
     decays, squares = [], []
     for name in system.force_joints:
         joint = system.spherical(name)
@@ -157,7 +166,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
             return joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory).force
 
         stiffness, damping = jax.jacfwd(force, (0, 1))(place, jnp.zeros(3))
-        mobility = _mobility(system, motions, constraints, masses, joint)
+        mobility = mobilities[name]
         decays.append(mobility @ damping)
         squares.append(mobility @ stiffness)
     return jnp.stack(decays), jnp.stack(squares)
@@ -166,19 +175,25 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
 SMALLEST = 1e-12
 
 
-def _mobility(system: System, motions, constraints, masses, joint: PlacedSpherical) -> Float[Array, "3 3"]:
-    """Relative acceleration of ball and socket for unit forces along the axes [1/kg]."""
-    socket, ball = joint.centers(motions)
-    columns = []
-    for unit in jnp.eye(3):
-        loads = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
-        for body, center, force in zip(joint.bodies, (socket, ball), (-unit, unit), strict=True):
-            if body in loads:
-                loads[body] = jnp.concatenate([force, jnp.cross(center.arm, force)])
-        wrenches = jnp.stack(list(loads.values()))
-        moved = solve_augmented(constraints, masses, wrenches, jnp.zeros_like(constraints.bias)).accelerations
-        columns.append(_relative_acceleration(joint, motions, _by_name(system, moved)))
-    return jnp.stack(columns, 1)
+def _mobilities(system: System, motions, constraints, masses) -> dict[str, Float[Array, "3 3"]]:
+    """Relative accelerations of ball and socket of each force joint for unit forces along the axes [1/kg]."""
+    pairs = []
+    for name in system.force_joints:
+        joint = system.spherical(name)
+        for unit in jnp.eye(3):
+            loads = {body: jnp.zeros(VELOCITY_SIZE) for body in system.bodies}
+            for body, center, force in zip(joint.bodies, joint.centers(motions), (-unit, unit), strict=True):
+                if body in loads:
+                    loads[body] = jnp.concatenate([force, jnp.cross(center.arm, force)])
+            pairs.append(jnp.stack(list(loads.values())))
+    none = jnp.zeros_like(constraints.bias)
+    moved = jax.vmap(lambda load: solve_augmented(constraints, masses, load, none).accelerations)(jnp.stack(pairs))
+    found = {}
+    for i, name in enumerate(system.force_joints):
+        joint = system.spherical(name)
+        columns = [_relative_acceleration(joint, motions, _by_name(system, moved[3 * i + k])) for k in range(3)]
+        found[name] = jnp.stack(columns, 1)
+    return found
 
 
 def _by_name(system: System, accelerations: BodyVectors) -> dict[str, Float[Array, "6"]]:
