@@ -142,7 +142,14 @@ def main() -> None:
                 is_chosen = (row["path"] == "scalar") == is_scalar
                 measured = runs if is_chosen else {}
                 own.append(
-                    {"mechanism": mechanism, **row, "chosen": is_chosen, "first_run_s": "", "ms_per_step": "", **measured}
+                    {
+                        "mechanism": mechanism,
+                        **row,
+                        "chosen": is_chosen,
+                        "first_run_s": "",
+                        "ms_per_step": "",
+                        **measured,
+                    }
                 )
                 print(own[-1], flush=True)
         rows += own

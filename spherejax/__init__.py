@@ -18,6 +18,7 @@ if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
 from spherejax import gallery
+from spherejax.files import SceneFile, SimulationSettings, load_scene, load_urdf, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from spherejax.model.drift import (
@@ -30,6 +31,8 @@ from spherejax.model.drift import (
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
+from spherejax.motion.lanes import Block
+from spherejax.motion.many import Runs, simulate_many
 from spherejax.motion.modes import Mode
 from spherejax.motion.programs import ArrayPathWarning
 from spherejax.motion.redundancy import ConstraintReport, constraint_report
@@ -37,8 +40,18 @@ from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
+from spherejax.output.drawing import animate, draw, view
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce, AppliedWrench, Wrench
+from spherejax.physics.forces import (
+    AbstractForce,
+    AppliedWrench,
+    BumpStop,
+    ShockAbsorber,
+    SpringDamper,
+    TorsionalSpring,
+    Tyre,
+    Wrench,
+)
 from spherejax.physics.functions import (
     AbstractFunction,
     Bump,
@@ -67,7 +80,6 @@ from spherejax.physics.joints import (
     DistanceDriver,
     Dry,
     Fixed,
-    Harmonic,
     Ideal,
     ImplicitCurve,
     Line,
@@ -81,7 +93,6 @@ from spherejax.physics.joints import (
     RotationDriver,
     Spherical,
     TranslationDriver,
-    Uniform,
     Universal,
     differentiated_rows,
 )
@@ -117,6 +128,7 @@ from spherejax.physics.laws import (
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
+from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -138,9 +150,11 @@ __all__ = [
     "Assembly",
     "Baumgarte",
     "BengisuAkay",
+    "Block",
     "Body",
     "BrownMcPhee",
     "Bump",
+    "BumpStop",
     "Bushing",
     "Circle",
     "Constant",
@@ -157,8 +171,8 @@ __all__ = [
     "Fixed",
     "Flores",
     "Gonthier",
+    "Grid",
     "Guembel",
-    "Harmonic",
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",
@@ -191,37 +205,56 @@ __all__ = [
     "Rodas5P",
     "Ros34PW2",
     "RotationDriver",
+    "Runs",
     "ScalarProgram",
     "Scene",
     "SceneError",
+    "SceneFile",
+    "ShockAbsorber",
     "SimulationError",
+    "SimulationSettings",
     "SimulationWarning",
     "Sine",
     "SmoothStep",
     "SmoothTable",
     "Sommerfeld",
     "Spherical",
+    "SpringDamper",
     "Status",
     "Step",
     "Sum",
     "System",
     "Table",
     "Threlfall",
+    "TorsionalSpring",
     "Trajectory",
     "TranslationDriver",
-    "Uniform",
+    "Tyre",
     "Universal",
     "UserFunction",
     "VectorElastomer",
     "WorkPrecision",
     "Wrench",
+    "animate",
     "compile_scene",
     "constraint_report",
     "differentiated_rows",
+    "draw",
     "effects",
     "gallery",
+    "load_scene",
+    "load_urdf",
+    "product",
+    "random_samples",
+    "read_scene_file",
     "runtime",
+    "save_scene",
     "scalarize",
     "simulate",
+    "simulate_many",
+    "sobol_samples",
+    "sweep",
+    "view",
     "work_precision",
+    "zipped",
 ]

@@ -1,4 +1,4 @@
-"""The command line: `spherejax run | compare | effects | accuracy | list`."""
+"""The command line: `spherejax run | draw | compare | effects | accuracy | sweep | write | list`."""
 
 import argparse
 import os
@@ -22,6 +22,8 @@ EPILOG = """examples:
   spherejax list
   spherejax run four-bar --joint friction --t1 0.2 --out run.nc
   spherejax compare four-bar --quick --out results/
+  spherejax write four-bar --out my_mechanism.toml
+  spherejax run my_mechanism.toml
 
 Compiled programs are kept in $XDG_CACHE_HOME/spherejax/jax (~/.cache without XDG_CACHE_HOME), so that a
 command starts faster the second time; SPHEREJAX_CACHE=0 switches that off.
@@ -62,13 +64,16 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.accuracy import add_accuracy
     from spherejax.command_line.catalog import add_list
     from spherejax.command_line.compare import add_compare
+    from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.run import add_run
+    from spherejax.command_line.sweep import add_sweep
+    from spherejax.command_line.write import add_write
 
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (add_run, add_compare, add_effects, add_accuracy, add_list):
+    for add in (add_run, add_draw, add_compare, add_effects, add_accuracy, add_sweep, add_write, add_list):
         add(commands)
     for command in {parser, *commands.choices.values()}:
         # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.

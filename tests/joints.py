@@ -4,10 +4,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 import spherejax as sj
+from spherejax.foundations.rotation import rotation_matrix
+from spherejax.model.system import flatten_system
+from spherejax.motion.assembly import as_ideal, assemble_now
 
 POINT = (0.1, -0.2, 0.3)
 AXIS = (1.0, 2.0, -0.5)
@@ -80,8 +84,8 @@ KINDS = {
     ),
     "distance": Kind(lambda: sj.Distance("a.p", "b.p", 0.7), 1),
     "distance at the start": Kind(lambda: sj.Distance("a.p", "b.q"), 1),
-    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.Harmonic(0.7, 0.3, 0.2, 0.1)), 1),
-    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.Harmonic(0.1, 0.4, 0.3)), 1),
+    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.Sine(0.7, 0.3, 0.2, 0.1)), 1),
+    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.Sine(0.1, 0.4, 0.3)), 1),
     "distance driver": Kind(lambda: sj.DistanceDriver("a.p", "b.q", lambda t: 0.5 + 0.1 * jnp.tanh(t)), 1),
     "position driver": Kind(
         lambda: sj.PositionDriver("b.p", lambda t: jnp.stack([0.1 * t, jnp.sin(t), jnp.cos(2 * t)]), body="a"), 3
@@ -108,3 +112,21 @@ def pair(joint=None, **options) -> sj.Scene:
 
     bodies = {"a": body((0.0, 0.1, 0.2)), "b": body((0.3, -0.2, 0.4))}
     return sj.Scene(bodies, {} if joint is None else {"joint": joint}, **options)
+
+
+def momenta(run):
+    """Linear and angular momentum about the world's origin at all samples."""
+    linear, angular = 0.0, 0.0
+    for name, body in run.system.bodies.items():
+        p = body.mass * np.asarray(run.velocity(name))
+        R = np.asarray(jax.vmap(rotation_matrix)(run.quaternion(name)))
+        w = np.asarray(run.angular_velocity(name))
+        spin = np.einsum("nij,j,nkj,nk->ni", R, np.asarray(body.inertia), R, w)
+        linear = linear + p
+        angular = angular + np.cross(np.asarray(run.position(name)), p) + spin
+    return linear, angular
+
+
+def assembled(system: sj.System) -> np.ndarray:
+    """The flat state at the consistent start."""
+    return np.asarray(assemble_now(*flatten_system(as_ideal(system))).y)

@@ -9,7 +9,7 @@ import pytest
 import spherejax
 
 PACKAGE = Path(spherejax.__file__).parent
-ORDER = ["foundations", "physics", "model", "gallery", "motion", "output", "studies", "command_line", "top"]
+ORDER = ["foundations", "physics", "model", "gallery", "motion", "files", "output", "studies", "command_line", "top"]
 LONGEST = 450
 FILES = sorted(PACKAGE.rglob("*.py"))
 

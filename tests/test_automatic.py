@@ -8,7 +8,8 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.solvers.automatic import _rates_now, choose_solver, explicit_rate_limit
+from spherejax.motion.solvers.automatic import choose_solver, explicit_rate_limit
+from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.tolerances import component_tolerances
 
@@ -50,11 +51,44 @@ def test_rate_of_an_elastomer_between_free_bodies():
             {"j": sj.Spherical("a.c", "b.c", sj.Bushing(k, b))},
         )
         structure, theta = flatten_system(compile_scene(scene).system)
-        return float(_rates_now(structure, theta.tobytes())[0])
+        return float(rates_in_clearance(structure, theta)[0])
 
     mobility = 1 / 2.0 + 1 / 3.0
     assert rate(1e6, 1e-2) == pytest.approx(1e4 * mobility, rel=1e-9)
     assert rate(1e6, 0.0) == pytest.approx((1e6 * mobility) ** 0.5, rel=1e-9)
+
+
+def hanging_ball(model, mass=2.0):
+    """A body that hangs in a socket at its center of mass: the load is its weight, and nothing else is joined."""
+    body = sj.Body(mass, (1e-2,) * 3, points={"ball": (0.0, 0.0, 0.0)})
+    joint = sj.Spherical("ground.socket", "body.ball", model)
+    return compile_scene(sj.Scene({"body": body}, {"joint": joint}, ground_points={"socket": (0.0, 0.0, 0.0)})).system
+
+
+def test_rate_of_friction_under_load():
+    """Slope mu F / v1 of Threlfall's law at rest (kappa = 1), by the mobility of the surface 1/m + R^2/J; F is three
+    times the weight."""
+    model = sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1, v1=1e-6))
+    structure, theta = flatten_system(hanging_ball(model))
+    slope = float(np.linalg.norm(model.friction.traction(np.array([1e-12, 0.0, 0.0]), 3 * 2.0 * 9.81))) / 1e-12
+    expected = slope * (1 / 2.0 + (1e-2 - 1e-4) ** 2 / 1e-2)
+    assert rates_under_load(structure, theta, 1.0)[0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_contact_that_is_held_by_friction_is_stiff_and_one_that_vibrates_is_not():
+    assert chosen(sj.Dry(1e-4, friction=sj.Threlfall())) is diffrax.Dopri8
+    held = compile_scene(sj.gallery.suspension(sj.Dry(1e-4, friction=sj.Threlfall()))).system
+    choice = choose_solver(held, 1e-8)
+    assert isinstance(choice.solver, sj.Rodas5P)
+    assert "'wheel_a_arm' resists under load" in choice.reason
+    assert isinstance(choose_solver(held, 1e-5).solver, sj.Ros34PW2)
+
+
+def test_a_film_is_looked_at_under_load_where_the_load_presses_through_it():
+    light, heavy = (hanging_ball(sj.Lubricated(1e-4, viscosity=0.4), mass) for mass in (1.0, 10.0))
+    rates = [float(rates_under_load(*flatten_system(system), 0.1)[0]) for system in (light, heavy)]
+    assert rates[0] == 0.0
+    assert rates[1] > 0.0
 
 
 def test_traced_numbers_are_not_looked_at():

@@ -27,7 +27,9 @@ def parsed(*words):
     return cli.parser().parse_args(["run", "four-bar", *words])
 
 
-@pytest.mark.parametrize("words", [(), ("run",), ("compare",), ("effects",), ("accuracy",), ("list",)])
+@pytest.mark.parametrize(
+    "words", [(), ("run",), ("draw",), ("compare",), ("effects",), ("accuracy",), ("write",), ("list",)]
+)
 def test_help_says_what_the_command_does_and_gives_an_example(words, capsys):
     assert cli.main([*words, "--help"]) == 0
     out = capsys.readouterr().out
@@ -41,7 +43,7 @@ def test_help_of_run_names_defaults_with_units(capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "radial clearance [m] (default: 1e-4)" in out
     assert "dynamic viscosity [Pa s] (default: 0.4)" in out
-    assert "length of the motion [s] (default: 2)" in out
+    assert "length of the motion [s] (default: 2, or as published)" in out
 
 
 def test_run_writes_what_simulate_gives(tmp_path, capsys):

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import spherejax as sj
-from spherejax.command_line.figures import figures_of, law_figures
+from spherejax.command_line.figures import figures_of
 from spherejax.output.plot.curves import Curves, thinned
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import acceleration_and_energy, four_histories, slowest_sliding
@@ -17,6 +17,7 @@ from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.compare import Comparison, LimitResult, Row, StudyResult
+from spherejax.studies.subjects.four_bar import law_figures
 
 TS = np.linspace(0.0, 2.0, 20001)
 

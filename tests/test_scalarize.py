@@ -20,7 +20,7 @@ from spherejax.motion.contacts import crossings, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.observables import observe
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import _start_now
+from spherejax.motion.simulate import start_now
 
 AGREEMENT = 1e-12  # of the largest component
 SCALAR = jax.ShapeDtypeStruct((), jnp.float64)
@@ -31,7 +31,7 @@ def prepared(scene, track_work=True):
     """System, structure, numbers and assembled start of a scene."""
     system = sj.compile_scene(scene, track_work=track_work).system
     structure, theta = flatten_system(system)
-    return system, structure, theta, _start_now(system, np.zeros(1))
+    return system, structure, theta, start_now(system)
 
 
 def assert_agree(scalar, array, largest=None):
@@ -437,3 +437,12 @@ def test_elimination_order_keeps_an_arrow_sparse():
     assert program.n_operations < 10 * n  # about 150 when it fills
     diagonal, edge, b = jnp.full(n, 5.0), jnp.linspace(0.1, 0.6, n - 1), jnp.arange(1.0, n + 1)
     assert np.asarray(program(diagonal, edge, b)) == pytest.approx(np.asarray(solve(diagonal, edge, b)), rel=1e-13)
+
+
+def test_sums_over_nothing():
+    def function(x):
+        nothing = x[:0]
+        return jnp.sum(nothing) + nothing @ nothing + x @ jnp.zeros((3, 0)) @ jnp.zeros(0) + x[0]
+
+    x = jnp.array([2.0, 3.0, 4.0])
+    assert float(sj.scalarize(function, x)(x)) == function(x) == 2.0

@@ -17,7 +17,7 @@ from spherejax.motion.dynamics import state_rate
 from spherejax.motion.integrate import initial_state
 from spherejax.motion.paths import path_of
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import _start_now
+from spherejax.motion.simulate import start_now
 from spherejax.motion.solvers.automatic import choose_solver
 
 AGREEMENT = 1e-12  # of the largest component
@@ -30,7 +30,7 @@ def structure_of(scene):
 def started(scene):
     """Structure, numbers and the assembled start."""
     system = compile_scene(scene, track_work=True).system
-    start = _start_now(system, np.zeros(1))
+    start = start_now(system, np.zeros(1))
     return *flatten_system(system), np.array(initial_state(system, jax.tree.map(jnp.asarray, start)))
 
 

@@ -42,6 +42,9 @@ def largest_difference(model, n_states: int = 60, seed: int = 0) -> float:
     for i in range(n_states):
         y = y0.copy()
         y[:21] += rng.normal(size=21) * 3e-4 * rng.uniform(0.2, 1.0)
+        for start in (3, 10, 17):
+            # spherejax takes a quaternion for that of unit norm, the hand-written equations take it as it is.
+            y[start : start + 4] /= np.linalg.norm(y[start : start + 4])
         y[21:] += rng.normal(size=18) * np.tile([0.05, 0.05, 0.05, 1.0, 1.0, 1.0], 3)
         onset_rate = 0.01 * (i % 2)
         rate(y, onset_rate, p, out)

@@ -7,9 +7,10 @@ import time
 from pathlib import Path
 
 import spherejax as sj
-from spherejax.command_line.catalog import JOINTS, SCENES, SOLVERS
+from spherejax.command_line.catalog import JOINTS, SOLVERS
 from spherejax.command_line.models import add_joint_options, model_from
 from spherejax.command_line.printing import print_table, progress
+from spherejax.command_line.scenes import add_scene, chosen, model_name
 
 DESCRIPTION = """\
 Run a mechanism with several solvers at several tolerances, time every run, and measure its error
@@ -24,6 +25,7 @@ EPILOG = """examples:
   spherejax accuracy four-bar --joint dry --t1 0.8 --solvers tsit5 dopri8 --tolerances 1e-5 1e-7 1e-9
   spherejax accuracy four-bar --models ideal dry friction --quick --out results/
   spherejax accuracy four-bar --joint bushing --stiffness 1e5 --quick --out results/
+  spherejax accuracy my_mechanism.toml --t1 0.5 --out results/
 """
 
 QUICK_TIME, QUICK_SECONDS = 0.05, 1.0
@@ -49,7 +51,7 @@ def add_accuracy(commands) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", choices=SCENES, help="the mechanism")
+    add_scene(parser)
     add_joint_options(parser)
     parser.add_argument(
         "--models",
@@ -107,13 +109,13 @@ def scenes_from(options: argparse.Namespace) -> dict[str, sj.Scene]:
     Raises:
         SceneError: for an option of one model beside `--models`, which take their defaults.
     """
-    build, model = SCENES[options.scene], model_from(options)  # refuses options that an ideal joint does not use
+    found = chosen(options)
     if options.models is None:
-        return {options.joint: build(model)}
-    if options.joint != "ideal":
+        return {model_name(options): found.scene(options)}
+    if options.joint is not None:
         raise sj.SceneError("--models compares models with their defaults; leave --joint and its options out")
     plain = {name: argparse.Namespace(**{**vars(options), "joint": name}) for name in options.models}
-    return {name: build(model_from(one)) for name, one in plain.items()}
+    return {name: found.build(model_from(one)) for name, one in plain.items()}
 
 
 def _request(options: argparse.Namespace) -> dict:

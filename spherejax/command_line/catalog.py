@@ -1,13 +1,49 @@
 """Names that the command line knows: scenes, joint models, laws, solvers, drift controls; and `spherejax list`."""
 
 import argparse
+import inspect
 from collections.abc import Callable, Mapping
-
-import diffrax
+from typing import NamedTuple
 
 import spherejax as sj
+from spherejax.files.dimensions import FIELDS
+from spherejax.files.settings import SOLVERS
 
-SCENES: Mapping[str, Callable[..., sj.Scene]] = {"four-bar": sj.gallery.four_bar}
+SCENES: Mapping[str, Callable[..., sj.Scene]] = {
+    name.replace("_", "-"): build
+    for name, build in vars(sj.gallery).items()
+    if name in sj.gallery.__all__ and inspect.signature(build).return_annotation is sj.Scene
+}
+"""The scenes of the gallery: functions that can be called without arguments."""
+
+ALIASES = {"a01": "simple-pendulum", "a02": "n-four-bar", "a04": "bricard", "a05": "governor"}
+"""Short names of scenes: their numbers in the IFToMM library of benchmark problems."""
+
+
+class Usual(NamedTuple):
+    """What a scene of the gallery takes where the options say nothing.
+
+    Attributes:
+        t1: length of the motion [s].
+        samples: number of samples.
+        bushing: stiffness [N/m] and damping [s] of a bushing in the studied joint.
+    """
+
+    t1: float = 2.0
+    samples: int = 2001
+    bushing: tuple[float, float] = (1e6, 1e-2)
+
+
+USUAL: Mapping[str, Usual] = {
+    "andrews": Usual(0.03),
+    "bricard": Usual(10.0),
+    "car-axis": Usual(3.0),
+    "governor": Usual(10.0),
+    "n-four-bar": Usual(10.0),
+    "simple-pendulum": Usual(10.0),
+    "suspension": Usual(6.0, 6001, (2e7, 1e-3)),
+}
+"""Scenes that take other values than `Usual()`: those that their sources ask for."""
 
 JOINTS = {
     "ideal": "ball and socket without any gap: constraint equations",
@@ -38,16 +74,6 @@ BOUNDARIES = {"guembel": sj.Guembel, "pinkus-sternlicht": sj.PinkusSternlicht, "
 
 ELASTOMERS = {"radial": sj.RadialElastomer, "vector": sj.VectorElastomer}
 
-SOLVERS = {
-    "tsit5": (diffrax.Tsit5, "explicit, order 5"),
-    "dopri5": (diffrax.Dopri5, "explicit, order 5"),
-    "dopri8": (diffrax.Dopri8, "explicit, order 8: the choice for scenes that are not stiff"),
-    "kvaerno5": (diffrax.Kvaerno5, "implicit, order 5, chord iterations that converge below the step's tolerance"),
-    "rodas4p": (sj.Rodas4P, "linearly implicit, order 4, no iterations"),
-    "rodas5p": (sj.Rodas5P, "linearly implicit, order 5: the choice for stiff scenes"),
-    "ros34pw2": (sj.Ros34PW2, "linearly implicit, order 3: fastest on stiff scenes at low accuracy"),
-}
-
 DRIFT_CONTROLS = {
     "baumgarte": (sj.Baumgarte, "feedback of the violations in the equations, alpha = beta = 5 1/s"),
     "projection": (sj.Projection, "every step ends on the constraints, to rounding"),
@@ -55,20 +81,21 @@ DRIFT_CONTROLS = {
     "none": (sj.NoDriftControl, "the equations as they are"),
 }
 
-UNITS = {
-    "mu": "-", "mu_kinetic": "-", "mu_static": "-", "v0": "m/s", "v1": "m/s", "kappa": "s/m",
-    "restitution": "-",
-    "stribeck_velocity": "m/s", "bristle_stiffness": "1/m", "bristle_damping": "s/m", "viscous": "s/m",
-    "stiffness": "N/m", "damping": "s", "exponent": "-",
-}  # fmt: skip
+ABOUT_FILES = """\
+A * marks a key that must be given. Numbers are in the unit in brackets, or texts with another unit: "0.1 mm".
+Of a body, rotation may stand instead of quaternion: { axis = [0, 0, 1], angle = "30 deg" }, or
+{ sequence = "ZXZ", angles = ["10 deg", "20 deg", 0] } with capital letters for turns about the body's own axes
+and small ones for turns about those of the world. One joint may be marked studied = true: the one that --joint
+is the model of. A class of your own is named by its file: kind = "my_file.py:MyClass"."""
 
 DESCRIPTION = """\
 Name everything that can be asked for: scenes, joint models, force laws with their parameters and
-defaults, solvers and drift controls.
+defaults, solvers and drift controls. With --kinds: everything that can stand in a scene file.
 """
 
-EPILOG = """example:
+EPILOG = """examples:
   spherejax list
+  spherejax list --kinds
 """
 
 
@@ -81,6 +108,9 @@ def add_list(commands) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument(
+        "--kinds", action="store_true", help="name what can stand in a scene file: kinds, their keys and units"
+    )
     parser.set_defaults(action=list_names)
 
 
@@ -88,8 +118,11 @@ def list_names(options: argparse.Namespace) -> int:
     """Print the catalog."""
     from spherejax.command_line.printing import print_table
 
-    del options
-    scenes = [(name, (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
+    if options.kinds:
+        list_kinds()
+        return 0
+    short = {name: f"{name} ({alias})" for alias, name in ALIASES.items()}
+    scenes = [(short.get(name, name), (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
     print_table("Scenes", ("name", "what"), scenes)
     print_table("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
     print_table("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))
@@ -100,7 +133,35 @@ def list_names(options: argparse.Namespace) -> int:
     print_table("Solvers (--solver)", ("name", "what"), [(name, what) for name, (_, what) in SOLVERS.items()])
     controls = [(name, what) for name, (_, what) in DRIFT_CONTROLS.items()]
     print_table("Drift control (--drift)", ("name", "what"), controls)
+    print(
+        "A mechanism of your own is a scene file: `spherejax write four-bar --out my.toml` writes one to start from,\n"
+        "`spherejax run my.toml` runs it, `spherejax list --kinds` names what can stand in it."
+    )
     return 0
+
+
+def list_kinds() -> None:
+    """Print what can stand in a scene file."""
+    from spherejax.command_line.printing import print_table
+    from spherejax.files.kinds import family_names, keys_of, kinds_of
+    from spherejax.files.settings import FIELDS as SETTINGS
+
+    print_table("[bodies.NAME]", ("key", "what"), keys_of(sj.Body))
+    for title, family in family_names():
+        rows = [
+            (kind if first else "", key, what)
+            for kind, cls in kinds_of(family).items()
+            for first, (key, what) in _marked(keys_of(cls))
+        ]
+        print_table(title, ("kind", "key", "what"), rows)
+    print_table("[simulation]", ("key", "what"), [(key, field.what) for key, field in SETTINGS.items()])
+    print(ABOUT_FILES)
+
+
+def _marked(rows):
+    """Rows with a mark at the first; one empty row where there is none."""
+    rows = rows or [("", "")]
+    return [(position == 0, row) for position, row in enumerate(rows)]
 
 
 def _with_parameters(laws: Mapping[str, type]) -> list[tuple[str, str]]:
@@ -113,15 +174,11 @@ def parameters_of(law: type) -> str:
 
     words = []
     for parameter in dataclasses.fields(law):
-        unit = (
-            "N/m^n"
-            if "exponent" in law.__dataclass_fields__ and parameter.name == "stiffness"
-            else UNITS[parameter.name]
-        )
+        unit = FIELDS[law][parameter.name].what
         if parameter.default is dataclasses.MISSING:
-            words.append(f"{parameter.name} [{unit}]")
+            words.append(f"{parameter.name} {unit}")
         elif parameter.default is None:
-            words.append(f"{parameter.name} from radii and materials [{unit}]")
+            words.append(f"{parameter.name} from radii and materials {unit}")
         else:
-            words.append(f"{parameter.name} = {parameter.default:g} [{unit}]")
+            words.append(f"{parameter.name} = {parameter.default:g} {unit}")
     return ", ".join(words) or "none"

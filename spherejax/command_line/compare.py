@@ -6,30 +6,27 @@ import time
 from pathlib import Path
 
 import spherejax as sj
-from spherejax.command_line.catalog import SCENES
 from spherejax.command_line.printing import print_table, progress
 from spherejax.studies.compare import Comparison, Row, compare
+from spherejax.studies.subjects import SUBJECTS
 
 SAVED_SAMPLES = 2000
 """Samples of the netCDF files, about; the study itself uses a hundred times more."""
 
 DESCRIPTION = """\
 Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction,
-lubricated, bushing), vary their parameters, and print a table: energy lost, peak acceleration,
-largest eccentricity, steps, and computing time against the ideal joint. Writes table.csv, one
-netCDF file for each model, and figures that follow the numbering of the paper (figNN_*.png). About
-three minutes on two free cores; later runs are faster, because compiled programs are kept.
+lubricated, bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity,
+steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each model,
+and figures that follow the numbering of the paper (figNN_*.png). The four-bar takes about three
+minutes on two free cores, the suspension one; later runs are faster, because compiled programs are
+kept.
 """
 
 EPILOG = """examples:
   spherejax compare four-bar --out results/
+  spherejax compare suspension --out results/
   spherejax compare four-bar --quick --out results/
 """
-
-HEADS = (
-    "model", "energy lost [mJ]", "peak acceleration [m/s^2]", "max |e| / 0.10 mm", "onsets", "steps",
-    "warm run [s]", "time ratio", "repeatable until [s]",
-)  # fmt: skip
 
 
 def add_compare(commands) -> None:
@@ -41,8 +38,10 @@ def add_compare(commands) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", choices=[name for name in SCENES if name == "four-bar"], help="the mechanism")
-    parser.add_argument("--quick", action="store_true", help="0.2 s of motion instead of 2 s, one parameter study")
+    parser.add_argument("scene", choices=SUBJECTS, help="the mechanism")
+    parser.add_argument(
+        "--quick", action="store_true", help="a short version: 0.2 s and one parameter study; 4.2 s and one method"
+    )
     parser.add_argument("--out", default="results", metavar="FOLDER", help="folder for all files (default: results)")
     parser.add_argument("--overwrite", action="store_true", help="replace the files of an earlier comparison")
     parser.set_defaults(action=compare_models)
@@ -58,7 +57,7 @@ def compare_models(options: argparse.Namespace) -> int:
     start = time.perf_counter()
     with progress("comparing") as report:
         comparison = compare(
-            SCENES[options.scene], quick=options.quick, report=lambda what, share: report(what, 0.9 * share)
+            SUBJECTS[options.scene], quick=options.quick, report=lambda what, share: report(what, 0.9 * share)
         )
         names = _write(comparison, folder, report)
     print_comparison(comparison)
@@ -70,27 +69,19 @@ def compare_models(options: argparse.Namespace) -> int:
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """The table of the models, and one for each parameter study."""
-    title = f"Joint models, {comparison.t_end:g} s of motion"
-    print_table(title, HEADS, [_cells(row) for row in comparison.rows], numeric=True)
+    """The table of the models, one for each parameter study, and what else the mechanism has to say."""
+    subject = comparison.subject
+    heads = ("model", *(column.head for column in subject.columns))
+    rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]
+    print_table(f"Joint models, {comparison.t_end:g} s of motion", heads, rows, numeric=True)
+    for table in subject.summaries(comparison):
+        print_table(table.title, table.heads, table.rows, numeric=True)
     for result in comparison.studies:
         rows = [(label, f"{1e3 * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
         title = f"{result.study.name}: {result.study.title}".replace("\n", " ")
         print_table(title, ("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), rows, numeric=True)
-
-
-def _cells(row: Row) -> tuple[str, ...]:
-    return (
-        row.label,
-        f"{1e3 * row.lost_energy:.4g}",
-        f"{row.peak_acceleration:.4g}",
-        f"{row.eccentricity_ratio:.4g}",
-        "-" if row.n_onsets is None else str(row.n_onsets),
-        f"{row.n_steps:,}",
-        f"{row.seconds:.3g}",
-        f"{row.time_ratio:.3g}",
-        "the end" if row.horizon is None else f"{row.horizon:.3g}",
-    )
+    for remark in subject.remarks(comparison):
+        print(remark)
 
 
 def _write(comparison: Comparison, folder: Path, report) -> list[str]:
@@ -115,15 +106,20 @@ def _write(comparison: Comparison, folder: Path, report) -> list[str]:
 
 
 def _write_table(rows: list[Row], path: Path) -> None:
+    """Every number of every row, in SI units, whatever the mechanism."""
     heads = {
         "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",
         "eccentricity_ratio": "eccentricity_ratio [-]", "n_onsets": "n_onsets", "n_steps": "n_steps",
         "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "horizon": "repeatable_until [s]",
         "method": "method",
     }  # fmt: skip
+    measures = list(rows[0].measures)
+    fixed = [] if rows[0].fixed is None else ["fixed_n_steps", "fixed_seconds [s]", "fixed_time_ratio [-]"]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(heads.values())
+        writer.writerow([*heads.values(), *measures, *fixed])
         for row in rows:
             values = [getattr(row, name) for name in heads]
+            values += [row.measures[name] for name in measures]
+            values += [] if row.fixed is None else list(row.fixed)
             writer.writerow(["" if value is None else value for value in values])

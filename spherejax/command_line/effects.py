@@ -2,8 +2,8 @@
 
 import argparse
 
-from spherejax.command_line.catalog import SCENES
-from spherejax.command_line.models import add_joint_options, model_from
+from spherejax.command_line.models import add_joint_options
+from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
 Compile a mechanism and print, effect by effect, the states and constraint rows that it adds and its
@@ -11,8 +11,9 @@ scalar operations and microseconds per evaluation of the equations of motion, be
 mechanism with ideal joints. What a scene does not call for costs nothing.
 """
 
-EPILOG = """example:
+EPILOG = """examples:
   spherejax effects four-bar --joint friction
+  spherejax effects my_mechanism.toml
 """
 
 
@@ -25,7 +26,7 @@ def add_effects(commands) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", choices=SCENES, help="the mechanism")
+    add_scene(parser)
     add_joint_options(parser)
     parser.set_defaults(action=show_effects)
 
@@ -34,5 +35,5 @@ def show_effects(options: argparse.Namespace) -> int:
     """Print the table of effects."""
     from spherejax.studies.effects import effects
 
-    print(effects(SCENES[options.scene](model_from(options))))
+    print(effects(chosen(options).scene(options)))
     return 0

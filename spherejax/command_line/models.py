@@ -2,16 +2,21 @@
 
 import argparse
 import dataclasses
+from collections.abc import Mapping
 
 import spherejax as sj
-from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS
+from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS, USUAL, Usual
 
 CONTACT = ("dry", "friction", "lubricated")
 
 
 def add_joint_options(parser: argparse.ArgumentParser) -> None:
     """Options that describe the studied joint."""
-    parser.add_argument("--joint", choices=JOINTS, default="ideal", help="model of the studied joint (default: ideal)")
+    parser.add_argument(
+        "--joint",
+        choices=JOINTS,
+        help="model of the studied joint (default: the one that the scene or the file describes)",
+    )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
     gap.add_argument("--clearance", type=float, metavar="M", help="radial clearance [m] (default: 1e-4)")
     gap.add_argument("--socket-radius", type=float, metavar="M", help="inner radius of the socket [m] (default: 0.010)")
@@ -31,9 +36,12 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     film.add_argument("--viscosity", type=float, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
-    bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6)")
+    bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
     bushing.add_argument(
-        "--damping", type=float, metavar="B", help="stiffness-proportional damping [s] (default: 1e-2)"
+        "--damping",
+        type=float,
+        metavar="B",
+        help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
     )
     bushing.add_argument(
         "--elastomer",
@@ -48,12 +56,14 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     Raises:
         SceneError: for an option that the model does not use: ignoring it would answer another question.
     """
+    options = argparse.Namespace(**{**vars(options), "joint": options.joint or "ideal"})
     _refuse_unused(options)
     if options.joint == "ideal":
         return sj.Ideal()
     if options.joint == "bushing":
         law = ELASTOMERS[options.elastomer or "radial"]
-        return sj.Bushing(law=law(_or(options.stiffness, 1e6), _or(options.damping, 1e-2)))
+        stiffness, damping = USUAL.get(getattr(options, "scene", ""), Usual()).bushing
+        return sj.Bushing(law=law(_or(options.stiffness, stiffness), _or(options.damping, damping)))
     material = sj.Material() if options.youngs_modulus is None else sj.Material(youngs_modulus=options.youngs_modulus)
     contact = {
         "socket_radius": _or(options.socket_radius, 0.010),
@@ -69,7 +79,7 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     return sj.Dry(clearance, **contact)
 
 
-_USED_BY = {
+USED_BY: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
         (
             "clearance",
@@ -89,7 +99,7 @@ _USED_BY = {
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
-    for name, joints in _USED_BY.items():
+    for name, joints in USED_BY.items():
         if getattr(options, name) is not None and options.joint not in joints:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(f"{flag} means nothing with --joint {options.joint}; it belongs to {', '.join(joints)}")

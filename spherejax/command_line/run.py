@@ -8,14 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 
 import spherejax as sj
-from spherejax.command_line.catalog import DRIFT_CONTROLS, SCENES, SOLVERS
-from spherejax.command_line.models import add_joint_options, model_from
+from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
+from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.printing import print_table
+from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
+from spherejax.files.settings import SimulationSettings
 
 DESCRIPTION = """\
-Simulate a mechanism from rest with one joint model, print how the run went, and write the sampled
-motion: positions, velocities, accelerations, reactions, eccentricities and energies. Options that
-are not given take the defaults named below; all numbers are in SI units.
+Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
+accelerations, reactions, eccentricities and energies. The mechanism is a scene of the gallery or a
+file that describes one; `spherejax write` makes a file to start from. Options that are not given take
+the values of the file's table [simulation], or the defaults named below; all numbers are in SI units.
 """
 
 EPILOG = """examples:
@@ -24,6 +27,10 @@ EPILOG = """examples:
       --t1 0.2 --rtol 1e-9 --out run.nc
   spherejax run four-bar --joint bushing --stiffness 1e5 --dt 1e-3 --out run.csv
   spherejax run four-bar --t1 1000 --samples 101 --drift projection
+  spherejax run my_mechanism.toml --out run.nc
+  spherejax run robot.urdf --t1 1
+  spherejax run a04
+  spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
 """
 
 
@@ -36,22 +43,18 @@ def add_run(commands) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", choices=SCENES, help="the mechanism")
+    add_scene(parser)
     add_joint_options(parser)
     times = parser.add_argument_group("times and accuracy")
-    times.add_argument("--t1", type=float, default=2.0, metavar="S", help="length of the motion [s] (default: 2)")
+    times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2, or as published)")
     sampling = times.add_mutually_exclusive_group()
-    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001)")
+    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001, or as published)")
     sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
-    times.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
+    times.add_argument("--rtol", type=float, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=float, help="absolute tolerance of a step, one number (default: by the scene)")
-    times.add_argument(
-        "--max-steps", type=int, default=20_000_000, metavar="N", help="give up beyond (default: 20000000)"
-    )
+    times.add_argument("--max-steps", type=int, metavar="N", help="give up beyond (default: 20000000)")
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
-    times.add_argument(
-        "--drift", choices=DRIFT_CONTROLS, default="baumgarte", help="drift control (default: baumgarte)"
-    )
+    times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
@@ -62,7 +65,11 @@ def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
     from spherejax.output.io import save, writable
 
-    scene = SCENES[options.scene](model_from(options), drift=DRIFT_CONTROLS[options.drift][0]())
+    found = chosen(options)
+    scene = found.scene(options)
+    if options.drift is not None:
+        scene = changed_scene(scene, drift=DRIFT_CONTROLS[options.drift][0]())
+    options = with_defaults(options, found.settings)
     ts = sample_times(options)
     if options.out is not None:
         writable(options.out, overwrite=options.overwrite)
@@ -80,13 +87,30 @@ def run_scene(options: argparse.Namespace) -> int:
     jax.block_until_ready(run.ys)
     seconds = time.perf_counter() - start
     print_table(
-        f"{options.scene}, {options.joint} joint, {options.t1:g} s",
+        f"{found.title or found.name}, {_joint_words(options)}, {options.t1:g} s",
         ("quantity", "value"),
         _summary(run, seconds),
     )
     if options.out is not None:
         print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
     return 0
+
+
+def with_defaults(options: argparse.Namespace, settings: SimulationSettings) -> argparse.Namespace:
+    """What the options leave open, as the scene's file says, or as the help does."""
+    said = {name: getattr(options, name) for name in SimulationSettings._fields}
+    if said["samples"] is not None or said["dt"] is not None:
+        settings = settings._replace(samples=None, dt=None)
+    last = {"t1": 2.0, "rtol": 1e-8, "max_steps": 20_000_000}
+    for name, value in settings._asdict().items():
+        if said[name] is None:
+            said[name] = last.get(name) if value is None else value
+    return argparse.Namespace(**{**vars(options), **said})
+
+
+def _joint_words(options: argparse.Namespace) -> str:
+    name = model_name(options)
+    return name if name == AS_DESCRIBED else f"{name} joint"
 
 
 def sample_times(options: argparse.Namespace):

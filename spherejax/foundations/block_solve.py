@@ -26,7 +26,11 @@ Columns = Float[Array, "*batch k m c"]
 
 
 def block_solve(
-    pattern: BlockPattern, diagonal: Float[Array, "n m m"], pairs: Float[Array, "e m m"], right: Float[Array, "n m"]
+    pattern: BlockPattern,
+    diagonal: Float[Array, "n m m"],
+    pairs: Float[Array, "e m m"],
+    right: Float[Array, "n m"],
+    smallest_pivot: float = REDUNDANT_PIVOT,
 ) -> Float[Array, "n m"]:
     """Solution x of S x = b, with redundant equations left out as in `symmetric_solve`.
 
@@ -35,13 +39,14 @@ def block_solve(
         diagonal: blocks (i, i). Rows that only fill a block up have a one on the diagonal and zeros elsewhere.
         pairs: blocks (i, j) of `pattern.pairs`, in its order.
         right: b.
+        smallest_pivot: an equation whose pivot is below this part of its diagonal entry counts as dependent (static).
 
     Returns:
         x; an empty array without blocks.
     """
     if pattern.n_blocks == 0:
         return right
-    return block_solve_p.bind(diagonal, pairs, right[..., None], pattern=pattern)[..., 0]
+    return block_solve_p.bind(diagonal, pairs, right[..., None], pattern=pattern, smallest_pivot=smallest_pivot)[..., 0]
 
 
 def block_times(pattern: BlockPattern, diagonal: Blocks, pairs: Blocks, columns: Columns) -> Columns:
@@ -69,31 +74,32 @@ def _product(a, b):
 # The elimination -----------------------------------------------------------------------------------------------------
 
 
-def _solve(diagonal, pairs, right, *, pattern: BlockPattern):
-    function = partial(_solve_one, pattern)
+def _solve(diagonal, pairs, right, *, pattern: BlockPattern, smallest_pivot: float):
+    function = partial(_solve_one, pattern, smallest_pivot)
     for _ in range(right.ndim - 3):
         function = jax.vmap(function)
     return function(diagonal, pairs, right)
 
 
-def _solve_one(pattern: BlockPattern, diagonal, pairs, right):
+def _solve_one(pattern: BlockPattern, smallest_pivot: float, diagonal, pairs, right):
     """Segment after segment forward, then back."""
     m = diagonal.shape[-1]
     zero = jnp.zeros((1, m, m))
     given = jnp.concatenate([pairs, jnp.swapaxes(pairs, -1, -2), zero])
     blocks = jnp.concatenate([diagonal, given[pattern.elimination.sources]])
     entries = jnp.diagonal(diagonal, axis1=-2, axis2=-1)
+    smallest = smallest_pivot * entries
     x = jnp.concatenate([right, jnp.zeros((1, *right.shape[1:]))])
     kept = []
     for segment in pattern.elimination.segments:
-        blocks, x, ratios = _forward(segment, blocks, entries, x)
+        blocks, x, ratios = _forward(segment, blocks, smallest, x)
         kept.append(ratios)
     for segment, ratios in zip(reversed(pattern.elimination.segments), reversed(kept), strict=True):
         x = _backward(segment, ratios, x)
     return jnp.where(jnp.any(entries < 0), jnp.nan, x[:-1])
 
 
-def _forward(segment: Segment, blocks, entries, x):
+def _forward(segment: Segment, blocks, smallest, x):
     """Eliminate the pivots of a segment: their rows of x become P b, those of their neighbors lose N P b."""
     steps = jax.tree.map(jnp.asarray, segment)
     n_steps, d = segment.neighbors.shape
@@ -103,7 +109,7 @@ def _forward(segment: Segment, blocks, entries, x):
         blocks, x, kept = carry
         pivot, slots, updated, near = steps.pivot[s], steps.blocks[s], steps.updates[s], steps.neighbors[s]
         below, row = blocks[slots], x[pivot]
-        solved, ratios, changes, moved = _eliminated(blocks[pivot], entries[pivot], below, row)
+        solved, ratios, changes, moved = _eliminated(blocks[pivot], smallest[pivot], below, row)
         x = x.at[pivot].set(solved)
         blocks = _taken_from(blocks, updated, changes)
         x = _taken_from(x, near, moved)
@@ -125,12 +131,12 @@ LARGEST_UNROLLED = 16
 """Blocks of one step that are changed by operations of their own; more are left to a loop."""
 
 
-def _eliminated(pivot, diagonal, below, row):
+def _eliminated(pivot, smallest, below, row):
     """Elimination of one block row.
 
     Args:
         pivot: its block on the diagonal, after the steps before.
-        diagonal: the diagonal entries of that block in S.
+        smallest: pivots up to these are those of redundant equations, shape (m,).
         below: the blocks N_a of its column, shape (d, m, m).
         row: its right-hand side b, shape (m, c).
 
@@ -140,7 +146,7 @@ def _eliminated(pivot, diagonal, below, row):
     d, m = below.shape[0], pivot.shape[0]
     c = row.shape[1]
     columns = jnp.concatenate([row, *(below[a].T for a in range(d))], 1)
-    solved = _by_elimination(pivot, diagonal, columns)
+    solved = _by_elimination(pivot, smallest, columns)
     own = solved[:, :c]
     ratios = [solved[:, c + m * a : c + m * (a + 1)] for a in range(d)]
     changes = [_product(below[b], ratios[a]) for a in range(d) for b in range(a, d)]
@@ -154,13 +160,13 @@ def _eliminated(pivot, diagonal, below, row):
     )
 
 
-def _by_elimination(matrix, diagonal, columns):
+def _by_elimination(matrix, smallest, columns):
     """L D L^T of a small block, unrolled."""
     m = matrix.shape[0]
     rows, inverses, factors = list(columns), [], []
     for j in range(m):
         pivot = matrix[0, 0]
-        is_redundant = pivot <= REDUNDANT_PIVOT * diagonal[j]
+        is_redundant = pivot <= smallest[j]
         inverse = jnp.where(is_redundant, 0.0, 1.0 / jnp.where(is_redundant, 1.0, pivot))
         below = matrix[1:, 0] * inverse
         matrix = matrix[1:, 1:] - below[:, None] * matrix[1:, 0][None, :]
@@ -192,40 +198,40 @@ def _backward(segment: Segment, ratios, x):
 # The primitive -------------------------------------------------------------------------------------------------------
 
 
-def _jvp(primals, tangents, *, pattern):
+def _jvp(primals, tangents, *, pattern, **static):
     diagonal, pairs, right = primals
-    solution = block_solve_p.bind(diagonal, pairs, right, pattern=pattern)
+    solution = block_solve_p.bind(diagonal, pairs, right, pattern=pattern, **static)
     diagonal_tangent, pairs_tangent, residual = (
         jnp.zeros_like(primal) if isinstance(tangent, ad.Zero) else tangent
         for primal, tangent in zip(primals, tangents, strict=True)
     )
     if not (isinstance(tangents[0], ad.Zero) and isinstance(tangents[1], ad.Zero)):
         residual = residual - block_times(pattern, diagonal_tangent, pairs_tangent, solution)
-    return solution, block_solve_p.bind(diagonal, pairs, residual, pattern=pattern)
+    return solution, block_solve_p.bind(diagonal, pairs, residual, pattern=pattern, **static)
 
 
-def _transpose(cotangent, diagonal, pairs, right, *, pattern):
+def _transpose(cotangent, diagonal, pairs, right, **static):
     del right  # the solve is linear in it, and S is symmetric
     if isinstance(cotangent, ad.Zero):
         return None, None, cotangent
-    return None, None, block_solve_p.bind(diagonal, pairs, cotangent, pattern=pattern)
+    return None, None, block_solve_p.bind(diagonal, pairs, cotangent, **static)
 
 
-def _batch(arguments, axes, *, pattern):
+def _batch(arguments, axes, **static):
     diagonal, pairs, right = arguments
     if axes[0] is None and axes[1] is None and diagonal.ndim == 3:
         # One matrix, many right-hand sides: they become columns, and the factorization is done once.
         moved = jnp.moveaxis(right, axes[2], 3)
         columns = moved.reshape(*moved.shape[:2], -1)
-        solution = block_solve_p.bind(diagonal, pairs, columns, pattern=pattern)
+        solution = block_solve_p.bind(diagonal, pairs, columns, **static)
         return solution.reshape(moved.shape), 3
     size = next(x.shape[axis] for x, axis in zip(arguments, axes, strict=True) if axis is not None)
     fronted = [batching.bdim_at_front(x, axis, size) for x, axis in zip(arguments, axes, strict=True)]
-    return block_solve_p.bind(*fronted, pattern=pattern), 0
+    return block_solve_p.bind(*fronted, **static), 0
 
 
-block_solve_p.def_impl(jax.jit(_solve, static_argnames="pattern"))
-block_solve_p.def_abstract_eval(lambda diagonal, pairs, right, *, pattern: right)
+block_solve_p.def_impl(jax.jit(_solve, static_argnames=("pattern", "smallest_pivot")))
+block_solve_p.def_abstract_eval(lambda diagonal, pairs, right, **static: right)
 mlir.register_lowering(block_solve_p, mlir.lower_fun(_solve, multiple_results=False))
 ad.primitive_jvps[block_solve_p] = _jvp
 ad.primitive_transposes[block_solve_p] = _transpose

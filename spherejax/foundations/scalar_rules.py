@@ -239,7 +239,7 @@ def _rows(array: np.ndarray, axes) -> tuple[np.ndarray, tuple[int, ...]]:
     kept = [axis for axis in range(array.ndim) if axis not in axes]
     shape = tuple(array.shape[axis] for axis in kept)
     count = int(np.prod([array.shape[axis] for axis in axes]))
-    return array.transpose([*kept, *axes]).reshape(-1, count), shape
+    return array.transpose([*kept, *axes]).reshape(int(np.prod(shape)), count), shape
 
 
 def _reduction(combine, start):
@@ -265,8 +265,9 @@ def _dot_general(graph, inputs, parameters, shapes, dtypes):
     def arranged(array, batch, summed):
         free = [axis for axis in range(array.ndim) if axis not in batch and axis not in summed]
         batch_size = int(np.prod([array.shape[axis] for axis in batch]))
+        free_size = int(np.prod([array.shape[axis] for axis in free]))
         summed_size = int(np.prod([array.shape[axis] for axis in summed]))
-        return array.transpose([*batch, *free, *summed]).reshape(batch_size, -1, summed_size)
+        return array.transpose([*batch, *free, *summed]).reshape(batch_size, free_size, summed_size)
 
     a, b = arranged(left, left_batch, left_summed), arranged(right, right_batch, right_summed)
     zero = graph.constant(0, FLOAT)

@@ -13,12 +13,14 @@ from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
 
 
 def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
-    del parameters, dtypes
+    del dtypes
     matrix, right_side = inputs
     size, columns = right_side.shape[-2:]
     matrices = matrix.reshape(-1, size, size)
     right_sides = right_side.reshape(-1, size, columns)
-    solved = [_eliminate(graph, _lower_rows(graph, m), b) for m, b in zip(matrices, right_sides, strict=True)]
+    smallest = parameters["smallest_pivot"]
+    systems = zip(matrices, right_sides, strict=True)
+    solved = [_eliminate(graph, _lower_rows(graph, m), b, smallest) for m, b in systems]
     return [np.array(solved, np.int64).reshape(shapes[0])]
 
 
@@ -27,14 +29,14 @@ def _block_solve(graph, inputs, parameters, shapes, dtypes):
     pattern: BlockPattern = parameters["pattern"]
     diagonal, pairs, right = inputs
     n, m, columns = right.shape[-3:]
-    size = int(np.prod(right.shape[:-3]))
+    size, smallest = int(np.prod(right.shape[:-3])), parameters["smallest_pivot"]
     batches = zip(
         diagonal.reshape(size, n, m, m),
         pairs.reshape(size, len(pattern.pairs), m, m),
         right.reshape(size, n * m, columns),
         strict=True,
     )
-    solved = [_eliminate(graph, _lower_rows_of_blocks(graph, pattern, d, p), b) for d, p, b in batches]
+    solved = [_eliminate(graph, _lower_rows_of_blocks(graph, pattern, d, p), b, smallest) for d, p, b in batches]
     return [np.array(solved, np.int64).reshape(shapes[0])]
 
 
@@ -65,7 +67,7 @@ def _lower_rows_of_blocks(graph: Graph, pattern: BlockPattern, diagonal: np.ndar
     return rows
 
 
-def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray) -> np.ndarray:
+def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray, smallest_pivot: float) -> np.ndarray:
     """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution.
 
     Redundant rows are left out as in `symmetric_solve`.
@@ -85,7 +87,7 @@ def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray) -> np.ndarray:
     factors: list[dict[int, int]] = []
     for j in range(size):
         column = columns[j]
-        inverse_pivot = _inverse_pivot(graph, column.pop(j, zero), diagonal[j])
+        inverse_pivot = _inverse_pivot(graph, column.pop(j, zero), diagonal[j], smallest_pivot)
         below = {i: graph.mul(column[i], inverse_pivot) for i in sorted(column) if not graph.is_value(column[i], 0)}
         for i in below:
             for k in below:
@@ -106,17 +108,19 @@ def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray) -> np.ndarray:
     return solution
 
 
-def _inverse_pivot(graph: Graph, pivot: int, diagonal: int) -> int:
+def _inverse_pivot(graph: Graph, pivot: int, diagonal: int, smallest_pivot: float) -> int:
     """1 / pivot, or 0 for a redundant row."""
     if pivot == diagonal:
         return graph.div(graph.constant(1, FLOAT), pivot)
-    return _inverse_unless_small(graph, pivot, pivot, diagonal)
+    return _inverse_unless_small(graph, pivot, pivot, diagonal, smallest_pivot)
 
 
-def _inverse_unless_small(graph: Graph, pivot: int, magnitude: int, scale: int) -> int:
+def _inverse_unless_small(
+    graph: Graph, pivot: int, magnitude: int, scale: int, smallest_pivot: float = REDUNDANT_PIVOT
+) -> int:
     """1 / pivot, or 0 where its magnitude is rounding of `scale`; the guarded divisor keeps derivatives finite."""
     one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
-    smallest = graph.mul(scale, graph.constant(REDUNDANT_PIVOT, FLOAT))
+    smallest = graph.mul(scale, graph.constant(smallest_pivot, FLOAT))
     is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
     return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
 

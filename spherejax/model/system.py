@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
@@ -50,6 +51,7 @@ class System(eqx.Module):
         memory_slots: where the joints' memory is; empty where no law needs one.
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
+        smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
         stacks: the numbers of bodies and joints as `model.groups.Stacks`, where they have been stacked already (once,
             ahead of a loop); None otherwise.
     """
@@ -62,6 +64,7 @@ class System(eqx.Module):
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
     refines_constraints: bool = eqx.field(static=True, default=False)
+    smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
     stacks: Any = None
 
     @property
@@ -134,7 +137,7 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # state is the same inside and outside a compiled program.
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
     joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
-    forces = {name: scene.forces[name] for name in sorted(scene.forces)}
+    forces = {name: scene.forces[name].placed(scene.bodies, scene.find) for name in sorted(scene.forces)}
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
@@ -143,7 +146,10 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
             slots.append(MemorySlot(name, start, names))
             start += len(names)
     refines = _masses_are_far_apart(bodies)
-    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines)
+    # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
+    is_driven = any(joint.is_driven for joint in joints.values())
+    smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
+    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines, smallest)
     return Compiled(system, conditions)
 
 
@@ -159,15 +165,28 @@ def _check_leaves(parts: dict[str, Any]) -> None:
 
 
 LARGE_MASS_RATIO = 1e4
-"""From this ratio of masses on, rounding in the constraint forces disturbs the light body."""
+"""From this ratio of masses on, rounding in the constraint forces disturbs the light body; of moments likewise."""
 
 
 def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
     """Whether masses differ so much, or may, being traced."""
-    masses = [body.mass for body in bodies.values()]
-    if not all(is_concrete(mass) for mass in masses):
+    return _are_far_apart([body.mass for body in bodies.values()])
+
+
+def _smallest_pivot(bodies: dict[str, Body]) -> float:
+    """The bound of a singular configuration, where no difference of masses or moments makes pivots as small."""
+    alike = not _masses_are_far_apart(bodies) and not _are_far_apart([_moments(body) for body in bodies.values()])
+    return SINGULAR_PIVOT if alike else REDUNDANT_PIVOT
+
+
+def _moments(body: Body) -> Numeric:
+    return body.inertia if np.ndim(body.inertia) == 1 else body.inertia.diagonal()
+
+
+def _are_far_apart(values: list) -> bool:
+    if not all(is_concrete(value) for value in values):
         return True
-    return bool(max(masses) > LARGE_MASS_RATIO * min(masses))
+    return bool(np.max(values) > LARGE_MASS_RATIO * np.min(values))
 
 
 def _with_array_fields(body: Body) -> Body:

@@ -18,6 +18,7 @@ from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3
+from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import assembly_set, velocity_violation
@@ -59,6 +60,13 @@ class Assembly(NamedTuple):
             f"{np.max(self.displacement):.1e} m and {np.max(self.rotation):.1e} rad, velocities changed at most "
             f"{np.max(self.velocity_change):.1e} m/s"
         )
+
+
+def as_ideal(system: System) -> System:
+    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
+    ideal = {name: joint.as_if_ideal() for name, joint in system.joints.items()}
+    joints = {name: joint for name, joint in ideal.items() if joint is not None}
+    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 
 
 def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> Assembly:

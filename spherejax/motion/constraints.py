@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.lanes import over_lanes, rows_at, sums_by_index
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
 from spherejax.foundations.types import Scalar
 from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System
@@ -198,9 +199,14 @@ def mobility_of(constraints: ConstraintSet, masses: InverseMass) -> Mobility:
     return constraint_mobility([found.rows.jacobians for found in constraints.groups], constraints.ends, masses)
 
 
-def solved(constraints: ConstraintSet, mobility: Mobility, right: Float[Array, " n"]) -> Float[Array, " n"]:
+def solved(
+    constraints: ConstraintSet,
+    mobility: Mobility,
+    right: Float[Array, " n"],
+    smallest_pivot: float = REDUNDANT_PIVOT,
+) -> Float[Array, " n"]:
     """S^-1 times a vector with one entry an equation; redundant equations are left out."""
-    return constraints.unpadded(mobility.solve(constraints.padded(right)))
+    return constraints.unpadded(mobility.solve(constraints.padded(right), smallest_pivot))
 
 
 class Solution(NamedTuple):
@@ -223,7 +229,7 @@ def constrained_accelerations(
     """Solve Eq. 2 for the accelerations and the Lagrange multipliers, with the drift control's feedback."""
     desired = desired_accelerations(system, motions, constraints)
     masses = inverse_masses(system, motions)
-    return solve_augmented(constraints, masses, applied, desired, system.refines_constraints)
+    return solve_augmented(constraints, masses, applied, desired, system.refines_constraints, system.smallest_pivot)
 
 
 def desired_accelerations(system: System, motions: BodyMotions, constraints: ConstraintSet) -> Float[Array, " n"]:
@@ -238,6 +244,7 @@ def solve_augmented(
     loads: BodyVectors,
     desired: Float[Array, " n"],
     refine: bool = False,
+    smallest_pivot: float = REDUNDANT_PIVOT,
 ) -> Solution:
     """Solve M a + D^T lambda = g, D a = gamma for a and lambda, given g by body and gamma.
 
@@ -252,7 +259,7 @@ def solve_augmented(
 
     def corrected(accelerations, multipliers):
         """Multipliers that make up for what the accelerations lack, and the accelerations with them."""
-        more = solved(constraints, mobility, constraints.times(accelerations) - desired)
+        more = solved(constraints, mobility, constraints.times(accelerations) - desired, smallest_pivot)
         return accelerations - masses.times(constraints.transposed_times(more)), multipliers + more
 
     accelerations, multipliers = corrected(free, jnp.zeros_like(desired))

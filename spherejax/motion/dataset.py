@@ -7,6 +7,7 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.status import Status
+from spherejax.physics.forces import UNITS
 
 if TYPE_CHECKING:
     import xarray
@@ -25,7 +26,8 @@ def to_dataset(run: "Trajectory", *, every: int = 1) -> "xarray.Dataset":
 
     Dimensions: `time`; `body` (all moving bodies); `joint` (all joints); `spherical_joint` (those with an
     eccentricity); `clearance_joint` (those with a clearance); `force_joint` (those that answer with a force);
-    `contact_joint`; `axis` (x, y, z of the world); `component` (w, x, y, z of a quaternion); `memory`.
+    `contact_joint`; `axis` (x, y, z of the world); `component` (w, x, y, z of a quaternion); `memory`. The results of a
+    force element are variables of their own: `shock.length`, `shock.force`, `tyre.load`, ...
 
     Args:
         run: a single run; of a batch, take a lane first.
@@ -44,7 +46,7 @@ def to_dataset(run: "Trajectory", *, every: int = 1) -> "xarray.Dataset":
         raise SceneError(
             "to_dataset takes a single run; take one lane of the batch first, e.g. jax.tree.map(lambda x: x[0], runs)"
         )
-    columns = {**_of_bodies(run), **_of_joints(run), **_of_the_whole(run)}
+    columns = {**_of_bodies(run), **_of_joints(run), **_of_forces(run), **_of_the_whole(run)}
     variables = {
         name: (
             dims,
@@ -112,6 +114,8 @@ def _of_bodies(run: "Trajectory") -> dict[str, Column]:
 
 def _of_joints(run: "Trajectory") -> dict[str, Column]:
     seen, system = run.observation, run.system
+    if not system.joints:
+        return {}
     joints, spherical = ("time", "joint", "axis"), ("time", "spherical_joint", "axis")
     gap = ("time", "clearance_joint")
     columns: dict[str, Column] = {
@@ -147,7 +151,7 @@ def _of_joints(run: "Trajectory") -> dict[str, Column]:
             ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.force_joints), "J",
             "energy stored in the joint"
         )  # fmt: skip
-    if system.tracks_work:
+    if system.tracks_work and system.force_joints:
         dims = ("time", "force_joint")
         columns["absorbed_work"] = (
             dims,
@@ -164,6 +168,17 @@ def _of_joints(run: "Trajectory") -> dict[str, Column]:
             "m/s or m",
             "what the contact laws remember",
         )
+    return columns
+
+
+def _of_forces(run: "Trajectory") -> dict[str, Column]:
+    columns: dict[str, Column] = {}
+    for name in run.system.forces:
+        for part, values in run.force(name).items():
+            vector = np.ndim(values) == 2 and np.shape(values)[1] == len(AXES)
+            if np.ndim(values) == 1 or vector:
+                dims = ("time", "axis") if vector else ("time",)
+                columns[f"{name}.{part}"] = dims, values, UNITS.get(part, ""), f"{part} of force element {name}"
     return columns
 
 

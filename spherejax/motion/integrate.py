@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Flag, Scalar
-from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import Structure, System, flatten_system
-from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, assemble
+from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
+from spherejax.motion.longest_step import longest_step
 from spherejax.motion.programs import program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
@@ -131,7 +131,7 @@ def integrate(
             saveat=diffrax.SaveAt(
                 subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
             ),
-            stepsize_controller=LandingController(options.controller, contacts),  # pyright: ignore[reportCallIssue]
+            stepsize_controller=landing_controller(options.controller, contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,
@@ -142,7 +142,14 @@ def integrate(
     reached = times[1][0]
     is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
     ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
-    return Outcome(ys, reached, sampled[1][0], status, _statistics(solution, options.solver, contacts), assembly)
+    y_reached = jax.lax.stop_gradient(sampled[1][0])
+    return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def landing_controller(controller, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]) -> LandingController:
+    """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
+    longest = longest_step(plan.structure, ts, scalar=plan.scalar)
+    return LandingController(controller, contacts, longest)  # pyright: ignore[reportCallIssue]
 
 
 def correction_for(plan: Plan) -> Callable | None:
@@ -213,13 +220,6 @@ def example_of(structure: Structure) -> System:
     """A system of the structure, with shapes for numbers."""
     n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
     return jax.eval_shape(structure.system, jax.ShapeDtypeStruct((n_numbers,), jnp.float64))
-
-
-def as_ideal(system: System) -> System:
-    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
-    ideal = {name: joint.as_if_ideal() for name, joint in system.joints.items()}
-    joints = {name: joint for name, joint in ideal.items() if joint is not None}
-    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:

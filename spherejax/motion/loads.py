@@ -141,6 +141,11 @@ def applied_wrenches(system: System, t: Scalar, motions: BodyMotions, loads: Joi
     return own + sums_by_index(jnp.concatenate(wrenches), np.array(targets), len(number))
 
 
+def by_body(system: System, vectors: BodyVectors) -> dict[str, Float[Array, "6"]]:
+    """Vectors of the bodies by name."""
+    return {name: vectors[i] for i, name in enumerate(system.bodies)}
+
+
 def _weight_and_gyroscopic(gravity: Vector3, body: Body, motion: BodyMotion) -> Float[Array, "6"]:
     angular_momentum = inertia_in_world(body.inertia, motion.rotation) @ motion.angular_velocity
     return _wrench(body.mass * gravity, -jnp.cross(motion.angular_velocity, angular_momentum))

@@ -49,9 +49,9 @@ class Mobility(NamedTuple):
     diagonal: Float[Array, "k m m"]
     pairs: Float[Array, "e m m"]
 
-    def solve(self, right: Float[Array, "k m"]) -> Float[Array, "k m"]:
+    def solve(self, right: Float[Array, "k m"], smallest_pivot: float) -> Float[Array, "k m"]:
         """S^-1 times a vector given by joint."""
-        return block_solve(self.pattern, self.diagonal, self.pairs, right)
+        return block_solve(self.pattern, self.diagonal, self.pairs, right, smallest_pivot)
 
     def with_larger_diagonal(self, share: float) -> "Mobility":
         """S with each diagonal entry enlarged by a share of itself."""

@@ -117,5 +117,6 @@ def _normal_mobility(system: System, joint: str, t, y):
     wrenches = jnp.stack([pair.get(body, jnp.zeros(6)) for body in system.bodies])
     constraints = constraint_set(system, t, motions)
     none = jnp.zeros_like(constraints.bias)
-    moved = solve_augmented(constraints, inverse_masses(system, motions), wrenches, none).accelerations
+    masses = inverse_masses(system, motions)
+    moved = solve_augmented(constraints, masses, wrenches, none, False, system.smallest_pivot).accelerations
     return jnp.sum(wrenches * moved)

@@ -14,6 +14,7 @@ from spherejax.motion.body_motions import between
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import Body, inertia_in_world
+from spherejax.physics.forces import AbstractForce, power_on_bodies
 from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.kinematics import BodyMotion, RelativeMotion, point_motion
 
@@ -44,6 +45,8 @@ class Observation(NamedTuple):
         eccentricity_rate: its time derivative [m/s].
         parts: named contributions of the joints that answer with a force, by joint.
         elastic_energy: stored in each joint that answers with a force [J], by joint.
+        forces: named results of the force elements, by element, each with `power` on the bodies [W] and
+            `potential_energy` [J].
         kinetic_energy: of all bodies [J].
         potential_energy: of weight and force elements [J].
         constraint_violation: largest entry of |Phi| [m or 1].
@@ -59,6 +62,7 @@ class Observation(NamedTuple):
     eccentricity_rate: dict[str, Vector3]
     parts: dict[str, dict[str, Array]]
     elastic_energy: dict[str, Scalar]
+    forces: dict[str, dict[str, Array]]
     kinetic_energy: Scalar
     potential_energy: Scalar
     constraint_violation: Scalar
@@ -83,6 +87,7 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
         parts={name: load.response.parts for name, load in evaluation.loads.items()},
         elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
         kinetic_energy=jnp.sum(over_lanes(_kinetic_energy, stacks_of(system).bodies, evaluation.motions.moving)),
+        forces={name: _force_results(force, t, evaluation) for name, force in system.forces.items()},
         potential_energy=_potential_energy(system, t, evaluation),
         constraint_violation=position_violation,
         velocity_violation=velocity_violation,
@@ -135,6 +140,12 @@ def _kinetic_energy(body: Body, motion: BodyMotion) -> Scalar:
     w = motion.angular_velocity
     rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
     return (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
+
+
+def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> dict[str, Array]:
+    motions = evaluation.motions
+    power = power_on_bodies(force.wrenches(t, motions), motions)
+    return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
 
 
 def _potential_energy(system: System, t: Scalar, evaluation: Evaluation) -> Scalar:

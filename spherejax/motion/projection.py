@@ -40,7 +40,7 @@ def least_correction(
         return jnp.zeros((system.layout.n_bodies, VELOCITY_SIZE))
     masses = inverse_masses(system, motions)
     mobility = mobility_of(constraints, masses).with_larger_diagonal(REGULARIZATION)
-    return masses.times(constraints.transposed_times(solved(constraints, mobility, violation)))
+    return masses.times(constraints.transposed_times(solved(constraints, mobility, violation, system.smallest_pivot)))
 
 
 def without_velocities(state: State, steps: BodySteps) -> State:

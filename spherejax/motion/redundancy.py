@@ -16,10 +16,9 @@ from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Scalar
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
-from spherejax.motion.assembly import assemble_now, consistent_velocities, newton_step
+from spherejax.motion.assembly import as_ideal, assemble_now, consistent_velocities, newton_step
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set
-from spherejax.motion.integrate import as_ideal
 from spherejax.motion.programs import program_for
 from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, unpack
@@ -63,7 +62,7 @@ class ConstraintReport(NamedTuple):
     def __str__(self) -> str:
         sentences = [
             f"{self.n_equations} constraint equations of rank {self.rank}; "
-            f"{self.degrees_of_freedom} degrees of freedom (now)."
+            f"{self.degrees_of_freedom} degrees of freedom."
         ]
         if self.n_redundant:
             names = ", ".join(map(repr, self.redundant_joints))

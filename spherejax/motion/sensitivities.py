@@ -42,11 +42,12 @@ from spherejax.motion.integrate import (
     contacts_of,
     correction_for,
     integrate,
+    landing_controller,
     samples,
     wrapped,
 )
 from spherejax.motion.programs import Program, program_for
-from spherejax.motion.solvers.landing import Contacts, LandingController
+from spherejax.motion.solvers.landing import Contacts
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
@@ -73,7 +74,8 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         # Samples that the run did not reach are NaN, and constant.
         ys = jnp.where(jnp.isnan(outcome.ys), 0.0, ys)
         counts = jax.tree.map(lambda x: np.zeros(x.shape, jax.dtypes.float0), (outcome.status, outcome.stats))
-        return outcome, Outcome(ys, jnp.zeros_like(outcome.t_reached), counts[0], counts[1], assembly)
+        still = jnp.zeros_like(outcome.t_reached), jnp.zeros_like(outcome.y_reached)
+        return outcome, Outcome(ys, *still, counts[0], counts[1], assembly)
 
     arrays = jax.lax.stop_gradient(arrays)
     return run(values, arrays, known, jax.lax.stop_gradient(ts), start, values_are_legal)
@@ -147,7 +149,7 @@ def _controlled_slopes(
             y0=jnp.concatenate([y0[None], Y0]),
             args=_linearized(parameters_of, values, scale),
             saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
-            stepsize_controller=LandingController(_judging_rows(options.controller), contacts),  # pyright: ignore[reportCallIssue]
+            stepsize_controller=landing_controller(_judging_rows(options.controller), contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,

@@ -84,24 +84,23 @@ def simulate(
         SimulationError: with `throw=True`, for a run that did not reach its end.
     """
     require_float64()
-    ts = _checked_times(ts)
-    _check_tolerances(rtol, atol)
+    ts = checked_times(ts)
+    check_tolerances(rtol, atol)
     compiled = compile_scene(scene, track_work=track_work)
     system = compiled.system
     structure, theta = flatten_system(system)
     path = path_of(structure, scalar)
-    choice = Choice(solver, f"{type(solver).__name__}: as asked for") if solver is not None else None
-    choice = choice or choose_solver(system, rtol, explicit_only=path.scalar is False and scalar is None)
+    choice = choice_for(system, rtol, solver, explicit_only=path.scalar is False and scalar is None)
     if stepsize_controller is None:
-        tolerances = _tolerances(system, choice.solver, rtol, atol)
+        tolerances = tolerances_of(system, choice.solver, rtol, atol)
         stepsize_controller = diffrax.PIDController(
             rtol=jnp.asarray(tolerances.rtol), atol=jnp.asarray(tolerances.atol)
         )
         explanation = f"{choice.reason}; {tolerances.description}; first step by trial (Hairer)"
     else:
         explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
-    start = _start_now(system, ts)
-    known, unknown = _split(system)
+    start = start_now(system, ts)
+    known, unknown = split(system)
     plan = Plan(structure, unknown, path.scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
@@ -127,6 +126,7 @@ def simulate(
         stats=replace(outcome.stats, explanation="; ".join(filter(None, [explanation, path.reason]))),
         status=outcome.status,
         t_reached=outcome.t_reached,
+        y_reached=outcome.y_reached,
         assembly=outcome.assembly if start is None else start,
         choice=choice.reason,
         scalar=path.scalar,
@@ -134,7 +134,17 @@ def simulate(
     return _reported(run, throw)
 
 
-def _start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:
+def choice_for(
+    system: System | None, rtol, solver: diffrax.AbstractSolver | None, *, explicit_only: bool = False
+) -> Choice:
+    """The solver asked for, or the one that the system calls for."""
+    if solver is not None:
+        return Choice(solver, f"{type(solver).__name__}: as asked for")
+    assert system is not None
+    return choose_solver(system, rtol, explicit_only=explicit_only)
+
+
+def start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:
     """The consistent start, when the geometry is known now; None when it is traced."""
     structure, theta = flatten_system(as_ideal(system))
     if not is_concrete(theta) or (system.is_driven and not is_concrete(ts)):
@@ -143,7 +153,7 @@ def _start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:
     return assemble_now(structure, theta, float(ts[0]) if system.is_driven else 0.0)
 
 
-def _split(system: System) -> tuple[Numeric, tuple[int, ...]]:
+def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
     known, unknown, start = [], [], 0
     for leaf in jax.tree.leaves(system):
@@ -157,7 +167,8 @@ def _split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     return np.concatenate(known), tuple(unknown)
 
 
-def _checked_times(ts) -> Float[Array, " n"]:
+def checked_times(ts) -> Float[Array, " n"]:
+    """Sample times as an array, checked where they are known; `SceneError` says what is wrong."""
     if is_concrete(ts):
         times = np.asarray(ts, np.float64)
         if times.ndim != 1 or times.size == 0:
@@ -175,7 +186,8 @@ def _checked_times(ts) -> Float[Array, " n"]:
     return jnp.asarray(ts, jnp.float64)
 
 
-def _check_tolerances(rtol, atol) -> None:
+def check_tolerances(rtol, atol) -> None:
+    """Raise `SceneError` for tolerances that no integration can keep."""
     if is_concrete(rtol) and not float(rtol) >= SMALLEST_TOLERANCE:
         raise SceneError(
             f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
@@ -185,7 +197,8 @@ def _check_tolerances(rtol, atol) -> None:
         raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
 
 
-def _tolerances(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
+def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
+    """Tolerances of each entry of the state, by the scales of the scene unless they are given."""
     if atol is not None:
         return Tolerances(rtol, atol, "tolerances as asked for")
     if isinstance(solver, diffrax.AbstractImplicitSolver):

@@ -52,6 +52,10 @@ REMEDIES = {
 }
 
 
+STOPPED_IN_MOTION = (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL, Status.SOLVER_FAILED)
+"""Endings that the motion itself may have brought about, for instance a singular configuration."""
+
+
 def status_of(result: diffrax.RESULTS, values_are_legal: Flag, start_is_closed: Flag) -> Int[Array, ""]:
     """The status as an integer array, from diffrax's result and the checks made inside the program."""
     results = diffrax.RESULTS

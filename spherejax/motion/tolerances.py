@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.types import Number
+from spherejax.foundations.types import Number, Numeric
 from spherejax.model.system import System
 
 ABSOLUTE_SHARE = 1e-2
@@ -64,6 +64,12 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
             f"{ABSOLUTE_SHARE * rtol * float(speed):.0e} m/s, {ABSOLUTE_SHARE * rtol * float(speed / length):.0e} rad/s"
         )
     return Tolerances(rtol * relative, ABSOLUTE_SHARE * rtol * scales, text)
+
+
+def time_scale(system: System) -> Numeric:
+    """How long the mechanism takes for its own length at its own speed, L / V [s]; see `component_tolerances`."""
+    length, speed, _ = _scales(system)
+    return length / speed
 
 
 def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:

@@ -17,7 +17,8 @@ from spherejax.motion.assembly import Assembly
 from spherejax.motion.modes import modes
 from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
-from spherejax.motion.status import SimulationError, Status, diagnosis
+from spherejax.motion.redundancy import ConstraintReport, report_at, singular_joints
+from spherejax.motion.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
 from spherejax.physics.state import State, unpack
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ class Trajectory(eqx.Module):
         stats: what the run cost.
         status: how it ended, an integer of `Status`.
         t_reached: the time that was reached [s].
+        y_reached: the flat state there, shape (size,).
         assembly: how the start was made consistent.
         choice: which method was used, and why.
         scalar: whether scalar programs are used; None: those that are not too large.
@@ -68,6 +70,7 @@ class Trajectory(eqx.Module):
     stats: Statistics
     status: Int[Array, ""]
     t_reached: Float[Array, ""]
+    y_reached: Float[Array, " size"]
     assembly: Assembly
     choice: str = eqx.field(static=True)
     scalar: bool | None = eqx.field(static=True)
@@ -89,8 +92,29 @@ class Trajectory(eqx.Module):
 
     @property
     def diagnosis(self) -> str:
-        """Which lane stopped, when, why, and what to do; empty after success."""
-        return diagnosis(self.status, self.t_reached, np.asarray(self.ts)[..., -1])
+        """Which lane stopped, when, why, and what to do; empty after success.
+
+        Of a single run that its constraints have stopped, it names the joints whose equations become dependent there.
+        """
+        text = diagnosis(self.status, self.t_reached, np.asarray(self.ts)[..., -1])
+        if np.ndim(self.status) or not text or int(self.status) not in STOPPED_IN_MOTION:
+            return text
+        start = (float(self.ts[0]), np.asarray(self.assembly.y))
+        joints = singular_joints(self.system, float(self.t_reached), np.asarray(self.y_reached), start)
+        if not joints:
+            return text
+        return (
+            f"{text} There the equations of joints {', '.join(map(repr, joints))} depend on each other: a singular "
+            "configuration, which a driver cannot pass where the mechanism reaches no further. Check the reach of what "
+            "is driven, or start or drive it otherwise."
+        )
+
+    @property
+    def constraints(self) -> ConstraintReport:
+        """Number, rank and redundancy of the constraint equations at the start; prints as sentences. For one run."""
+        if np.ndim(self.status):
+            raise SceneError("constraints reports on a single run; take one lane of the batch first")
+        return report_at(self.system, float(self.ts[0]), np.asarray(self.assembly.y))
 
     def require_success(self) -> "Trajectory":
         """The run itself; raises `SimulationError` with the diagnosis when it failed."""
@@ -188,6 +212,18 @@ class Trajectory(eqx.Module):
         if name not in parts:
             raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
         return parts[name]
+
+    def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:
+        """Named results of a force element, e.g. `run.force("shock")["length"]` [m].
+
+        Every element has `power`, which it puts into the bodies [W], and `potential_energy` [J]. Elements along a line
+        have `length`, `rate`, `force` (the tension) and `dissipated_power`; torsion springs `angle`, `angular_rate`,
+        `torque`; tyres `load`, `compression` and what the road does; a user's own what its `parts` returns.
+        """
+        if name not in self.system.forces:
+            known = ", ".join(map(repr, self.system.forces)) or "none"
+            raise SceneError(f"there is no force element {name!r}; the run has {known}")
+        return self.observation.forces[name]
 
     def mode(self, joint: str) -> np.ndarray:
         """What the ball does at each sample, integers of `Mode` (flight, impact, contact); see `motion.modes`.

@@ -69,8 +69,8 @@ class Body(eqx.Module):
                 self.mass,
                 (self.mass > 0) & (self.mass < np.inf),
                 "be positive [kg]",
-                "A massless rod with spherical ends is the joint Distance, a massless arm on a revolute the joint PointOnCurve "
-                "with a Circle; any other light part gets a small mass, or is a force element.",
+                "A massless rod with spherical ends is the joint Distance, a massless arm on a revolute the joint "
+                "PointOnCurve with a Circle; any other light part gets a small mass, or is a force element.",
             ),
             Requirement(
                 "inertia",

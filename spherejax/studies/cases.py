@@ -140,14 +140,14 @@ def bushing_case(label: str, stiffness: float = STIFFNESS, damping: float = DAMP
     return Case(label, "bushing", (("stiffness", stiffness), ("damping", damping)), Bushing)
 
 
-def five_models() -> dict[str, Case]:
-    """The five models of Figs 18 to 21 by short name."""
+def five_models(stiffness: float = STIFFNESS, damping: float = DAMPING) -> dict[str, Case]:
+    """The five models of Figs 18 to 25 by short name, with this bushing [N/m, s]."""
     return {
         "ideal": Case("ideal", "ideal", (), Ideal),
         "dry": dry_case("dry"),
         "friction": friction_case("dry with friction"),
         "lubricated": lubricated_case("lubricated"),
-        "bushing": bushing_case("bushing"),
+        "bushing": bushing_case("bushing", stiffness, damping),
     }
 
 

@@ -94,25 +94,29 @@ class LandingController(AbstractForwardingController):
     Attributes:
         controller: the controller that judges errors.
         contacts: the system's contacts, or None for a system without.
+        longest: the longest step [s], whatever the wrapped controller says, or None; see `motion.longest_step`.
     """
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
     contacts: Contacts | None = eqx.field(static=True)
+    longest: Float[Array, ""] | None = None
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""
-        return LandingController(self.controller.wrap(direction), self.contacts)  # pyright: ignore[reportCallIssue]
+        controller = self.controller.wrap(direction)
+        return LandingController(controller, self.contacts, self.longest)  # pyright: ignore[reportCallIssue]
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """The wrapped controller's first step."""
         first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return first, LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False))
+        return self._limited(t0, first), LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False))
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """Judge the step's error, then whether it may end where it ends."""
         keep, next_t0, next_t1, made_jump, inner, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state.inner
         )
+        next_t1 = self._limited(next_t0, next_t1)
         size, shortest = t1 - t0, shortest_step(t0, t1)
         has_stalled = ~keep & (jnp.abs(size) <= shortest)
         result = diffrax.RESULTS.where(
@@ -147,6 +151,10 @@ class LandingController(AbstractForwardingController):
             is_landing=jnp.asarray(must_land),
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
+
+    def _limited(self, t0, t1):
+        """The end of a step, no later than the longest step allows."""
+        return t1 if self.longest is None else jnp.minimum(t1, t0 + self.longest)
 
 
 def shortest_step(t0, t1) -> Float[Array, ""]:

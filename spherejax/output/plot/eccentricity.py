@@ -1,13 +1,14 @@
-"""The path of the ball's center inside the clearance, joint by joint (Fig. 20).
+"""The path of the ball's center inside the clearance, joint by joint (Figs 20 and 24).
 
-The path is spatial: in world axes no plane holds more than nine tenths of it. Each circle shows the plane in
-which the rocker swings, x-z, because it is the same for all models and holds gravity and most of the
-reaction. The angle is that of the projection, but the distance from the middle is the true |e|: a projected
-distance would draw contact beside the plane as if the ball were in flight, whereas here contact is on the
-circle, and only there.
+The path is spatial: on the four-bar no plane holds more than nine tenths of it. Each circle shows one plane of world
+axes, the same for all models, that holds gravity and most of the reaction: x-z for the four-bar, in which its rocker
+swings, y-z for the suspension, across the car. The angle is that of the projection, but the distance from the middle is
+the true |e|: a projected distance would draw contact beside the plane as if the ball were in flight, whereas here
+contact is on the circle or beyond it, and only there.
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,23 +22,30 @@ _CONTACT = "#D55E00"
 _FLIGHT = "#56B4E9"
 
 
-def eccentricity_paths(models: Mapping[str, Curves], title: str, *, every: int = 20) -> Figure:
+def eccentricity_paths(
+    models: Mapping[str, Curves], title: str, *, every: int = 20, plane: tuple[int, int] = (0, 2), outer: bool = False
+) -> Figure:
     """For each joint model the path inside the clearance circle, and below it the distance over time.
 
     Args:
         models: by model name; the ideal one is left out.
         title: what is shown, with the values of the parameters.
         every: samples of the path to skip; contact points are drawn wherever they are among the rest.
+        plane: the world axes along which the paths are drawn: 0, 1, 2 for x, y, z.
+        outer: whether a second circle shows the largest distance, where the ball is pressed in by much.
     """
     shown = {name: one for name, one in models.items() if name != "ideal"}
+    look = _Look(plane, every, outer)
     figure, axes = new_figure(2, len(shown), 3.1 * len(shown), 5.9, title)
     for (upper, lower), (name, one) in zip(axes.T, shown.items(), strict=True):
-        unit, scale = (1e6, "µm") if one.clearance is None else (1e3, "mm")
-        _draw_path(upper, one, unit, scale, every)
+        is_small = one.clearance is None and one.distance.max() < 1e-4
+        unit, scale = (1e6, "µm") if is_small else (1e3, "mm")
+        _draw_path(upper, one, unit, scale, look)
         lower.plot(*thinned(one.ts, unit * one.distance), color=MODEL_COLORS.get(name, "0.3"), lw=0.9)
         if one.clearance is not None:
             lower.axhline(unit * one.clearance, color="black", lw=1.0)
-            lower.set_ylim(0, 1.12 * unit * one.clearance)
+            top = max(one.clearance, one.distance.max()) if outer else one.clearance
+            lower.set_ylim(0, 1.12 * unit * top)
         else:
             lower.set_ylim(bottom=0)
         lower.set_xlim(one.ts[0], one.ts[-1])
@@ -47,29 +55,44 @@ def eccentricity_paths(models: Mapping[str, Curves], title: str, *, every: int =
     return figure
 
 
-def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, every: int) -> None:
+class _Look(NamedTuple):
+    plane: tuple[int, int]
+    every: int
+    outer: bool
+
+
+def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _Look) -> None:
+    first, second = look.plane
+    every = look.every
     e = unit * one.eccentricity
     distance = unit * one.distance
-    in_plane = np.hypot(e[:, 0], e[:, 2])
+    in_plane = np.hypot(e[:, first], e[:, second])
     stretch = distance / np.where(in_plane > 0, in_plane, 1.0)
-    x, z = stretch * e[:, 0], stretch * e[:, 2]
+    x, z = stretch * e[:, first], stretch * e[:, second]
     touching = np.zeros(len(e), bool) if one.clearance is None else one.distance >= one.clearance
     if touching.any():
         ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.4, zorder=2)
         chosen = np.flatnonzero(touching)
         chosen = chosen[:: max(1, len(chosen) // 6000)]
         ax.scatter(x[chosen], z[chosen], s=6, color=_CONTACT, lw=0, zorder=4)
-        remark = f"in contact {100 * touching.mean():.3g} % of the time"
+        share = np.sum(touching * np.gradient(one.ts)) / np.sum(np.gradient(one.ts))
+        remark = f"in contact {100 * share:.3g} % of the time"
     else:
         ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.7, zorder=2)
         remark = "never in contact" if one.clearance is not None else "circle: largest |e|"
+    if look.outer:
+        remark = f"{remark}\n" if one.clearance is not None else ""
+        remark += f"largest |e| (dashed): {distance.max():.4g} {scale}"
     ax.set_title(f"{one.label}\n{remark}", loc="left", fontsize=9)
     radius = np.nanmax(distance) if one.clearance is None else unit * one.clearance
     style = {"ls": "--", "color": "0.4"} if one.clearance is None else {"ls": "-", "color": "black"}
     ax.add_patch(Circle((0.0, 0.0), radius, fill=False, lw=1.0, zorder=3, **style))
+    if look.outer and distance.max() > radius:
+        ax.add_patch(Circle((0.0, 0.0), distance.max(), fill=False, lw=0.8, ls="--", color="0.4", zorder=3))
+        radius = distance.max()
     reach = 1.22 * max(radius, 1e-12)
     ax.set_xlim(-reach, reach)
     ax.set_ylim(-reach, reach)
     ax.set_aspect("equal")
-    ax.set_xlabel(f"along x [{scale}]")
-    ax.set_ylabel(f"along z [{scale}]")
+    ax.set_xlabel(f"along {'xyz'[first]} [{scale}]")
+    ax.set_ylabel(f"along {'xyz'[second]} [{scale}]")

@@ -1,10 +1,11 @@
-"""Computing time of the joint models against the ideal one (Fig. 21)."""
+"""Computing time of the joint models against the ideal one (Figs 21 and 25)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import MODEL_COLORS, new_figure
+from spherejax.output.plot.style import MODEL_COLORS, legend_below, new_figure
 
 
 def time_ratios(names: Sequence[str], ratios: Sequence[float], steps: Sequence[int], title: str) -> Figure:
@@ -28,3 +29,60 @@ def time_ratios(names: Sequence[str], ratios: Sequence[float], steps: Sequence[i
     ax.tick_params(axis="x", labelsize=9)
     ax.grid(False, axis="x")
     return figure
+
+
+class Bar(NamedTuple):
+    """One model with one method.
+
+    Attributes:
+        ratio: computing time divided by that of the ideal model with the same method.
+        n_steps: steps of the integrator.
+        seconds: computing time [s].
+    """
+
+    ratio: float
+    n_steps: int
+    seconds: float
+
+
+HATCHES = ("", "////", "....")
+"""A hatch for each method."""
+
+
+def time_ratios_by_method(names: Sequence[str], methods: Mapping[str, Sequence[Bar]], title: str) -> Figure:
+    """For each model a bar for each method, annotated with ratio, steps and time.
+
+    Args:
+        names: names of the models.
+        methods: by the name of the method, a bar for each model.
+        title: what is shown.
+    """
+    figure, axes = new_figure(1, 1, 10.5, 4.8, title)
+    ax = axes[0, 0]
+    width = 0.8 / len(methods)
+    for place, (method, bars) in enumerate(methods.items()):
+        middles = [position + (place - (len(methods) - 1) / 2) * width for position in range(len(names))]
+        colors = [MODEL_COLORS.get(name, "0.5") for name in names]
+        heights = [bar.ratio for bar in bars]
+        ax.bar(middles, heights, 0.92 * width, color=colors, hatch=HATCHES[place], edgecolor="white", lw=0.5)
+        ax.bar([0], [0], color="0.6", hatch=HATCHES[place], edgecolor="white", label=method)
+        for middle, bar in zip(middles, bars, strict=True):
+            text = f"{bar.ratio:.3g}\n{_count(bar.n_steps)} steps\n{_duration(bar.seconds)}"
+            ax.annotate(text, (middle, bar.ratio), (0, 3), textcoords="offset points", ha="center", fontsize=7.5)
+    ratios = [bar.ratio for bars in methods.values() for bar in bars]
+    ax.set_xticks(range(len(names)), names)
+    ax.set_yscale("log")
+    ax.set_ylim(min(0.5, 0.5 * min(ratios)), 6.0 * max(ratios))
+    ax.set_ylabel("time of a warm run / that of the ideal joint [-]")
+    ax.tick_params(axis="x", labelsize=9)
+    ax.grid(False, axis="x")
+    legend_below(figure, ax)
+    return figure
+
+
+def _count(n: int) -> str:
+    return f"{n:,}" if n < 1e5 else f"{n / 1e3:,.0f} k"
+
+
+def _duration(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"

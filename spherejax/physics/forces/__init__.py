@@ -1,6 +1,21 @@
 """Force elements."""
 
 from spherejax.physics.forces.applied import AppliedWrench
-from spherejax.physics.forces.base import AbstractForce, Wrench
+from spherejax.physics.forces.base import UNITS, AbstractForce, Wrench, power_on_bodies
+from spherejax.physics.forces.bump_stop import BumpStop
+from spherejax.physics.forces.spring_damper import ShockAbsorber, SpringDamper
+from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.tyre import Tyre
 
-__all__ = ["AbstractForce", "AppliedWrench", "Wrench"]
+__all__ = [
+    "UNITS",
+    "AbstractForce",
+    "AppliedWrench",
+    "BumpStop",
+    "ShockAbsorber",
+    "SpringDamper",
+    "TorsionalSpring",
+    "Tyre",
+    "Wrench",
+    "power_on_bodies",
+]

@@ -1,36 +1,41 @@
 """A force and a moment applied to a body."""
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Numeric
-from spherejax.physics.bodies import numbers
-from spherejax.physics.forces.base import AbstractForce, Wrench
-from spherejax.physics.kinematics import point_motion
+from spherejax.foundations.types import Numeric, Vector3
+from spherejax.physics.bodies import Body, numbers
+from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
+from spherejax.physics.functions import Given
+from spherejax.physics.kinematics import PointMotion, point_motion
 
 
 class AppliedWrench(AbstractForce):
-    """A force at a point of a body, and a moment, constant or functions of time.
+    """A force at a point of a body, and a moment: constant, or functions of time, or of time and all motions.
 
     Attributes:
-        body: name of the body.
-        force: world axes [N], shape (3,), or a function of time t [s] that returns it.
-        moment: world axes [N m], shape (3,), or a function of time.
-        place: where the force acts, body axes [m], shape (3,); the center of mass by default.
+        body: name of the body, or `"body.point"`.
+        force: world axes [N], shape (3,); or a function of time t [s], or of t and the motions of all bodies by name
+            (`motions["body"].velocity`, see `spherejax.physics.kinematics.BodyMotion`), that returns it.
+        moment: world axes [N m], shape (3,), or a function like `force`.
+        place: where the force acts, body axes [m], shape (3,), from the named point, or from the center of mass.
         in_body_axes: whether force and moment are given in body axes and turn with the body.
-        functions: the functions of time, where force or moment is one (then the number is None).
+
+    A function takes the motions if it has two arguments without default.
     """
 
     body: str = eqx.field(static=True)
-    force: Numeric
-    moment: Numeric
+    force: Numeric | Given
+    moment: Numeric | Given
     place: Numeric
     in_body_axes: bool = eqx.field(static=True)
-    functions: tuple[Callable | None, Callable | None] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -41,17 +46,20 @@ class AppliedWrench(AbstractForce):
         in_body_axes: bool = False,
     ):
         self.body = body
-        # A function is structure, not a number: two scenes with different functions are different programs.
-        self.functions = (force if callable(force) else None, moment if callable(moment) else None)
-        self.force = None if callable(force) else numbers(force)
-        self.moment = None if callable(moment) else numbers(moment)
+        self.force = Given(force) if callable(force) else numbers(force)
+        self.moment = Given(moment) if callable(moment) else numbers(moment)
         self.place = numbers(place)
         self.in_body_axes = in_body_axes
 
     @property
     def body_names(self):
         """The one body."""
-        return (self.body,)
+        return (body_of(self.body),)
+
+    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
+        """The place from the center of mass."""
+        del bodies
+        return eqx.tree_at(lambda force: force.place, self, self.place + place_of(self.body, find))
 
     def requirements(self):
         """Finite numbers."""
@@ -59,18 +67,34 @@ class AppliedWrench(AbstractForce):
         return [
             Requirement(name, value, abs(value) < np.inf, "be finite", "Check the units (SI).")
             for name, value in given
-            if value is not None
+            if not isinstance(value, Given)
         ]
 
     def wrenches(self, t, motions):
         """The wrench about the center of mass."""
-        motion = motions[self.body]
-        force, moment = _at(self.force, self.functions[0], t), _at(self.moment, self.functions[1], t)
+        force, moment, point = self._applied(t, motions)
+        return {body_of(self.body): Wrench(force, moment + jnp.cross(point.arm, force))}
+
+    def parts(self, t, motions) -> dict[str, Array]:
+        """`force` [N] and `moment` [N m], world axes, shape (3,)."""
+        force, moment, _ = self._applied(t, motions)
+        return {"force": force, "moment": moment}
+
+    def _applied(self, t, motions: Motions) -> tuple[Vector3, Vector3, PointMotion]:
+        motion = motions[body_of(self.body)]
+        force, moment = _at(self.force, t, motions), _at(self.moment, t, motions)
         if self.in_body_axes:
             force, moment = motion.rotation @ force, motion.rotation @ moment
-        arm = point_motion(motion, jnp.asarray(self.place)).arm
-        return {self.body: Wrench(force, moment + jnp.cross(arm, force))}
+        return force, moment, point_motion(motion, jnp.asarray(self.place))
 
 
-def _at(value: Numeric, function: Callable | None, t):
-    return jnp.asarray(value if function is None else function(t))
+def _at(value: Numeric | Given, t, motions: Motions) -> Vector3:
+    if not isinstance(value, Given):
+        return jnp.asarray(value)
+    return jnp.asarray(value(t, motions) if _takes_motions(value.callable) else value(t))
+
+
+def _takes_motions(function: Callable) -> bool:
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    asked = inspect.signature(function).parameters.values()
+    return sum(p.kind in kinds and p.default is inspect.Parameter.empty for p in asked) >= 2

@@ -1,15 +1,45 @@
 """What a force element is: wrenches on bodies as a function of time and motion."""
 
 import abc
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Scalar, Vector3
+from spherejax.foundations.types import Numeric, Scalar, Vector3
+from spherejax.physics.bodies import Body
 from spherejax.physics.kinematics import BodyMotion
+
+Motions = Mapping[str, BodyMotion]
+"""The motion of every body by name, the ground included."""
+
+FindPlace = Callable[[str], tuple[str, Numeric]]
+"""Resolves `"body.point"` to the body's name and the point in body axes [m]."""
+
+UNITS = {
+    "length": "m",
+    "rate": "m/s",
+    "force": "N",
+    "moment": "N m",
+    "angle": "rad",
+    "angular_rate": "rad/s",
+    "torque": "N m",
+    "load": "N",
+    "compression": "m",
+    "compression_rate": "m/s",
+    "road_position": "m",
+    "road_height": "m",
+    "road_rate": "m/s",
+    "road_power": "W",
+    "dissipated_power": "W",
+    "power": "W",
+    "potential_energy": "J",
+}
+"""Units of the results that force elements report, by name."""
 
 
 class Wrench(NamedTuple):
@@ -25,21 +55,55 @@ class Wrench(NamedTuple):
 
 
 class AbstractForce(eqx.Module):
-    """A force element; a user's own implements `wrenches` in array code, and `potential_energy` if it has one."""
+    """A force element. One of your own is `wrenches` in `jnp`, and `potential_energy` if it has one:
+
+        class Attraction(sj.AbstractForce):
+            strength: float  # N m
+
+            @property
+            def body_names(self):
+                return ("ball",)
+
+            def wrenches(self, t, motions):
+                r = motions["ball"].position
+                return {"ball": sj.Wrench(-self.strength * r / (0.01 + r @ r), jnp.zeros(3))}
+
+            def potential_energy(self, t, motions):
+                r = motions["ball"].position
+                return 0.5 * self.strength * jnp.log(0.01 + r @ r)
+
+    Numbers in it are leaves: they can be swept, batched and differentiated. Operations between elements, `jnp.where`,
+    `@` and `jnp.cross` keep a scene fast; others work, on array code, with a warning.
+    """
 
     @abc.abstractmethod
-    def wrenches(self, t: Scalar, motions: Mapping[str, BodyMotion]) -> dict[str, Wrench]:
-        """The wrench on each body that the element acts on, by name.
+    def wrenches(self, t: Scalar, motions: Motions) -> dict[str, Wrench]:
+        """The wrench on each body that the element acts on, by name; one on the ground is left out of account.
 
         Args:
             t: time [s].
             motions: motion of every body, the ground included.
         """
 
-    def potential_energy(self, t: Scalar, motions: Mapping[str, BodyMotion]) -> Scalar:
+    def potential_energy(self, t: Scalar, motions: Motions) -> Scalar:
         """Energy stored in the element [J]; zero unless the element says otherwise."""
         del t, motions
         return jnp.zeros(())
+
+    def parts(self, t: Scalar, motions: Motions) -> dict[str, Array]:
+        """Named results for inspection, e.g. `length` [m], `force` [N]; see `Trajectory.force`."""
+        del t, motions
+        return {}
+
+    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
+        """The same element with named points and directions at the start resolved into body axes.
+
+        Args:
+            bodies: the scene's bodies by name.
+            find: resolves `"body.point"`.
+        """
+        del bodies, find
+        return self
 
     def requirements(self) -> list[Requirement]:
         """What the element's numbers must satisfy."""
@@ -49,3 +113,22 @@ class AbstractForce(eqx.Module):
     def body_names(self) -> tuple[str, ...]:
         """Bodies that the element names, checked against the scene."""
         return ()
+
+
+def power_on_bodies(wrenches: Mapping[str, Wrench], motions: Motions) -> Scalar:
+    """Power that wrenches put into the bodies [W]."""
+    total = jnp.zeros(())
+    for name, wrench in wrenches.items():
+        motion = motions[name]
+        total = total + wrench.force @ motion.velocity + wrench.moment @ motion.angular_velocity
+    return total
+
+
+def body_of(name: str) -> str:
+    """The body in `"body.point"` or `"body"`."""
+    return name.partition(".")[0]
+
+
+def place_of(name: str, find: FindPlace) -> Numeric:
+    """The place that `"body.point"` names, in body axes [m]; `"body"` alone is its center of mass."""
+    return find(name)[1] if "." in name else np.zeros(3)

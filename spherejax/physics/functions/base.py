@@ -71,9 +71,14 @@ class Given(eqx.Module):
         self.module = given if is_module else None
         self.function = None if is_module else given
 
+    @property
+    def callable(self) -> Callable:
+        """What was given."""
+        return self.module if self.function is None else self.function
+
     def __call__(self, *arguments):
         """The callable's value."""
-        return (self.function or self.module)(*arguments)
+        return self.callable(*arguments)
 
 
 class UserFunction(AbstractFunction):

@@ -61,8 +61,8 @@ class Table(_AbstractTable):
 class SmoothTable(_AbstractTable):
     """Cubics through given points with a continuous slope, rising and falling only where the points do.
 
-    Beyond the first and the last point it goes on straight with the slope there. It does not overshoot: a spring that
-    is stiffer from point to point nowhere gets softer.
+    At the first and the last point the slope is that of the straight line to the next one, and beyond it goes on with
+    this slope. It does not overshoot.
 
     Attributes:
         x: abscissas, increasing, shape (n,), n >= 2.
@@ -70,8 +70,8 @@ class SmoothTable(_AbstractTable):
 
     Limits: the second derivative jumps at the points. Two points give a straight line.
 
-    Source: Fritsch and Butland (1984), SIAM J. Sci. Stat. Comput. 5:300-304, weighted harmonic mean slopes; at the ends
-    those by the three-point formula with the limiter of Fritsch and Carlson (1980).
+    Source: Fritsch and Butland (1984), SIAM J. Sci. Stat. Comput. 5:300-304, weighted harmonic mean slopes; those at
+    the ends, chosen for what follows beyond them, keep to their condition for monotony.
     """
 
     x: Numeric
@@ -96,11 +96,7 @@ class SmoothTable(_AbstractTable):
         x, y = jnp.asarray(self.x), jnp.asarray(self.y)
         h = x[1:] - x[:-1]
         d = (y[1:] - y[:-1]) / h
-        if len(self.x) == 2:
-            m = jnp.concatenate([d, d])
-        else:
-            first, last = _end_slope(h[0], h[1], d[0], d[1]), _end_slope(h[-1], h[-2], d[-1], d[-2])
-            m = jnp.concatenate([first[None], _interior_slopes(h, d), last[None]])
+        m = jnp.concatenate([d[:1], _interior_slopes(h, d), d[-1:]])
         m0, m1 = m[:-1], m[1:]
         quadratic, cubic = (3.0 * d - 2.0 * m0 - m1) / h, (m0 + m1 - 2.0 * d) / (h * h)
         zero = jnp.zeros(1)
@@ -172,13 +168,6 @@ def _interior_slopes(h, d):
     w0, w1 = 2.0 * h1 + h0, h1 + 2.0 * h0
     harmonic = (w0 + w1) / (w0 / jnp.where(monotone, d0, 1.0) + w1 / jnp.where(monotone, d1, 1.0))
     return jnp.where(monotone, harmonic, 0.0)
-
-
-def _end_slope(h0, h1, d0, d1):
-    """Slope at an end: segment 0 meets it, segment 1 is the next."""
-    slope = ((2.0 * h0 + h1) * d0 - h0 * d1) / (h0 + h1)
-    limited = jnp.where((d0 * d1 < 0) & (jnp.abs(slope) > 3.0 * jnp.abs(d0)), 3.0 * d0, slope)
-    return jnp.where(slope * d0 > 0, limited, 0.0)
 
 
 def _requirements(x, y) -> list[Requirement]:

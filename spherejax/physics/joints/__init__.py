@@ -13,7 +13,6 @@ from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, 
 from spherejax.physics.joints.revolute import PlacedRevolute, Revolute
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
-from spherejax.physics.joints.time_functions import Harmonic, Uniform
 
 __all__ = [
     "AbstractCurve",
@@ -29,7 +28,6 @@ __all__ = [
     "DistanceDriver",
     "Dry",
     "Fixed",
-    "Harmonic",
     "Ideal",
     "ImplicitCurve",
     "Line",
@@ -47,7 +45,6 @@ __all__ = [
     "RotationDriver",
     "Spherical",
     "TranslationDriver",
-    "Uniform",
     "Universal",
     "differentiated_rows",
 ]

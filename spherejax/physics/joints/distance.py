@@ -9,10 +9,11 @@ import numpy as np
 from spherejax.foundations.checks import Requirement, SceneError, is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body, numbers
+from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint
 from spherejax.physics.joints.placing import in_world
+from spherejax.physics.joints.prescribed import prescribed, time_requirements
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
-from spherejax.physics.joints.time_functions import TimeFunction, time_function, time_requirements
 from spherejax.physics.kinematics import centripetal_acceleration, point_motion
 
 
@@ -117,12 +118,12 @@ class DistanceDriver(AbstractJoint):
 
     first: str = eqx.field(static=True)
     second: str = eqx.field(static=True)
-    length: TimeFunction
+    length: AbstractFunction
 
     def __init__(self, first: str, second: str, length: Callable):
         self.first = first
         self.second = second
-        self.length = time_function(length, "length")
+        self.length = prescribed(length, "length")
 
     def joined(self, find):
         """The bodies of the two points."""
@@ -152,7 +153,7 @@ class PlacedDistanceDriver(AbstractPlacedJoint):
 
     bodies: tuple[str, str] = eqx.field(static=True)
     places: tuple[Numeric, Numeric]
-    length: TimeFunction
+    length: AbstractFunction
     is_driven = True
 
     @property

@@ -14,6 +14,7 @@ import numpy as np
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import numbers
+from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.places import AbstractJoint, AbstractPairJoint, AbstractPlacedJoint
 from spherejax.physics.joints.placing import (
     cross,
@@ -26,8 +27,8 @@ from spherejax.physics.joints.placing import (
     unit,
     world_at_start,
 )
+from spherejax.physics.joints.prescribed import prescribed, time_requirements
 from spherejax.physics.joints.rows import differentiated_rows
-from spherejax.physics.joints.time_functions import TimeFunction, time_function, time_requirements
 from spherejax.physics.kinematics import point_motion
 
 
@@ -48,12 +49,12 @@ class RotationDriver(AbstractPairJoint):
 
     bodies: tuple[str, str] = eqx.field(static=True)
     axis: Numeric
-    angle: TimeFunction
+    angle: AbstractFunction
 
     def __init__(self, bodies: tuple[str, str], axis, angle: Callable):
         self.bodies = (bodies[0], bodies[1])
         self.axis = numbers(axis)
-        self.angle = time_function(angle, "angle")
+        self.angle = prescribed(angle, "angle")
 
     def requirements(self) -> list[Requirement]:
         """A direction, and a function that gives one number."""
@@ -82,7 +83,7 @@ class PlacedRotationDriver(AbstractPlacedJoint):
     bodies: tuple[str, str] = eqx.field(static=True)
     across: tuple[Numeric, Numeric]
     pointer: Numeric
-    angle: TimeFunction
+    angle: AbstractFunction
     is_driven = True
 
     @property
@@ -136,7 +137,7 @@ class TranslationDriver(AbstractPairJoint):
 
     bodies: tuple[str, str] = eqx.field(static=True)
     axis: Numeric
-    travel: TimeFunction
+    travel: AbstractFunction
     point: Numeric | None
     point_name: str | None = eqx.field(static=True)
 
@@ -144,7 +145,7 @@ class TranslationDriver(AbstractPairJoint):
         self.bodies = (bodies[0], bodies[1])
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
-        self.travel = time_function(travel, "travel")
+        self.travel = prescribed(travel, "travel")
 
     def requirements(self) -> list[Requirement]:
         """A direction, a finite point, and a function that gives one number."""
@@ -175,7 +176,7 @@ class PlacedTranslationDriver(AbstractPlacedJoint):
     bodies: tuple[str, str] = eqx.field(static=True)
     places: tuple[Numeric, Numeric]
     axis: Numeric
-    travel: TimeFunction
+    travel: AbstractFunction
     is_driven = True
 
     @property
@@ -212,12 +213,12 @@ class PositionDriver(AbstractJoint):
     """
 
     point: str = eqx.field(static=True)
-    position: TimeFunction
+    position: AbstractFunction
     body: str = eqx.field(static=True)
 
     def __init__(self, point: str, position: Callable, body: str = "ground"):
         self.point = point
-        self.position = time_function(position, "position")
+        self.position = prescribed(position, "position")
         self.body = body
 
     def joined(self, find):
@@ -249,7 +250,7 @@ class PlacedPositionDriver(AbstractPlacedJoint):
     place: Numeric
     origin: Numeric
     axes: tuple[Numeric, Numeric, Numeric]
-    position: TimeFunction
+    position: AbstractFunction
     is_driven = True
 
     @property

@@ -1,0 +1,1 @@
+"""The same scenes in other simulators: translators from a `Scene`, for cross-checks. Optional, never of the package."""

@@ -1,0 +1,228 @@
+"""Sweeps: runs per second on all cores against what else one would do, steps, lane efficiency, cost per job, memory.
+
+    python benchmarks/sweeps.py                 # about 10 minutes
+    python benchmarks/sweeps.py throughput      # one part: throughput, steps, jobs
+
+Throughput: 1,000 four-bars with dry friction, clearances 0.05 to 0.2 mm, 0.2 s. Every method runs at the loosest
+tolerance of its list with which the worst of 1,000 final heights is within 1e-9 m of the hand-written DOP853 at 1e-12.
+The competitor is that DOP853 in one process per core; needs the extra `benchmarks`.
+"""
+
+import os
+import resource
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from multiprocessing import get_context
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from machine import write
+
+import spherejax as sj
+
+N_RUNS, DURATION, ACCURACY = 1000, 0.2, 1e-9
+CLEARANCES = np.linspace(5e-5, 2e-4, N_RUNS)
+TOLERANCES = (1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 1e-9)
+HEIGHT = 16
+REPEATS = 3
+N_CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def model_of(clearance):
+    return sj.Dry(clearance=clearance, friction=sj.Threlfall())
+
+
+def build(clearance):
+    return sj.gallery.four_bar(model_of(clearance))
+
+
+# What else one would do ----------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=1)
+def _hand_written():
+    from baselines.dop853 import integrator
+    from baselines.parameters import problem
+
+    problems = [problem(model_of(float(clearance))) for clearance in CLEARANCES]
+    return integrator("dry"), problems
+
+
+def by_hand(part: tuple[float, int, int]) -> np.ndarray:
+    """Final heights of some runs by the hand-written DOP853."""
+    tolerance, first, last = part
+    run, problems = _hand_written()
+    heights, ys, ts = [], np.empty((2, problems[0].y0.size)), np.array([0.0, DURATION])
+    for each in problems[first:last]:
+        run(each.y0, ts, tolerance, tolerance * 1e-3, each.parameters, ys)
+        heights.append(ys[-1, HEIGHT])
+    return np.array(heights)
+
+
+def hand_written_pool(pool: ProcessPoolExecutor):
+    """One process per core, which keeps its compiled code; parts small enough that no core waits for long."""
+    bounds = np.linspace(0, N_RUNS, 8 * N_CORES + 1).astype(int)
+
+    def heights(tolerance: float) -> np.ndarray:
+        parts = [(tolerance, int(a), int(b)) for a, b in pairwise(bounds)]
+        return np.concatenate(list(pool.map(by_hand, parts)))
+
+    return heights
+
+
+def swept(solver):
+    """`sj.sweep` on all cores."""
+    compiled = {}
+
+    def heights(tolerance: float) -> np.ndarray:
+        result = sj.sweep(
+            build, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=tolerance,
+            solver=solver, progress=False,
+        )  # fmt: skip
+        compiled[tolerance] = result
+        return result["final_position.rocker"].sel(axis="z").values
+
+    heights.results = compiled
+    return heights
+
+
+def mapped(width: int = 64):
+    """`jax.vmap(simulate)`, blocks of runs one after the other, on all cores."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    @jax.jit
+    def block(tolerance, clearances):
+        def height(clearance):
+            run = sj.simulate(build(clearance), jnp.array([0.0, DURATION]), rtol=tolerance)
+            return run.position("rocker")[-1, 2]
+
+        return jax.vmap(height)(clearances)
+
+    def heights(tolerance: float) -> np.ndarray:
+        padded = np.pad(CLEARANCES, (0, -N_RUNS % width), mode="edge").reshape(-1, width)
+        with ThreadPoolExecutor(N_CORES) as pool:
+            found = list(pool.map(lambda part: np.asarray(block(tolerance, part)), padded))
+        return np.concatenate(found)[:N_RUNS]
+
+    return heights
+
+
+def accurate(heights, reference) -> tuple[float, float]:
+    """The loosest tolerance that reaches the accuracy, and its worst error."""
+    for tolerance in TOLERANCES:
+        error = float(np.abs(heights(tolerance) - reference).max())
+        if error < ACCURACY:
+            break
+    return tolerance, error
+
+
+def throughput() -> None:
+    rows = []
+    with ProcessPoolExecutor(N_CORES, mp_context=get_context("spawn")) as pool:
+        by_pool = hand_written_pool(pool)
+        reference = by_pool(1e-12)
+        methods = {
+            "numba DOP853, a process per core": by_pool,
+            "sj.sweep, Dopri8": swept(diffrax.Dopri8()),
+            "sj.sweep, Tsit5": swept(diffrax.Tsit5()),
+            "jax.vmap(simulate), 64 at a time": mapped(),
+        }
+        for name, heights in methods.items():
+            tolerance, error = accurate(heights, reference)
+            seconds = []
+            for _ in range(REPEATS):
+                begin = time.perf_counter()
+                heights(tolerance)
+                seconds.append(time.perf_counter() - begin)
+            taken = float(np.median(seconds))
+            if hasattr(heights, "results"):
+                # A call of `sj.sweep` traces its program again; the runs themselves are in the chunks.
+                result = heights.results[tolerance]
+                busy = float(np.max(result.attrs["seconds_of_chunks"]))
+                rows.append(_row(name, tolerance, error, busy, result.attrs["lane_efficiency"], taken))
+            else:
+                rows.append(_row(name, tolerance, error, taken, None, taken))
+    write("sweep_throughput", "python benchmarks/sweeps.py throughput", rows, ("numba",))
+
+
+def _row(name, tolerance, error, seconds, efficiency, whole) -> dict:
+    return {
+        "method": name,
+        "cores": N_CORES,
+        "rtol": f"{tolerance:.0e}",
+        "worst_error_m": f"{error:.1e}",
+        "runs_per_second": f"{N_RUNS / seconds:.0f}",
+        "lane_efficiency": "" if efficiency is None else f"{efficiency:.3f}",
+        "whole_call_s": f"{whole:.2f}",
+    }
+
+
+# Steps -------------------------------------------------------------------------------------------------------------
+
+
+def steps() -> None:
+    """Microseconds per useful step and core, and lane efficiency, by width of the block."""
+    rows = []
+    for solver in (diffrax.Tsit5(), diffrax.Dopri8()):
+        for width in (8, 16, 32, 64, 128):
+            block = sj.Block(width, max(width // 4, 1))
+            result = sj.sweep(
+                build, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=1e-6,
+                solver=solver, block=block, workers=1, chunk=N_RUNS // 2, progress=False,
+            )  # fmt: skip
+            seconds = float(np.min(result.attrs["seconds_of_chunks"]))
+            n_steps = int(result["n_steps"].sum()) / 2
+            rows.append(
+                {
+                    "method": type(solver).__name__,
+                    "lanes": width,
+                    "us_per_useful_step": f"{1e6 * seconds / n_steps:.2f}",
+                    "lane_efficiency": f"{result.attrs['lane_efficiency']:.3f}",
+                    "runs_per_second_and_core": f"{N_RUNS / 2 / seconds:.0f}",
+                }
+            )
+    write("sweep_steps", "python benchmarks/sweeps.py steps", rows)
+
+
+# Jobs --------------------------------------------------------------------------------------------------------------
+
+
+def jobs() -> None:
+    """Cost per job and memory, from 5,000 to 100,000 jobs of the bushing four-bar, 0.02 s each."""
+    rows = []
+
+    def elastic(stiffness):
+        return sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))
+
+    for n in (5_000, 20_000, 100_000):
+        stiffness = np.geomspace(1e5, 1e7, n)
+        begin = time.perf_counter()
+        result = sj.sweep(
+            elastic, {"stiffness": stiffness}, np.linspace(0.0, 0.02, 5), record=["position.rocker"], rtol=1e-6,
+            solver=diffrax.Dopri8(), chunk=2500, progress=False,
+        )  # fmt: skip
+        whole = time.perf_counter() - begin
+        chunks = result.attrs["seconds_of_chunks"]
+        rows.append(
+            {
+                "jobs": n,
+                "cores": N_CORES,
+                "us_per_job_and_core": f"{1e6 * np.sum(chunks) / n:.1f}",
+                "lane_efficiency": f"{result.attrs['lane_efficiency']:.3f}",
+                "whole_call_s": f"{whole:.1f}",
+                "largest_memory_MB": f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f}",
+            }
+        )
+    write("sweep_jobs", "python benchmarks/sweeps.py jobs", rows)
+
+
+PARTS = {"throughput": throughput, "steps": steps, "jobs": jobs}
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or PARTS:
+        PARTS[name]()

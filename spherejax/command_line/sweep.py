@@ -1,0 +1,234 @@
+"""`spherejax sweep`: many runs of one scene, stored as they come, and pictures of the result."""
+
+import argparse
+import time
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+
+import spherejax as sj
+from spherejax.command_line.catalog import SOLVERS
+from spherejax.command_line.models import USED_BY, add_joint_options
+from spherejax.command_line.printing import print_table
+from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.files.place import one_of
+
+DESCRIPTION = """\
+Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied
+joint (clearance, mu, restitution, stiffness, ...) or a number of a body (rocker.mass). Every
+combination is run, or samples of the ranges with --samples. Results go to a Zarr store chunk by
+chunk: a sweep that was stopped goes on when the same command is given again. Pictures (maps, curves,
+fan charts) are written beside the store.
+"""
+
+EPILOG = """examples:
+  spherejax sweep four-bar --joint friction --vary clearance=1e-5:5e-4:64 --vary mu=0:0.3:16 --out sweep.zarr
+  spherejax sweep four-bar --joint bushing --vary stiffness=1e5:1e7:16:log --record "position.rocker" --out k.nc
+  spherejax sweep four-bar --vary rocker.mass=0.02:0.04 --vary coupler.mass=0.1:0.2 --draws 256 --out masses.zarr
+"""
+
+OF_BODIES = ("mass",)
+"""Numbers of a body that can be varied."""
+
+
+def add_sweep(commands) -> None:
+    """The command `sweep`."""
+    parser = commands.add_parser(
+        "sweep",
+        help="simulate a scene for many parameters, on all cores",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_scene(parser)
+    add_joint_options(parser)
+    grid = parser.add_argument_group("what is varied")
+    grid.add_argument(
+        "--vary",
+        action="append",
+        required=True,
+        metavar="NAME=VALUES",
+        help="LOW:HIGH:N (evenly spaced), LOW:HIGH:N:log, a list A,B,C, or LOW:HIGH with --draws; once for each name",
+    )
+    grid.add_argument("--draws", type=int, metavar="N", help="N samples of Sobol's sequence instead of a product")
+    grid.add_argument("--seed", type=int, default=0, help="of the samples (default: 0)")
+    kept = parser.add_argument_group("what is kept")
+    kept.add_argument(
+        "--record",
+        action="append",
+        metavar="QUANTITY",
+        help='e.g. "position.rocker", "final position.rocker", "peak acceleration.rocker", "onsets.coupler_rocker"; '
+        "may be repeated (default: peak reaction of the studied joint, where the last body ends, contacts)",
+    )
+    kept.add_argument("--samples", type=int, default=101, metavar="N", help="sample times (default: 101)")
+    how = parser.add_argument_group("time, accuracy, machine")
+    how.add_argument("--t1", type=float, default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)")
+    how.add_argument("--rtol", type=float, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
+    how.add_argument("--max-steps", type=int, default=1_000_000, metavar="N", help="give a run up beyond")
+    how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    how.add_argument("--workers", type=int, metavar="N", help="chunks at the same time (default: all cores)")
+    files = parser.add_argument_group("files")
+    files.add_argument("--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc)")
+    files.add_argument("--overwrite", action="store_true", help="replace an existing .nc file")
+    files.add_argument("--no-pictures", action="store_true", help="write no pictures")
+    parser.set_defaults(action=sweep_scene)
+
+
+def sweep_scene(options: argparse.Namespace) -> int:
+    """Run the sweep, print a summary, write everything."""
+    from spherejax.output.io import writable
+
+    path = Path(options.out).expanduser()
+    if path.suffix not in (".zarr", ".nc"):
+        raise sj.SceneError(f"--out {options.out}: the suffix {path.suffix!r} names no format; use .zarr or .nc")
+    if path.suffix == ".nc":
+        writable(path, overwrite=options.overwrite)
+    names, grid = grid_of(options)
+    found = chosen(_with_first_values(options, names, grid))
+    build = _builder(found, options, names)
+    record = options.record or _default_record(found, build(**{n: v[0] for n, v in grid.values.items()}))
+    begin = time.perf_counter()
+    result = sj.sweep(
+        build,
+        grid,
+        np.linspace(0.0, options.t1, options.samples),
+        record=record,
+        rtol=options.rtol,
+        max_steps=options.max_steps,
+        solver=SOLVERS[options.solver][0]() if options.solver else None,
+        workers=options.workers,
+        store=path if path.suffix == ".zarr" else None,
+    )
+    seconds = time.perf_counter() - begin
+    if path.suffix == ".nc":
+        from spherejax.output.io import save
+
+        save(result, path, overwrite=options.overwrite)
+    _print(found, options, result, seconds)
+    pictures = [] if options.no_pictures else _draw(result, found, path)
+    print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
+    return 0
+
+
+def grid_of(options: argparse.Namespace) -> tuple[dict[str, str], sj.Grid]:
+    """The grid that `--vary` asks for; names that are no identifiers get one.
+
+    Returns:
+        What each parameter of the grid is called by the user, and the grid.
+    """
+    values, ranges, logarithmic, names = {}, {}, [], {}
+    for text in options.vary:
+        name, equals, given = text.partition("=")
+        if not equals or not name or not given:
+            raise sj.SceneError(f"--vary {text}: write NAME=VALUES, e.g. clearance=1e-5:5e-4:64")
+        if name in names.values():
+            raise sj.SceneError(f"--vary {name} is given twice")
+        key = name.replace(".", "_")
+        names[key] = name
+        parts = given.split(":")
+        if options.draws is not None:
+            if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
+                raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
+            ranges[key] = (_number(text, parts[0]), _number(text, parts[1]))
+            logarithmic += [key] if parts[2:] else []
+        else:
+            values[key] = _values(text, parts)
+    if options.draws is not None:
+        return names, sj.sobol_samples(ranges, options.draws, seed=options.seed, logarithmic=logarithmic)
+    return names, sj.product(values)
+
+
+def _values(text: str, parts: list[str]) -> np.ndarray:
+    if len(parts) == 1:
+        return np.array([_number(text, part) for part in parts[0].split(",")])
+    if len(parts) not in (3, 4) or parts[3:] not in ([], ["log"]):
+        raise sj.SceneError(f"--vary {text}: write LOW:HIGH:N, LOW:HIGH:N:log, or a list A,B,C")
+    low, high, n = _number(text, parts[0]), _number(text, parts[1]), int(_number(text, parts[2]))
+    if n < 1:
+        raise sj.SceneError(f"--vary {text}: N = {n} must be at least 1")
+    if parts[3:] and not (low > 0 and high > 0):
+        raise sj.SceneError(f"--vary {text}: a logarithmic range must be positive")
+    return np.geomspace(low, high, n) if parts[3:] else np.linspace(low, high, n)
+
+
+def _number(text: str, part: str) -> float:
+    try:
+        return float(part)
+    except ValueError as error:
+        raise sj.SceneError(f"--vary {text}: {part!r} is no number") from error
+
+
+def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid: sj.Grid) -> argparse.Namespace:
+    """Options with the first run's values, to check that they mean something together."""
+    first = {key: float(values[0]) for key, values in grid.values.items() if names[key] in USED_BY}
+    for key in first:
+        if getattr(options, key) is not None:
+            raise sj.SceneError(f"--{names[key]} is given, and varied as well; leave one out")
+    return argparse.Namespace(**{**vars(options), **first})
+
+
+def _builder(found: Chosen, options: argparse.Namespace, names: dict[str, str]):
+    """A function from the grid's parameters to the scene."""
+    for name in names.values():
+        _, dot, number = name.partition(".")
+        if name not in USED_BY and not (dot and number in OF_BODIES):
+            known = [*USED_BY, *(f"BODY.{number}" for number in OF_BODIES)]
+            raise sj.SceneError(f"--vary {name}: no such number; {one_of(known, name)}")
+
+    def build(**values) -> sj.Scene:
+        of_joint = {key: value for key, value in values.items() if names[key] in USED_BY}
+        scene = found.scene(argparse.Namespace(**{**vars(options), **of_joint}))
+        for key, value in values.items():
+            body, dot, number = names[key].partition(".")
+            if not dot:
+                continue
+            scene.require_body(body, f"--vary {names[key]}")
+            scene = eqx.tree_at(lambda s, body=body, number=number: getattr(s.bodies[body], number), scene, value)
+        return scene
+
+    return build
+
+
+def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
+    joint = found.studied or next(iter(scene.joints), None)
+    ends = [f"final position.{body}" for body in list(scene.bodies)[-1:]]
+    contact = sj.compile_scene(scene).system.contact_joints
+    events = [f"{kind}.{name}" for name in contact for kind in ("onsets", "time_in_contact")]
+    return [*([f"peak reaction.{joint}"] if joint else []), *ends, *events]
+
+
+def _print(found: Chosen, options: argparse.Namespace, result, seconds: float) -> None:
+    facts = result.attrs
+    rows = [
+        ("runs", f"{result['status'].size:,}"),
+        ("failed", f"{int((result['status'] != 0).sum()):,}"),
+        ("time with compilation [s]", f"{seconds:.1f}"),
+        ("steps", f"{int(result['n_steps'].sum()):,}"),
+        ("lane efficiency", f"{facts['lane_efficiency']:.3f}"),
+        ("method", str(facts["method"])),
+    ]
+    for name in result.data_vars:
+        values = np.asarray(result[name], float)
+        if name not in ("status", "t_reached", "n_steps", "n_rejected") and np.isfinite(values).any():
+            rows.append((f"{name} [{result[name].attrs.get('units', '')}]", _range(values)))
+    print_table(f"{found.title or found.name}: {', '.join(options.vary)}", ("quantity", "value"), rows)
+    if facts["failures"]:
+        print(facts["failures"])
+
+
+def _range(values: np.ndarray) -> str:
+    return f"{np.nanmin(values):.5g} to {np.nanmax(values):.5g}"
+
+
+def _draw(result, found: Chosen, path: Path) -> list[Path]:
+    from spherejax.output.plot.swept import figures_of_sweep
+
+    folder = path.with_suffix("")
+    written = []
+    for name, figure in figures_of_sweep(result, found.title or found.name).items():
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / f"{name.replace('.', '_')}.png"
+        figure.savefig(target)
+        written.append(target)
+    return written

@@ -1,0 +1,191 @@
+"""Objects from tables and tables from objects: joints, models, laws, forces, materials, drift controls."""
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from spherejax.files.fields import Context
+from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
+from spherejax.files.place import Place, one_of
+from spherejax.foundations.checks import Requirement, SceneError, enforce, is_concrete
+from spherejax.physics.functions import UserFunction
+from spherejax.physics.functions.base import Given
+from spherejax.physics.joints import Dry, Lubricated
+
+KIND = "kind"
+"""The key that names the class."""
+
+
+def build(family: type, value: Any, place: Place, context: Context) -> Any:
+    """The object that a table describes; a text alone is the kind of an object with its defaults.
+
+    `kind` may be left out where the family has one member only.
+    """
+    table = {KIND: value} if isinstance(value, str) else value
+    if not isinstance(table, dict):
+        place.fail(f'{value!r} is no {family.__name__.removeprefix("Abstract")}; write {{ kind = "...", ... }}')
+    table = dict(table)
+    members = kinds_of(family)
+    kind = table.pop(KIND, next(iter(members)) if len(members) == 1 else None)
+    if not isinstance(kind, str):
+        place.fail(f'has no kind; write kind = "{next(iter(members), "my_file.py:MyClass")}"; {one_of(members, "")}')
+    cls = class_named(kind, family, context.folder, place / KIND if isinstance(value, dict) else place)
+    if inspect.isfunction(cls):
+        for key in table:
+            (place / key).fail(f"the function {cls.__name__} has no numbers; write a class to give it some")
+        return cls
+    return built(cls, table, place, context)
+
+
+def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -> Any:
+    """An object of a class from the arguments in a table, its values checked."""
+    fields, parameters = fields_of(cls), parameters_of(cls)
+    for key in table:
+        if key not in fields:
+            (place / key).fail(f"unknown key of {cls.__name__}; {one_of(fields, key)}")
+    missing = [name for name, parameter in parameters.items() if is_needed(parameter) and name not in table]
+    if missing:
+        name = missing[0]
+        place.fail(f"{cls.__name__} needs {name}, {fields[name].what}; add {name} = ...")
+    inside = context._replace(words={**context.words, **_numbers_of(parameters, table)})
+    arguments = {name: fields[name].read(value, place / name, inside) for name, value in table.items()}
+    try:
+        made = called(cls, arguments)
+    except (TypeError, ValueError) as error:
+        place.fail(str(error))
+    check(made, place)
+    return made
+
+
+def called(cls: type, arguments: Mapping[str, Any]) -> Any:
+    """`cls(**arguments)`; an argument like `*terms` is a list."""
+    many = [name for name, p in parameters_of(cls).items() if p.kind is inspect.Parameter.VAR_POSITIONAL]
+    listed = [entry for name in many for entry in arguments.get(name, ())]
+    return cls(*listed, **{name: value for name, value in arguments.items() if name not in many})
+
+
+def check(made: Any, place: Place) -> None:
+    """Judge the values of an object; the error names the key."""
+    requirements: list[Requirement] = made.requirements() if hasattr(made, "requirements") else []
+    for requirement in requirements:
+        key = requirement.field.rpartition(".")[2]
+        at = place / key if (*place.keys, key) in place.source.lines else place
+        try:
+            enforce(type(made).__name__, [requirement])
+        except SceneError as error:
+            at.fail(str(error))
+
+
+def describe(made: Any, family: type, context: Context) -> dict[str, Any]:
+    """The table that describes an object.
+
+    Raises:
+        SceneError: for an object that no table gives back, or that contains a Python function.
+    """
+    if inspect.isfunction(made):
+        return {KIND: kind_of(made, context.folder)}
+    cls = type(made)
+    if not isinstance(made, eqx.Module):
+        raise SceneError(_no_table(made, family))
+    table: dict[str, Any] = {KIND: kind_of(cls, context.folder)}
+    if list(kinds_of(family).values()) == [cls]:
+        del table[KIND]
+    return {**table, **described(made, context)}
+
+
+def described(made: Any, context: Context) -> dict[str, Any]:
+    """The arguments of an object as a table, without those that are None."""
+    fields, arguments = fields_of(type(made)), arguments_of(made)
+    inside = context._replace(words={**context.words, **_numbers_of(parameters_of(type(made)), arguments)})
+    table = {name: fields[name].write(value, inside) for name, value in arguments.items()}
+    try:
+        is_same = same(called(type(made), arguments), made)
+    except (TypeError, ValueError):
+        is_same = False
+    if not is_same:
+        raise SceneError(
+            f"{type(made).__name__} is not given back by its attributes; keep each argument of its constructor in an "
+            "attribute of the same name"
+        )
+    return table
+
+
+def arguments_of(made: Any) -> dict[str, Any]:
+    """The arguments that make an object again, by name; None is left out."""
+    found = {name: unwrapped(_attribute(made, name)) for name in parameters_of(type(made))}
+    if isinstance(made, Dry | Lubricated) and made._ball_radius_given:
+        found = {**found, "clearance": None, "ball_radius": _ball_radius(made)}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _attribute(made: Any, name: str) -> Any:
+    """What was given as the argument `name`; a place may have been given by its name."""
+    value = getattr(made, name, None)
+    return getattr(made, f"{name}_name", None) if value is None else value
+
+
+def unwrapped(value: Any) -> Any:
+    """The function that a user gave, without what it was wrapped in."""
+    while type(value) in WRAPPERS:
+        value = next(inner for inner in WRAPPERS[type(value)](value) if inner is not None)
+    return tuple(unwrapped(entry) for entry in value) if isinstance(value, tuple) else value
+
+
+WRAPPERS: Mapping[type, Callable[[Any], tuple]] = {
+    Given: lambda given: (given.module, given.function),
+    UserFunction: lambda function: (function.given,),
+}
+"""Classes in which functions of users are kept."""
+
+
+def same(first: Any, second: Any) -> bool:
+    """Whether two objects have the same classes, names and numbers, to the last bit."""
+    if dataclasses.is_dataclass(first) and dataclasses.is_dataclass(second):
+        names = [field.name for field in dataclasses.fields(first)]
+        return type(first) is type(second) and all(same(getattr(first, n), getattr(second, n)) for n in names)
+    if isinstance(first, tuple) and isinstance(second, tuple) and not _is_numeric(first):
+        return len(first) == len(second) and all(same(a, b) for a, b in zip(first, second, strict=True))
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return set(first) == set(second) and all(same(first[key], second[key]) for key in first)
+    if _is_numeric(first) and _is_numeric(second):
+        return np.array_equal(np.asarray(first), np.asarray(second), equal_nan=True)
+    return first == second
+
+
+def _ball_radius(model: Dry | Lubricated) -> float:
+    """The radius R_j that gives the clearance back to the last bit: c = R_i - R_j is rounded."""
+    given, clearance = float(model.socket_radius), float(model.clearance)
+    radius = given - clearance
+    for candidate in (radius, np.nextafter(radius, -np.inf), np.nextafter(radius, np.inf)):
+        if given - candidate == clearance:
+            return float(candidate)
+    raise SceneError(f"ball_radius: no radius gives the clearance {clearance!r} back; give clearance= instead")
+
+
+def _is_numeric(value: Any) -> bool:
+    if isinstance(value, str | bool) or value is None or not is_concrete(value):
+        return False
+    try:
+        return np.asarray(value).dtype.kind in "fiu"
+    except (TypeError, ValueError):
+        return False
+
+
+def _numbers_of(parameters: Mapping[str, inspect.Parameter], table: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers of a table, or their defaults, that the units of its other numbers may refer to."""
+    values = {name: table.get(name, parameter.default) for name, parameter in parameters.items()}
+    return {name: f"{value:g}" for name, value in values.items() if type(value) in (int, float)}
+
+
+def _no_table(made: Any, family: type) -> str:
+    what = family.__name__.removeprefix("Abstract")
+    if callable(made):
+        return (
+            f"a Python function cannot be written to a file; take a {what} of the package instead, or a class of your "
+            'own in a file, kind = "my_file.py:MyClass"'
+        )
+    return f"{made!r} is no {what}"

@@ -1,0 +1,80 @@
+"""Where a value stands in a scene file, and errors that say so."""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+from spherejax.files.key_lines import KeyPath, key_lines
+from spherejax.foundations.checks import SceneError
+
+
+class Source(NamedTuple):
+    """A text that was read.
+
+    Attributes:
+        path: the file.
+        lines: line of each key.
+    """
+
+    path: Path
+    lines: Mapping[KeyPath, int]
+
+
+class Place(NamedTuple):
+    """A key of a file.
+
+    Attributes:
+        source: the file.
+        keys: from the top of the file to the key.
+    """
+
+    source: Source
+    keys: KeyPath = ()
+
+    def __truediv__(self, key: str | int) -> "Place":
+        """A key below this one."""
+        return Place(self.source, (*self.keys, key))
+
+    @property
+    def line(self) -> int:
+        """The line of the key, or of the nearest table above it that is written in the file."""
+        for n in range(len(self.keys), 0, -1):
+            if self.keys[:n] in self.source.lines:
+                return self.source.lines[self.keys[:n]]
+        return 1
+
+    def fail(self, what: str) -> NoReturn:
+        """Raise `SceneError` with file, line and key."""
+        words = [f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.keys]
+        name = "".join(words).removeprefix(".")
+        raise SceneError(f"{self.source.path}:{self.line}: {name + ': ' if name else ''}{what}")
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], Place]:
+    """The tables of a file, and the place of its top.
+
+    Raises:
+        SceneError: for a file that cannot be read, or is no TOML, with the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"cannot read {str(path)!r}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: is no UTF-8 text ({error.reason}); save it as UTF-8") from error
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n")
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{path}: is no TOML: {error}") from error
+    return tables, Place(Source(path, key_lines(text)))
+
+
+def one_of(names: Iterable[str], given: str) -> str:
+    """For an error message: the nearest name to a wrong one, and all that there are."""
+    names = list(names)
+    near = difflib.get_close_matches(given.lower(), names, n=1)
+    listed = ", ".join(names) or "none"
+    return f"did you mean {near[0]!r}? There are: {listed}" if near else f"there are: {listed}"

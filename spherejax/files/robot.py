@@ -1,0 +1,248 @@
+"""Robot descriptions as they are written (URDF): links and joints, and where they are when each joint has a position.
+
+URDF says where a joint is in the axes of its parent link; the axes of the child link are the joint's own.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stderr
+from io import StringIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spherejax.files.place import one_of
+from spherejax.files.rotations import UNTURNED, product, turn_about, turned
+from spherejax.foundations.checks import SceneError
+
+TURNING, SLIDING, FREE = ("revolute", "continuous"), ("prismatic",), ("floating", "planar")
+"""Types of joints by how they move; a fixed joint does not."""
+
+_READ = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "dynamics", "mimic")}
+"""What counts of a description; shapes, materials, limits, transmissions and plugins do not."""
+
+
+class Link(NamedTuple):
+    """A link as described.
+
+    Attributes:
+        mass: [kg], 0 for a link without inertia.
+        center: center of mass, link axes [m].
+        inertia: about the center of mass, link axes [kg m^2], shape (3, 3).
+    """
+
+    mass: float
+    center: np.ndarray
+    inertia: np.ndarray
+
+
+class Edge(NamedTuple):
+    """A joint as described.
+
+    Attributes:
+        kind: its type.
+        parent: name of the link that carries it.
+        child: name of the link that it moves.
+        quaternion: turns the joint's axes into the parent's.
+        place: of the joint in the parent's axes [m].
+        axis: unit vector in the joint's axes.
+        damping: [N m s/rad] or [N s/m].
+        friction: [N m] or [N].
+        follows: name of the joint that it mimics, or None.
+    """
+
+    kind: str
+    parent: str
+    child: str
+    quaternion: np.ndarray
+    place: np.ndarray
+    axis: np.ndarray
+    damping: float
+    friction: float
+    follows: str | None
+
+
+class Robot(NamedTuple):
+    """A tree of links.
+
+    Attributes:
+        path: the file.
+        links: by name.
+        edges: joints by name, parents first.
+        base: name of the link without a parent.
+    """
+
+    path: Path
+    links: dict[str, Link]
+    edges: dict[str, Edge]
+    base: str
+
+
+class Pose(NamedTuple):
+    """Where a link is and how it moves.
+
+    Attributes:
+        quaternion: link axes to world axes.
+        place: of the link's origin, world axes [m].
+        velocity: of the origin, world axes [m/s].
+        angular_velocity: world axes [rad/s].
+    """
+
+    quaternion: np.ndarray
+    place: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+
+
+def read_robot(path: Path) -> Robot:
+    """The links and joints of a URDF file.
+
+    Raises:
+        SceneError: with file, line and element; for a missing library.
+    """
+    links: dict[str, Link] = {}
+    edges: dict[str, Edge] = {}
+    for tag, name, line, made in _elements(path):
+        kept: dict = links if tag == "link" else edges
+        if name in kept:
+            raise SceneError(f"{path}:{line}: there are two {tag}s {name!r}; rename one of them")
+        try:
+            kept[name] = _link(made) if tag == "link" else _edge(made)
+        except (TypeError, ValueError) as error:
+            raise SceneError(f"{path}:{line}: {tag} {name!r}: {error}") from error
+    base = _base(path, links, edges)
+    return Robot(path, links, _parents_first(path, base, edges), base)
+
+
+def poses(robot: Robot, positions: Mapping[str, float], velocities: Mapping[str, float]) -> dict[str, Pose]:
+    """Pose of each link, the base at the origin, from positions [rad or m] and velocities of joints by name."""
+    zero = np.zeros(3)
+    found = {robot.base: Pose(UNTURNED, zero, zero, zero)}
+    for name, edge in robot.edges.items():
+        parent = found[edge.parent]
+        q, rate = positions.get(name, 0.0), velocities.get(name, 0.0)
+        quaternion = product(parent.quaternion, edge.quaternion)
+        axis = turned(quaternion, edge.axis)
+        arm, spin, slip = turned(parent.quaternion, edge.place), parent.angular_velocity, zero
+        if edge.kind in TURNING:
+            quaternion, spin = product(quaternion, turn_about(edge.axis, q)), spin + rate * axis
+        if edge.kind in SLIDING:
+            arm, slip = arm + q * axis, rate * axis
+        velocity = parent.velocity + np.cross(parent.angular_velocity, arm) + slip
+        found[edge.child] = Pose(quaternion, parent.place + arm, velocity, spin)
+    return found
+
+
+def in_other_axes(quaternion: np.ndarray, tensor: np.ndarray) -> np.ndarray:
+    """A tensor, e.g. an inertia, in the axes that a quaternion turns into."""
+    rotation = np.stack([turned(quaternion, e) for e in np.eye(3)], axis=1)
+    return rotation @ tensor @ rotation.T
+
+
+def _elements(path: Path) -> Iterator[tuple[str, str, int, Any]]:
+    """Tag, name, line and parsed object of each link and joint."""
+    try:
+        from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+        from urdf_parser_py import urdf
+        from urdf_parser_py.xml_reflection.core import Path as XmlPath
+    except ImportError as error:
+        raise SceneError(f"reading URDF needs a library: pip install 'spherejax[urdf]' ({error})") from error
+    try:
+        parser = etree.XMLParser(remove_comments=True, resolve_entities=False, no_network=True)
+        root = etree.fromstring(path.read_bytes(), parser)
+    except OSError as error:
+        raise SceneError(f"cannot read {str(path)!r}: {error.strerror or error}") from error
+    except etree.XMLSyntaxError as error:
+        raise SceneError(f"{path}: is no XML: {error.msg}") from error
+    if root.tag != "robot":
+        remedy = "; expand it with xacro first" if "xacro" in str(root.tag) else ""
+        raise SceneError(f"{path}:{root.sourceline}: begins with <{root.tag}>, not with <robot>{remedy}")
+    for node in root:
+        if node.tag not in _READ:
+            continue
+        for child in list(node):
+            if child.tag not in _READ[node.tag]:
+                node.remove(child)
+        name, line = node.get("name"), node.sourceline
+        classes = {"link": urdf.Link, "joint": urdf.Joint}
+        try:
+            with redirect_stderr(StringIO()):  # it warns of attributes that it does not know
+                made = classes[node.tag].from_xml(node, XmlPath(node.tag, tree=etree.ElementTree(root)))
+        except Exception as error:  # the library's own ParseError, and Python's of numbers
+            what = " ".join(str(error).split())
+            raise SceneError(f"{path}:{line}: {node.tag} {name!r}: {what}") from error
+        yield node.tag, str(name), line, made
+
+
+def _link(made: Any) -> Link:
+    inertial = made.inertial
+    if inertial is None:
+        return Link(0.0, np.zeros(3), np.zeros((3, 3)))
+    if inertial.inertia is None:
+        raise ValueError("has a mass but no <inertia>")
+    moments = np.array(inertial.inertia.to_matrix(), np.float64)
+    quaternion, center = _origin(inertial.origin)
+    return Link(float(inertial.mass), center, in_other_axes(quaternion, moments))
+
+
+def _edge(made: Any) -> Edge:
+    quaternion, place = _origin(made.origin)
+    axis = np.array(made.axis or (1.0, 0.0, 0.0), np.float64)
+    length = np.linalg.norm(axis)
+    if not 0 < length < np.inf:
+        raise ValueError("<axis> must be a direction; give a vector that is not zero")
+    damping, friction = (
+        0.0 if made.dynamics is None else float(getattr(made.dynamics, name) or 0.0) for name in ("damping", "friction")
+    )
+    follows = None if made.mimic is None else made.mimic.joint
+    return Edge(made.type, made.parent, made.child, quaternion, place, axis / length, damping, friction, follows)
+
+
+def _origin(origin: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternion and place of an <origin>: roll, pitch and yaw are turns about the axes x, y and z that stay."""
+    roll, pitch, yaw = (None if origin is None else origin.rpy) or (0.0, 0.0, 0.0)
+    place = (None if origin is None else origin.xyz) or (0.0, 0.0, 0.0)
+    quaternion = UNTURNED
+    for axis, angle in zip(np.eye(3), (roll, pitch, yaw), strict=True):
+        quaternion = product(turn_about(axis, angle), quaternion)
+    return quaternion, np.array(place, np.float64)
+
+
+def _base(path: Path, links: Mapping[str, Link], edges: Mapping[str, Edge]) -> str:
+    """The one link without a parent."""
+    parents: dict[str, str] = {}
+    for name, edge in edges.items():
+        for link in (edge.parent, edge.child):
+            if link not in links:
+                raise SceneError(f"{path}: joint {name!r}: there is no link {link!r}; {one_of(links, link)}")
+        if edge.child in parents:
+            raise SceneError(
+                f"{path}: link {edge.child!r} has two parents, joints {parents[edge.child]!r} and {name!r}: URDF is a "
+                "tree; leave one joint out, write the scene file, and add the loop's joint there"
+            )
+        parents[edge.child] = name
+    bases = [name for name in links if name not in parents]
+    if len(bases) != 1:
+        what = f"{len(bases)} links without a parent ({', '.join(bases)})" if bases else "no link without a parent"
+        raise SceneError(f"{path}: has {what}; a robot has one base link, and joints that lead from it to the others")
+    return bases[0]
+
+
+def _parents_first(path: Path, base: str, edges: Mapping[str, Edge]) -> dict[str, Edge]:
+    """Joints in an order in which each one's parent link has been reached.
+
+    With one base and one parent for each other link, a link that is not reached is in a circle.
+    """
+    ordered: dict[str, Edge] = {}
+    reached = [base]
+    for link in reached:  # grows while it is walked
+        for name, edge in edges.items():
+            if edge.parent == link and name not in ordered:
+                ordered[name] = edge
+                reached.append(edge.child)
+    circle = [name for name in edges if name not in ordered]
+    if circle:
+        raise SceneError(
+            f"{path}: joints {', '.join(circle)} go round in a circle; a robot is a tree that begins at {base!r}"
+        )
+    return ordered

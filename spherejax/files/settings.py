@@ -1,0 +1,75 @@
+"""How a mechanism is simulated, as its file says: the table [simulation]."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import diffrax
+
+from spherejax.files.fields import Choice, Context, Field, Plain
+from spherejax.files.place import Place, one_of
+from spherejax.files.quantities import number
+from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
+
+SOLVERS: Mapping[str, tuple[Callable[[], Any], str]] = {
+    "tsit5": (diffrax.Tsit5, "explicit, order 5"),
+    "dopri5": (diffrax.Dopri5, "explicit, order 5"),
+    "dopri8": (diffrax.Dopri8, "explicit, order 8: the choice for scenes that are not stiff"),
+    "kvaerno5": (diffrax.Kvaerno5, "implicit, order 5, chord iterations that converge below the step's tolerance"),
+    "rodas4p": (Rodas4P, "linearly implicit, order 4, no iterations"),
+    "rodas5p": (Rodas5P, "linearly implicit, order 5: the choice for stiff scenes"),
+    "ros34pw2": (Ros34PW2, "linearly implicit, order 3: fastest on stiff scenes at low accuracy"),
+}
+"""Solvers by the names that files and the command line use, and what they are."""
+
+
+class SimulationSettings(NamedTuple):
+    """What a file says about its simulation; None where it says nothing.
+
+    Attributes:
+        t1: length of the motion [s].
+        samples: number of samples.
+        dt: interval of the samples [s], instead of their number.
+        rtol: relative tolerance of a step.
+        atol: absolute tolerance of a step.
+        max_steps: when to give up.
+        solver: name of the integrator.
+    """
+
+    t1: float | None = None
+    samples: int | None = None
+    dt: float | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    max_steps: int | None = None
+    solver: str | None = None
+
+
+FIELDS: Mapping[str, Field] = {
+    "t1": number("s"),
+    "samples": Plain(int),
+    "dt": number("s"),
+    "rtol": number("1"),
+    "atol": number(None),
+    "max_steps": Plain(int),
+    "solver": Choice(tuple(SOLVERS)),
+}
+
+
+def read_settings(value: Any, place: Place, context: Context) -> SimulationSettings:
+    """The settings in a table; `place.fail` for a wrong one."""
+    if not isinstance(value, dict):
+        place.fail("is no table; write [simulation]")
+    for key in value:
+        if key not in FIELDS:
+            (place / key).fail(f"unknown key; {one_of(FIELDS, key)}")
+    found = {key: FIELDS[key].read(given, place / key, context) for key, given in value.items()}
+    if "samples" in found and "dt" in found:
+        (place / "dt").fail("samples and dt say the same twice; remove one of them")
+    for key, given in found.items():
+        lowest = 2 if key == "samples" else 0
+        if key != "solver" and not (lowest < given < float("inf") or given == lowest == 2):
+            (place / key).fail(f"{given!r} must be {'at least 2: start and end' if lowest else 'positive'}")
+    settings = SimulationSettings(**found)
+    if settings.dt is not None and settings.t1 is not None and settings.dt > settings.t1:
+        (place / "dt").fail(f"{settings.dt!r} must not be above t1 = {settings.t1!r} [s]")
+    return settings

@@ -1,0 +1,384 @@
+"""A queue of runs, worked off by a block of lanes inside one compiled loop.
+
+Each turn of the loop makes one step of every lane. A lane whose run has ended, well or not, writes its result and
+takes the next job. When the queue is empty and most lanes idle, the rest goes on in a narrower block. So the block does
+not wait for its slowest lane, and a failing run costs what it costs and disturbs nobody.
+
+The pieces are diffrax's own: solver, step-size controller, interpolation. Arrays have their lanes on the last axis.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from spherejax.motion.lanes.stages import in_lanes, steps_of
+from spherejax.motion.solvers.landing import Contacts, LandingController
+from spherejax.motion.status import Status, status_of
+
+
+class Block(NamedTuple):
+    """How wide the block of lanes is (static).
+
+    Attributes:
+        width: lanes; 64 keep the working set of a mechanism of three bodies in the first-level cache.
+        narrow: lanes once the queue is empty and no more than these are busy.
+    """
+
+    width: int = 64
+    narrow: int = 16
+
+
+class LaneProblem(NamedTuple):
+    """What is integrated in every lane (static functions of one lane).
+
+    Attributes:
+        solver: a diffrax solver, not wrapped.
+        controller_of: the diffrax controller of a run, from its parameters.
+        rate: right-hand side (t, y, parameters).
+        correct: drift control's correction (parameters, t, y), or None.
+        contacts: contacts whose onsets are located, or None.
+        max_steps: largest number of steps of a run.
+        watch: numbers (t, y, parameters) whose largest values at the ends of all steps are kept, or None.
+        longest_step: of every run [s], or None.
+    """
+
+    solver: diffrax.AbstractSolver
+    controller_of: Callable
+    rate: Callable
+    correct: Callable | None
+    contacts: Contacts | None
+    max_steps: int
+    watch: Callable | None = None
+    longest_step: Array | None = None
+
+
+class Lane(NamedTuple):
+    """A run under way (of all lanes: the last axis).
+
+    Attributes:
+        job: index of the run; the number of runs where the lane is idle.
+        t_end: where it ends [s].
+        t: start of the coming step [s].
+        t_next: end of the coming step [s].
+        y: state at t.
+        parameters: what the right-hand side is given.
+        solver_state: the solver's.
+        controller_state: the controller's.
+        made_jump: whether the state jumped at t.
+        n_accepted: steps kept.
+        n_rejected: steps repeated.
+        n_onsets: contact onsets of each contact.
+        touching: time in contact of each contact [s].
+        peaks: largest values of what is watched.
+        n_samples: samples taken.
+        status: integer of `Status`.
+    """
+
+    job: Array
+    t_end: Array
+    t: Array
+    t_next: Array
+    y: Array
+    parameters: Any
+    solver_state: Any
+    controller_state: Any
+    made_jump: Array
+    n_accepted: Array
+    n_rejected: Array
+    n_onsets: Array
+    touching: Array
+    peaks: Array
+    n_samples: Array
+    status: Array
+
+
+class LaneOutcome(NamedTuple):
+    """Results of all runs of a queue.
+
+    Attributes:
+        ys: states at the sample times; NaN where a run did not come, shape (n_jobs, n, ...).
+        t_reached: [s], shape (n_jobs,).
+        status: integers of `Status`, shape (n_jobs,).
+        n_accepted: steps kept, shape (n_jobs,).
+        n_rejected: steps repeated, shape (n_jobs,).
+        n_onsets: shape (n_jobs, n_contacts).
+        touching: time in contact [s], shape (n_jobs, n_contacts).
+        peaks: largest values of what is watched, shape (n_jobs, n_watched).
+        y_reached: states at `t_reached`, shape (n_jobs, ...).
+        n_lane_steps: steps that the block made, those of idle lanes included.
+    """
+
+    ys: Float[Array, "n_jobs n ..."]
+    t_reached: Float[Array, " n_jobs"]
+    status: Int[Array, " n_jobs"]
+    n_accepted: Int[Array, " n_jobs"]
+    n_rejected: Int[Array, " n_jobs"]
+    n_onsets: Int[Array, "n_jobs n_contacts"]
+    touching: Float[Array, "n_jobs n_contacts"]
+    peaks: Float[Array, "n_jobs n_watched"]
+    y_reached: Float[Array, "n_jobs ..."]
+    n_lane_steps: Int[Array, ""]
+
+    @property
+    def lane_efficiency(self) -> Float[Array, ""]:
+        """Steps of runs divided by steps of lanes."""
+        return jnp.sum(self.n_accepted + self.n_rejected) / self.n_lane_steps
+
+
+def run_in_lanes(
+    problem: LaneProblem,
+    parameters: Any,
+    y0: Float[Array, "n_jobs ..."],
+    ts: Float[Array, " n"],
+    may_run: Array,
+    status: Int[Array, " n_jobs"],
+    block: Block,
+) -> LaneOutcome:
+    """Work off a queue of runs.
+
+    Args:
+        problem: what is integrated.
+        parameters: of each run, with a leading axis of jobs.
+        y0: state of each run at the start.
+        ts: sample times [s], increasing; every run goes from the first to the last.
+        may_run: whether a run is to be made, shape (n_jobs,).
+        status: what a run that is not to be made reports.
+        block: how wide.
+    """
+    return _Queue(problem, parameters, y0, ts, may_run, status).worked_off(block)
+
+
+class _Queue:
+    """The functions of one lane and of a block, with the queue at hand; lives while a program is traced."""
+
+    def __init__(self, problem: LaneProblem, parameters, y0, ts, may_run, status):
+        self.problem = problem
+        self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
+        self.n_jobs = y0.shape[0]
+        self.steps = steps_of(problem.solver, problem.rate, with_dense_output=ts.shape[0] > 2)
+        self.term = diffrax.ODETerm(problem.rate)
+        self.order = problem.solver.error_order(self.term)
+        self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
+
+    # A lane ------------------------------------------------------------------------------------------------------
+
+    def _controller(self, parameters) -> Any:
+        controller, problem = self.problem.controller_of(parameters), self.problem
+        return LandingController(controller, problem.contacts, problem.longest_step)  # pyright: ignore[reportCallIssue]
+
+    def started(self, job) -> Lane:
+        """The lane at the start of a job; an idle one where there is no such job."""
+        at = jnp.minimum(job, self.n_jobs - 1)
+        parameters, y0, may_run, status = jax.tree.map(
+            lambda x: x[at], (self.parameters, self.y0, self.may_run, self.status)
+        )
+        t0 = self.ts[0]
+        t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
+        controller, solver = self._controller(parameters), self.problem.solver
+        t_next, state = controller.init(self.term, t0, t_end, y0, None, parameters, solver.func, self.order)
+        t_next = jnp.minimum(t_next, t_end)
+        none = jnp.zeros((), jnp.int64)
+        return Lane(
+            job=job,
+            t_end=t_end,
+            t=t0,
+            t_next=t_next,
+            y=y0,
+            parameters=parameters,
+            solver_state=self.steps.init(t0, t_next, y0, parameters),
+            controller_state=state,
+            made_jump=jnp.array(False),
+            n_accepted=none,
+            n_rejected=none,
+            n_onsets=jnp.zeros(self.n_contacts, jnp.int64),
+            touching=jnp.zeros(self.n_contacts),
+            peaks=self._watched(t0, y0, parameters),
+            n_samples=none,
+            status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
+        )
+
+    def judged(self, lane: Lane, y, error, solver_state, result) -> Lane:
+        """The lane after a trial step: corrected, with its contact events, kept or to be repeated."""
+        problem, contacts = self.problem, self.problem.contacts
+        if problem.correct is not None:
+            y = problem.correct(lane.parameters, lane.t_next, y)
+        began = jnp.zeros(0, bool)
+        if contacts is not None:
+            y = contacts.update(lane.parameters, lane.t_next, lane.y, y)
+            began = ~contacts.is_touching(lane.y) & contacts.is_touching(y)
+        keep, t, t_next, made_jump, state, verdict = self._controller(lane.parameters).adapt_step_size(
+            lane.t,
+            lane.t_next,
+            lane.y,
+            y,
+            lane.parameters,
+            jnp.where(jnp.isnan(error), jnp.inf, error),
+            self.order,
+            lane.controller_state,
+        )
+        if result is not None:
+            verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
+        # Idle lanes and runs that may not be made go through the motions, and count nothing.
+        is_running = _is_busy(lane, self.n_jobs)
+        keep = keep & is_running
+        repeats = ~keep & is_running
+        t = jnp.where(is_running, jnp.minimum(t, lane.t_end), lane.t)
+        n_steps = lane.n_accepted + lane.n_rejected + 1
+        ended = jnp.where(n_steps >= problem.max_steps, Status.TOO_MANY_STEPS, Status.SUCCEEDED)
+        failed = jnp.where(t < lane.t_end, ended, Status.SUCCEEDED)
+        told = status_of(verdict, jnp.array(True), jnp.array(True))
+
+        def kept(new, old):
+            return jnp.where(keep, new, old)
+
+        return lane._replace(
+            t=t,
+            t_next=_clipped(t, t_next, lane.t_end, keep),
+            y=kept(y, lane.y),
+            solver_state=jax.tree.map(kept, solver_state, lane.solver_state),
+            controller_state=state,
+            made_jump=kept(jnp.asarray(made_jump), lane.made_jump),
+            n_accepted=lane.n_accepted + keep,
+            n_rejected=lane.n_rejected + repeats,
+            n_onsets=lane.n_onsets + (began & keep),
+            touching=lane.touching + self._time_in_contact(lane, keep),
+            peaks=jnp.where(keep, jnp.maximum(lane.peaks, self._watched(lane.t_next, y, lane.parameters)), lane.peaks),
+            status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
+        )
+
+    def _watched(self, t, y, parameters) -> Float[Array, " n_watched"]:
+        return jnp.zeros(0) if self.problem.watch is None else self.problem.watch(t, y, parameters)
+
+    def _time_in_contact(self, lane: Lane, keep):
+        if self.problem.contacts is None:
+            return jnp.zeros(0)
+        return jnp.where(keep & self.problem.contacts.is_touching(lane.y), lane.t_next - lane.t, 0.0)
+
+    def sample(self, t, t_next, dense_info, parameters, at):
+        """The state within a step."""
+        y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(at)
+        return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
+
+    # A block -----------------------------------------------------------------------------------------------------
+
+    def worked_off(self, block: Block) -> LaneOutcome:
+        """Run all jobs."""
+        width = min(block.width, max(1, self.n_jobs))
+        lanes = self.block_of(jnp.arange(width))
+        ys = jnp.full((self.n_jobs, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
+        size = self.y0[0].size
+        account = jnp.zeros((self.n_jobs, 4 + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
+        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64)
+        narrow = min(block.narrow, width)
+
+        def busy(carry):
+            lanes, waiting, *_ = carry
+            at_least = narrow if narrow < width else 0
+            return (waiting < self.n_jobs) | (jnp.sum(_is_busy(lanes, self.n_jobs)) > at_least)
+
+        carry = jax.lax.while_loop(busy, self.turn, carry)
+        if narrow < width:
+            lanes, *rest = carry
+            order = jnp.argsort(~_is_busy(lanes, self.n_jobs))[:narrow]
+            lanes = jax.tree.map(lambda x: x[..., order], lanes)
+
+            def still_busy(carry):
+                return jnp.any(_is_busy(carry[0], self.n_jobs))
+
+            carry = jax.lax.while_loop(still_busy, self.turn, (lanes, *rest))
+        return self._outcome(carry[3], carry[2], carry[4])
+
+    def block_of(self, jobs) -> Lane:
+        """Lanes at the start of jobs."""
+        return jax.vmap(self.started, out_axes=-1)(jobs)
+
+    def turn(self, carry):
+        """One step of every lane; then lanes that have ended take new jobs."""
+        lanes, waiting, account, ys, n_lane_steps = carry
+        before = lanes
+        trial = self.steps.step(lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump)
+        lanes = in_lanes(self.judged)(lanes, trial.y, trial.error, trial.solver_state, trial.result)
+        if self.ts.shape[0] > 1:
+            lanes, ys = self._with_samples(before, lanes, trial.dense_info, ys)
+        has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
+        refilled = jax.lax.cond(
+            jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
+        )
+        return *refilled, ys, n_lane_steps + lanes.t.shape[-1]
+
+    def _with_samples(self, before: Lane, lanes: Lane, dense_info, ys):
+        """Write the samples that lie in the steps just kept; the first one is the start."""
+        was_kept = lanes.n_accepted > before.n_accepted
+        n = self.ts.shape[0]
+
+        def due(n_samples):
+            return was_kept & (n_samples < n) & (self.ts[jnp.minimum(n_samples, n - 1)] <= before.t_next)
+
+        def any_due(carry):
+            return jnp.any(due(carry[0]))
+
+        def write(carry):
+            n_samples, ys = carry
+            is_due = due(n_samples)
+            at = self.ts[jnp.minimum(n_samples, n - 1)]
+            # The end of a step is the state itself, with its events; within it there are none.
+            is_end = at >= before.t_next
+            if n > 2:
+                inside = in_lanes(self.sample)(before.t, before.t_next, dense_info, before.parameters, at)
+                y = jnp.where(is_end, lanes.y, inside)
+            else:
+                y = lanes.y
+            row = jnp.where(is_due, lanes.job, self.n_jobs)
+            return n_samples + is_due, ys.at[row, n_samples].set(jnp.moveaxis(y, -1, 0), mode="drop")
+
+        n_samples, ys = jax.lax.while_loop(any_due, write, (jnp.maximum(lanes.n_samples, 1), ys))
+        return lanes._replace(n_samples=n_samples), ys
+
+    def _refilled(self, has_ended, lanes: Lane, waiting, account):
+        """Write results of the lanes that have ended, and give them the next jobs."""
+        row = jnp.where(has_ended, lanes.job, self.n_jobs)
+        # One scatter of rows: XLA:CPU (jax 0.10) aborts when it fuses scatters of single numbers.
+        account = account.at[row].set(in_lanes(_account)(lanes).T, mode="drop")
+        jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
+        fresh = self.block_of(jnp.where(has_ended, jobs, self.n_jobs))
+        lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)
+        return lanes, jnp.minimum(waiting + jnp.sum(has_ended), self.n_jobs), account
+
+    def _outcome(self, ys, account, n_lane_steps) -> LaneOutcome:
+        n = 4 + self.n_contacts
+        ends = [1, n, n + self.n_contacts, account.shape[1] - self.y0[0].size]
+        t_reached, counts, touching, peaks, y_reached = jnp.split(account, ends, axis=1)
+        status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
+        return LaneOutcome(
+            ys=ys,
+            t_reached=t_reached[:, 0],
+            status=status,
+            n_accepted=n_accepted,
+            n_rejected=n_rejected,
+            n_onsets=counts[:, 3:].astype(jnp.int64),
+            touching=touching,
+            peaks=peaks,
+            y_reached=y_reached.reshape(self.y0.shape),
+            n_lane_steps=n_lane_steps,
+        )
+
+
+def _account(lane: Lane) -> Float[Array, " k"]:
+    """What a run reports besides its samples, as numbers in a row."""
+    counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
+    numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, lane.y.ravel()]
+    return jnp.concatenate([each.astype(jnp.float64) for each in numbers])
+
+
+def _is_busy(lanes: Lane, n_jobs: int):
+    return (lanes.job < n_jobs) & (lanes.t < lanes.t_end) & (lanes.status == Status.SUCCEEDED)
+
+
+def _clipped(t, t_next, t_end, keep):
+    """The end of the coming step, at most the end of the run; as diffrax does it."""
+    floor = t_end - 100 * jnp.finfo(jnp.float64).eps * jnp.abs(t_end)
+    return jnp.where(t_next > floor, jnp.where(keep, t_end, t + 0.5 * (t_end - t)), t_next)

@@ -1,0 +1,244 @@
+"""How fast joints act on the bodies that they join, looked at the start: what an explicit method's steps depend on."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Scalar, Vector3
+from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import body_motions
+from spherejax.motion.constraints import ConstraintSet, assembly_set, constraint_set, inverse_masses, solve_augmented
+from spherejax.motion.loads import applied_wrenches, by_body
+from spherejax.motion.programs import program_for
+from spherejax.physics.joints import PlacedSpherical
+from spherejax.physics.joints.contact import stiffness_of
+from spherejax.physics.state import VELOCITY_SIZE, unpack
+
+USUAL_ECCENTRICITY_RATIO = 0.5
+"""Where in its clearance a lubricated ball is looked at."""
+
+SMALL_DEFLECTION = 1e-6
+"""Deflection [m] at which an elastomer is looked at."""
+
+LOADS_IN_MOTION = 3.0
+"""A joint in contact is looked at under this many times its load at the start."""
+
+SMALLEST = 1e-12
+
+
+def rates_in_clearance(structure: Structure, theta: np.ndarray) -> np.ndarray:
+    """The fastest rate [1/s] of each force joint with its ball free in the socket: decay, or oscillation."""
+    return _rates_in_clearance(structure, theta.tobytes())
+
+
+def rates_under_load(structure: Structure, theta: np.ndarray, patience: float) -> np.ndarray:
+    """The fastest decay [1/s] of each force joint with its ball pressed to the socket by the load at the start.
+
+    Zero for a joint without contact, for one whose film keeps the ball from the socket for longer than `patience` [s],
+    and where the decay is slower than the contact oscillates: those oscillations are excited by every impact, all
+    methods have to follow them, and the explicit ones do it best.
+    """
+    return _rates_under_load(structure, theta.tobytes(), patience)
+
+
+@lru_cache(maxsize=1024)
+def _rates_in_clearance(structure: Structure, numbers: bytes) -> np.ndarray:
+    theta = np.frombuffer(numbers)
+    found = program_for(joint_actions, structure).compute(theta, 0.0, _described(structure, theta))
+    decay, frequency = (np.max(np.abs(np.linalg.eigvals(matrices)), axis=1) for matrices in found)
+    return np.nan_to_num(np.maximum(decay, np.sqrt(frequency)), nan=np.inf)
+
+
+@lru_cache(maxsize=1024)
+def _rates_under_load(structure: Structure, numbers: bytes, patience: float) -> np.ndarray:
+    theta = np.frombuffer(numbers)
+    found = program_for(pressed_actions, structure).compute(theta, 0.0, _described(structure, theta))
+    decay = np.max(np.abs(np.linalg.eigvals(np.nan_to_num(found.decays))), axis=-1)
+    frequency = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.nan_to_num(found.squares))), axis=-1))
+    decay, frequency = decay.max(axis=1), frequency.max(axis=1)
+    return np.where((decay > frequency) & (found.sinking_time < patience), decay, 0.0)
+
+
+def _described(structure: Structure, theta: np.ndarray) -> np.ndarray:
+    """The flat state of the start as the scene describes it, at rest."""
+    system = structure.system(theta)
+    places = [[*np.asarray(body.position), *np.asarray(body.quaternion)] for body in system.bodies.values()]
+    y = np.zeros(system.layout.size)
+    y[: system.layout.n_position] = np.concatenate(places)
+    return y
+
+
+def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[Float[Array, "n 3 3"], ...]:
+    """How each force joint acts on the relative motion of ball and socket at the start.
+
+    Returns:
+        m^-1 C [1/s] and m^-1 K [1/s^2] of each joint, with C = -df/d(e_dot), K = -df/de, and m^-1 the relative
+        acceleration of ball and socket for a unit force between them, under the constraints. The ball is looked at
+        where the weights of the bodies would press it.
+    """
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
+    constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
+    weights = applied_wrenches(system, t, motions, None)
+    falling = by_body(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
+    decays, squares = [], []
+    for name in system.force_joints:
+        joint = system.spherical(name)
+        motion = joint.relative_motion(motions)
+        separation = _relative_acceleration(joint, motions, falling)
+        distance = USUAL_ECCENTRICITY_RATIO * getattr(joint.model, "clearance", SMALL_DEFLECTION)
+        place = distance * (separation + SMALLEST * jnp.ones(3)) / (safe_norm(separation) + SMALLEST)
+
+        memory = state.memory[system.memory_of(name)]
+
+        def force(e, rate, joint=joint, motion=motion, memory=memory):
+            return joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory).force
+
+        stiffness, damping = jax.jacfwd(force, (0, 1))(place, jnp.zeros(3))
+        mobility = _mobility(system, motions, constraints, masses, joint)
+        decays.append(mobility @ damping)
+        squares.append(mobility @ stiffness)
+    return jnp.stack(decays), jnp.stack(squares)
+
+
+class PressedActions(NamedTuple):
+    """How each force joint acts with its ball pressed to the socket, for two directions of the load.
+
+    Attributes:
+        decays: m^-1 C [1/s and mixed units] of translation and rotation together, shape (n, 2, 6, 6).
+        squares: m^-1 K [1/s^2] of translation, shape (n, 2, 3, 3).
+        sinking_time: how long the load needs to press the ball through its film [s], shape (n,).
+    """
+
+    decays: Float[Array, "n 2 6 6"]
+    squares: Float[Array, "n 2 3 3"]
+    sinking_time: Float[Array, " n"]
+
+
+def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> PressedActions:
+    """How each joint with contact acts under the load F that an ideal joint would carry at the start.
+
+    The ball is pressed in by delta, K delta^n = F, along the load, and along the direction in which the bodies yield
+    most: a mechanism turns, and its loads with it. It has arrived there with the velocity of a fall through the
+    clearance, or with that at which the film gives way, whichever is less. All is zero for a joint without contact.
+    """
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
+    free, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
+    closed = assembly_set(system, t, motions)
+    weights = applied_wrenches(system, t, motions, None)
+    falling = by_body(system, solve_augmented(free, masses, weights, free.bias).accelerations)
+    multipliers = solve_augmented(closed, masses, weights, closed.bias).multipliers
+    decays, squares, times = [], [], []
+    for name in system.force_joints:
+        joint = system.spherical(name)
+        if not hasattr(joint.model, "surfaces") or name not in multipliers:
+            decays.append(jnp.zeros((2, 6, 6)))
+            squares.append(jnp.zeros((2, 3, 3)))
+            times.append(jnp.zeros(()))
+            continue
+        mobility = _mobility_with_rotation(system, motions, free, masses, joint)
+        force = LOADS_IN_MOTION * multipliers[name][:3]  # on the socket: the ball presses this way
+        fall = safe_norm(_relative_acceleration(joint, motions, falling))
+        looks = [_pressed(joint, motions, force, along, fall) for along in (force, _yielding(mobility, force))]
+        decays.append(jnp.stack([mobility @ look.damping for look in looks]))
+        squares.append(jnp.stack([mobility[:3, :3] @ look.stiffness for look in looks]))
+        times.append(looks[0].sinking_time)
+    return PressedActions(jnp.stack(decays), jnp.stack(squares), jnp.stack(times))
+
+
+class _Look(NamedTuple):
+    damping: Float[Array, "6 6"]
+    stiffness: Float[Array, "3 3"]
+    sinking_time: Scalar
+
+
+def _pressed(joint: PlacedSpherical, motions, force: Vector3, along: Vector3, fall: Scalar) -> _Look:
+    """Derivatives of a joint's answer for a ball that the size of `force` presses in along `along`."""
+    model: Any = joint.model
+    load = safe_norm(force) + SMALLEST
+    n = along / (safe_norm(along) + SMALLEST)
+    motion, clearance = joint.relative_motion(motions), model.clearance
+    depth = (load / stiffness_of(model.normal, model.surfaces)) ** (1 / model.normal.exponent)
+    n_memory = len(model.memory_names)
+
+    def answer(e, rate, memory):
+        moved = motion._replace(
+            eccentricity=e,
+            eccentricity_rate=rate[:3],
+            ball_angular_velocity=rate[3:],
+            socket_angular_velocity=jnp.zeros(3),
+        )
+        response = model.respond(moved, memory)
+        return jnp.concatenate([response.force, response.ball_moment])
+
+    def film(ratio):
+        """Damping [N s/m] of the film by itself: without contact, the memory is that of flight."""
+        damping = jax.jacfwd(answer, 1)(ratio * clearance * n, jnp.zeros(6), jnp.zeros(n_memory))
+        return -n @ damping[:3, :3] @ n
+
+    arrival = jnp.sqrt(2 * fall * clearance) + SMALLEST
+    arrival = 1 / (1 / arrival + film(1.0) / load)
+    memory = model.memory_at_onset(arrival) if n_memory else jnp.zeros(0)
+    stiffness, damping = jax.jacfwd(answer, (0, 1))((clearance + depth) * n, jnp.zeros(6), memory)
+    return _Look(-damping, -stiffness[:3], film(USUAL_ECCENTRICITY_RATIO) * clearance / load)
+
+
+def _yielding(mobility: Float[Array, "6 6"], force: Vector3) -> Vector3:
+    """About the direction in which bodies yield most to a force: a few steps of the power method."""
+    direction = force
+    for _ in range(6):
+        direction = mobility[:3, :3] @ direction
+        direction = direction / (safe_norm(direction) + SMALLEST)
+    return direction
+
+
+def _mobility_with_rotation(system: System, motions, constraints: ConstraintSet, masses, joint) -> Float[Array, "6 6"]:
+    """Relative acceleration of ball and socket, linear and angular, for unit forces and moments between them."""
+    socket, ball = joint.centers(motions)
+    columns = []
+    for unit in jnp.eye(6):
+        loads = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
+        for body, center, sign in zip(joint.bodies, (socket, ball), (-1.0, 1.0), strict=True):
+            if body in loads:
+                loads[body] = sign * jnp.concatenate([unit[:3], unit[3:] + jnp.cross(center.arm, unit[:3])])
+        none = jnp.zeros_like(constraints.bias)
+        found = solve_augmented(constraints, masses, jnp.stack(list(loads.values())), none)
+        accelerations = by_body(system, found.accelerations)
+        turning = jnp.zeros(3)
+        for body, sign in zip(joint.bodies, (-1.0, 1.0), strict=True):
+            if body in accelerations:
+                turning = turning + sign * accelerations[body][3:]
+        columns.append(jnp.concatenate([_relative_acceleration(joint, motions, accelerations), turning]))
+    return jnp.stack(columns, 1)
+
+
+def _mobility(system: System, motions, constraints, masses, joint: PlacedSpherical) -> Float[Array, "3 3"]:
+    """Relative acceleration of ball and socket for unit forces along the axes [1/kg]."""
+    socket, ball = joint.centers(motions)
+    columns = []
+    for unit in jnp.eye(3):
+        loads = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
+        for body, center, force in zip(joint.bodies, (socket, ball), (-unit, unit), strict=True):
+            if body in loads:
+                loads[body] = jnp.concatenate([force, jnp.cross(center.arm, force)])
+        none = jnp.zeros_like(constraints.bias)
+        found = solve_augmented(constraints, masses, jnp.stack(list(loads.values())), none)
+        accelerations = by_body(system, found.accelerations)
+        columns.append(_relative_acceleration(joint, motions, accelerations))
+    return jnp.stack(columns, 1)
+
+
+def _relative_acceleration(joint: PlacedSpherical, motions, accelerations) -> Float[Array, "3"]:
+    """Acceleration of the ball's center against the socket's, for bodies at rest [m/s^2]."""
+    total = jnp.zeros(3)
+    for body, center, sign in zip(joint.bodies, joint.centers(motions), (-1.0, 1.0), strict=True):
+        if body in accelerations:
+            a = accelerations[body]
+            total = total + sign * (a[:3] + jnp.cross(a[3:], center.arm))
+    return total

@@ -1,0 +1,106 @@
+"""Stops: springs that act beyond a travel only."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.physics.bodies import numbers
+from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, two_ends
+from spherejax.physics.forces.one_sided import OneSided
+from spherejax.physics.functions import AbstractFunction, as_function
+from spherejax.physics.functions.shapes import finite
+from spherejax.physics.laws.base import numeric
+
+
+class BumpStop(AbstractLineForce):
+    """A stop that presses two points apart below a length, or together beyond one, and never holds them.
+
+    How it resists, for a depth p = shortest - length or p = length - longest above 0, is the law of
+    `spherejax.physics.forces.one_sided`: f = max(0, k ramp(p) + spring(p) + rise(p) (c p_rate + damper(p_rate))).
+
+    Attributes:
+        ends: `"body.point"` of the two points; `"body"` alone is its center of mass.
+        shortest: the stop acts below this length [m]; None: it does not.
+        longest: the stop acts beyond this length [m]; None: it does not.
+        stiffness: k [N/m].
+        damping: c [N s/m]; it needs an onset.
+        onset: depth over which stiffness and damping build up, with continuous slope [m]; with 0, the default, the
+            stiffness is there at once and the force has a kink.
+        spring: force [N] by depth [m]; any function of one number.
+        damper: force [N] by the depth's rate [m/s]; any function of one number.
+        direction: as in `SpringDamper`; length is then the distance along it, and may be negative.
+        attachment: the geometry in body axes, once the scene is compiled.
+    """
+
+    ends: tuple[str, str] = eqx.field(static=True)
+    shortest: Number | None
+    longest: Number | None
+    stiffness: Number
+    damping: Number
+    onset: Number
+    spring: AbstractFunction | None
+    damper: AbstractFunction | None
+    direction: Numeric | None
+    attachment: Attachment | None
+
+    def __init__(
+        self,
+        ends: tuple[str, str],
+        shortest: Number | None = None,
+        longest: Number | None = None,
+        stiffness: Number = 0.0,
+        damping: Number = 0.0,
+        onset: Number = 0.0,
+        *,
+        spring: Callable | None = None,
+        damper: Callable | None = None,
+        direction=None,
+    ):
+        if shortest is None and longest is None:
+            raise TypeError("a bump stop needs shortest= or longest=: the length at which it begins to act")
+        self.ends = two_ends(ends)
+        self.shortest = shortest
+        self.longest = longest
+        self.stiffness = stiffness
+        self.damping = damping
+        self.onset = onset
+        self.spring = as_function(spring)
+        self.damper = as_function(damper)
+        self.direction = None if direction is None else numbers(direction)
+        self.attachment = None
+
+    def pull(self, length: Scalar, rate: Scalar, t: Scalar) -> Pull:
+        """Tension and stored energy; a stop at the shortest length answers with a negative tension."""
+        del t
+        total = Pull(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
+        for limit, side in ((self.shortest, -1.0), (self.longest, 1.0)):
+            if limit is not None:
+                press = self._law.press(side * (length - limit), side * rate)
+                total = Pull(
+                    total.force + side * press.force,
+                    total.elastic + side * press.elastic,
+                    total.energy + press.energy,
+                )
+        return total
+
+    def requirements(self) -> list[Requirement]:
+        """Two bodies, shortest below longest, and the law's own requirements."""
+        rows = line_requirements(self.ends, self.direction)
+        rows += [
+            finite(name, limit)
+            for name, limit in (("shortest", self.shortest), ("longest", self.longest))
+            if limit is not None
+        ]
+        if self.shortest is not None and self.longest is not None:
+            ordered = (numeric(self.longest) > numeric(self.shortest)) & (numeric(self.longest) < np.inf)
+            remedy = "Between the two the stop is free."
+            rows.append(Requirement("longest", self.longest, ordered, "be above shortest", remedy))
+        return [*rows, *self._law.requirements()]
+
+    @property
+    def _law(self) -> OneSided:
+        return OneSided(self.stiffness, self.damping, self.spring, self.damper, self.onset)

@@ -1,0 +1,49 @@
+"""Prescribed motions: functions of time, whose numbers, where they have any, are leaves."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import Requirement, SceneError
+from spherejax.physics.functions import AbstractFunction, UserFunction, function_requirements
+
+
+def prescribed(function: Callable, field: str) -> AbstractFunction:
+    """A function of time as the user gives it: one of `spherejax.physics.functions`, or any callable in jnp.
+
+    Raises:
+        SceneError: for what is not callable.
+    """
+    if not callable(function):
+        raise SceneError(f"{field} = {function!r} must be a function of time t [s], written in jax.numpy")
+    return function if isinstance(function, AbstractFunction) else UserFunction(function)
+
+
+def time_requirements(function: AbstractFunction, field: str, shape: tuple[int, ...] = ()) -> list[Requirement]:
+    """The function gives an array of the right shape, and its numbers are finite.
+
+    Raises:
+        SceneError: for a function that cannot be evaluated.
+    """
+    leaves = jax.tree.leaves(function)
+    if not all(hasattr(leaf, "dtype") or isinstance(leaf, int | float) for leaf in leaves):
+        raise SceneError(
+            f"{field} = {function!r} holds what is no number; declare such fields with equinox.field(static=True)"
+        )
+    try:
+        found = jax.eval_shape(function, jax.ShapeDtypeStruct((), jnp.float64)).shape
+    except Exception as error:
+        raise SceneError(
+            f"{field}: the function of time cannot be evaluated ({error}). Write it in jax.numpy, for a scalar t [s]"
+        ) from error
+    expected = "give one number" if shape == () else f"give an array of shape {shape}"
+    return [
+        Requirement(f"{field}(t).shape", found, found == shape, expected, "Check what the function of time returns."),
+        *(
+            Requirement(f"a number of {field}", leaf, abs(leaf) < np.inf, "be finite", "Check the units (SI).")
+            for leaf in leaves
+        ),
+        *function_requirements(field, function),
+    ]

@@ -1,0 +1,6 @@
+"""Sweeps: many runs of one scene builder, from one core to a cluster."""
+
+from spherejax.studies.sweep.grids import Grid, product, random_samples, sobol_samples, zipped
+from spherejax.studies.sweep.run import sweep
+
+__all__ = ["Grid", "product", "random_samples", "sobol_samples", "sweep", "zipped"]

@@ -1,0 +1,153 @@
+"""The work of a sweep in chunks of runs: what one core, or another machine, is given at a time.
+
+A chunk has always the same runs and the same length (the last one is filled up with runs that are not made), so its
+results do not depend on who computes it, nor on what was computed before.
+"""
+
+import pickle
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from spherejax.foundations.checks import SceneError
+from spherejax.motion.many import Build, Method, many
+from spherejax.studies.sweep.records import Record
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is done with every chunk.
+
+    Attributes:
+        build: makes a scene from the parameters.
+        method: how to integrate.
+        record: what is kept.
+        ts: sample times [s].
+        size: runs in a chunk.
+    """
+
+    build: Build
+    method: Method
+    record: Record
+    ts: tuple[float, ...]
+    size: int
+
+
+class ChunkResult(NamedTuple):
+    """The results of one chunk, in NumPy.
+
+    Attributes:
+        kept: what is kept, by name, with a leading axis of runs.
+        status: integers of `Status`.
+        t_reached: [s].
+        n_steps: steps of each run, kept or repeated.
+        n_rejected: steps repeated.
+        n_lane_steps: steps that the lanes made, those of idle ones included.
+        seconds: time that it took [s].
+    """
+
+    kept: dict[str, np.ndarray]
+    status: np.ndarray
+    t_reached: np.ndarray
+    n_steps: np.ndarray
+    n_rejected: np.ndarray
+    n_lane_steps: int
+    seconds: float
+
+
+Rows = dict[str, Float[np.ndarray, " n"]]
+"""Parameters of the runs of a chunk."""
+
+
+def compiled_for(work: Work, rows: Rows) -> Callable:
+    """The program of a chunk, compiled: threads that share it do not compile it again."""
+    program: Any = _program
+    return program.lower(work, *_filled(work, rows)).compile()
+
+
+def shapes_of(work: Work, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
+    """Shape and type of what is kept of one run, by name."""
+    kept, _ = eqx.filter_eval_shape(_program, work, *_filled(work, rows))
+    return {name: jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for name, each in kept.items()}
+
+
+def run_chunk(work: Work, rows: Rows, program: Callable | None = None, device: Any = None) -> ChunkResult:
+    """Make the runs of one chunk."""
+    begin = time.perf_counter()
+    n = len(next(iter(rows.values())))
+    with jax.default_device(device):
+        kept, outcome = jax.block_until_ready((program or _program)(work, *_filled(work, rows)))
+    status, t_reached, n_steps, n_rejected, n_lane_steps = (np.asarray(values) for values in outcome)
+    return ChunkResult(
+        {name: np.asarray(values)[:n] for name, values in kept.items()},
+        status[:n],
+        t_reached[:n],
+        n_steps[:n],
+        n_rejected[:n],
+        int(n_lane_steps),
+        time.perf_counter() - begin,
+    )
+
+
+def _filled(work: Work, rows: Rows) -> tuple[Rows, np.ndarray]:
+    """The parameters of a whole chunk, and which of its runs are wanted."""
+    n = len(next(iter(rows.values())))
+    filled = {name: np.concatenate([values, np.repeat(values[-1:], work.size - n)]) for name, values in rows.items()}
+    return filled, np.arange(work.size) < n
+
+
+@eqx.filter_jit
+def _program(work: Work, rows, is_wanted):
+    runs = many(work.build, work.method, rows, jnp.asarray(work.ts), is_wanted)
+    stats = runs.trajectories.stats
+    status, t_reached = runs.trajectories.status, runs.trajectories.t_reached
+    outcome = (status, t_reached, stats.n_steps, stats.n_rejected, runs.n_lane_steps)
+    return work.record.of(runs), outcome
+
+
+# In other processes ------------------------------------------------------------------------------------------------
+
+
+def packed(work: Work) -> bytes:
+    """The work for another process.
+
+    Raises:
+        SceneError: when it cannot be pickled.
+    """
+    for pickler in (pickle, _cloudpickle()):
+        if pickler is None:
+            continue
+        try:
+            return pickler.dumps(work)
+        except (pickle.PicklingError, AttributeError, TypeError):
+            continue
+    raise SceneError(
+        "the sweep's build (or a function in record=) cannot be sent to another process: define it at the top level of "
+        "a module, or install cloudpickle (it comes with spherejax[distributed])"
+    )
+
+
+def run_packed_chunk(work: bytes, rows: Rows) -> ChunkResult:
+    """`run_chunk` in another process; what was compiled for the same work is kept there."""
+    return run_chunk(_unpacked(work), rows)
+
+
+@lru_cache(maxsize=8)
+def _unpacked(work: bytes) -> Work:
+    return pickle.loads(work)
+
+
+def _cloudpickle() -> Any:
+    try:
+        import cloudpickle
+    except ImportError:
+        return None
+    return cloudpickle

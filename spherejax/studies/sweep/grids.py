@@ -1,0 +1,166 @@
+"""What is swept: names and values of parameters, by product, side by side, at random, or by Sobol's sequence."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from spherejax.foundations.checks import SceneError
+
+Range = tuple[float, float]
+"""Least and largest value."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The runs of a sweep.
+
+    Attributes:
+        values: each parameter's value in each run, shape (n_runs,).
+        axes: values of each parameter along its own axis, for a product; empty where runs are just numbered.
+        kind: `"product"`, `"zipped"`, `"random"` or `"sobol"`.
+    """
+
+    values: Mapping[str, Float[np.ndarray, " n_runs"]]
+    axes: Mapping[str, Float[np.ndarray, " n"]]
+    kind: str
+
+    @property
+    def n_runs(self) -> int:
+        """Number of runs."""
+        return len(next(iter(self.values.values())))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the axes; one axis of runs where it is no product."""
+        return tuple(len(values) for values in self.axes.values()) or (self.n_runs,)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(self.axes) or ("run",)
+
+    def rows(self, start: int, stop: int) -> dict[str, Float[np.ndarray, " n"]]:
+        """The parameters of some runs."""
+        return {name: values[start:stop] for name, values in self.values.items()}
+
+    @property
+    def fingerprint(self) -> str:
+        """A digest of names, values and order: two grids with the same one ask for the same runs."""
+        digest = hashlib.sha256(repr((self.kind, self.dims, self.shape)).encode())
+        for name, values in self.values.items():
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values, np.float64).tobytes())
+        return digest.hexdigest()
+
+
+def product(values: Mapping[str, Any]) -> Grid:
+    """Every combination; the last parameter varies fastest.
+
+    Args:
+        values: a list of numbers, or one number, for each parameter.
+
+    Raises:
+        SceneError: for no parameter, no value, or values that are not finite.
+    """
+    axes = {name: _numbers(name, given) for name, given in _named(values).items()}
+    combined = np.meshgrid(*axes.values(), indexing="ij")
+    return Grid({name: each.ravel() for name, each in zip(axes, combined, strict=True)}, axes, "product")
+
+
+def zipped(values: Mapping[str, Any]) -> Grid:
+    """The first values together, the second ones, and so on.
+
+    Raises:
+        SceneError: as `product`, and for lists of different length.
+    """
+    lists = {name: _numbers(name, given) for name, given in _named(values).items()}
+    lengths = {name: len(each) for name, each in lists.items()}
+    if len(set(lengths.values())) > 1:
+        raise SceneError(f"zipped parameters need lists of equal length; they have {lengths}")
+    return Grid(lists, {}, "zipped")
+
+
+def random_samples(ranges: Mapping[str, Range], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
+    """Independent uniform samples.
+
+    Args:
+        ranges: least and largest value of each parameter.
+        n: number of runs.
+        seed: of the random numbers; the same seed gives the same runs.
+        logarithmic: names of parameters whose logarithm is uniform.
+
+    Raises:
+        SceneError: for a range that is none, or a logarithm of what is not positive.
+    """
+    points = np.random.default_rng(seed).random((_positive(n), len(_named(ranges))))
+    return _within(ranges, points, logarithmic, "random")
+
+
+def sobol_samples(ranges: Mapping[str, Range], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
+    """Samples of a scrambled Sobol sequence, which fill the ranges evenly; best with a power of two.
+
+    Arguments and errors as `random_samples`.
+
+    Source: scipy.stats.qmc.Sobol.
+    """
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(len(_named(ranges)), rng=seed)
+    exponent = int(np.ceil(np.log2(_positive(n))))
+    return _within(ranges, sequence.random_base2(exponent)[:n], logarithmic, "sobol")
+
+
+def as_grid(grid: "Grid | Mapping[str, Any]") -> Grid:
+    """A grid as it is; a mapping of lists as their product."""
+    return grid if isinstance(grid, Grid) else product(grid)
+
+
+def _within(ranges: Mapping[str, Range], points, logarithmic: Sequence[str], kind: str) -> Grid:
+    unknown = sorted(set(logarithmic) - set(ranges))
+    if unknown:
+        raise SceneError(f"logarithmic={unknown[0]!r} names no parameter; there are {', '.join(map(repr, ranges))}")
+    values = {}
+    for column, (name, given) in enumerate(ranges.items()):
+        low, high = _range(name, given)
+        if name in logarithmic:
+            if not low > 0:
+                raise SceneError(f"parameter {name!r}: a logarithmic range must be positive; it is {low:g} to {high:g}")
+            values[name] = np.exp(np.log(low) + points[:, column] * np.log(high / low))
+        else:
+            values[name] = low + points[:, column] * (high - low)
+    return Grid(values, {}, kind)
+
+
+def _named(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    if not isinstance(values, Mapping) or not values:
+        raise SceneError('a sweep needs parameters: give a mapping of names, e.g. {"clearance": [5e-5, 1e-4, 2e-4]}')
+    return values
+
+
+def _numbers(name: str, given) -> Float[np.ndarray, " n"]:
+    try:
+        numbers = np.atleast_1d(np.asarray(given, np.float64))
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"parameter {name!r} must be a list of numbers; it is {given!r}") from error
+    if numbers.ndim != 1 or numbers.size == 0:
+        raise SceneError(f"parameter {name!r} must be a list of numbers; it has shape {numbers.shape}")
+    if not np.all(np.isfinite(numbers)):
+        raise SceneError(f"parameter {name!r} must be finite; entry {int(np.argmin(np.isfinite(numbers)))} is not")
+    return numbers
+
+
+def _range(name: str, given) -> Range:
+    numbers = _numbers(name, given)
+    if numbers.shape != (2,) or not numbers[0] < numbers[1]:
+        raise SceneError(f"parameter {name!r} needs a range (least, largest); it has {given!r}")
+    return float(numbers[0]), float(numbers[1])
+
+
+def _positive(n: int) -> int:
+    if n < 1:
+        raise SceneError(f"a sweep needs at least one run; n = {n}")
+    return n

@@ -1,0 +1,64 @@
+"""Work that is compiled and run at the same time by several workers, and reported as it comes."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+Report = Callable[[str, float], None]
+"""Called with what has just been done and the share of the work that is done."""
+
+
+def silent(what: str, share: float) -> None:
+    """Report nothing."""
+    del what, share
+
+
+class Piece(NamedTuple):
+    """A piece of work.
+
+    Attributes:
+        what: in words, for the report.
+        work: to be called.
+    """
+
+    what: str
+    work: Callable[[], Any]
+
+
+class Progress:
+    """Counts finished pieces of work and reports their share."""
+
+    def __init__(self, report: Report, n_pieces: int):
+        self.report, self.n_pieces, self.n_done = report, n_pieces, 0
+
+    def __call__(self, what: str) -> None:
+        """One more is done."""
+        self.n_done += 1
+        self.report(what, min(1.0, self.n_done / self.n_pieces))
+
+
+class Pool:
+    """Workers that compile and run at the same time; the results keep their order."""
+
+    def __init__(self, executor: ThreadPoolExecutor, done: Progress):
+        self.executor, self.done = executor, done
+
+    def each(self, pieces: Sequence[Piece]) -> list:
+        """The results of all pieces of work, reported as they come."""
+        futures = {self.executor.submit(piece.work): piece for piece in pieces}
+        for future in as_completed(futures):
+            future.result()
+            self.done(futures[future].what)
+        return [future.result() for future in futures]
+
+
+@contextmanager
+def workers(done: Progress) -> Iterator[Pool]:
+    """As many workers as there are cores, four at most: each holds a run with 2e5 samples, 0.3 GB."""
+    executor = ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1))
+    try:
+        yield Pool(executor, done)
+    finally:
+        executor.shutdown(cancel_futures=True)

@@ -1,0 +1,85 @@
+"""Laws as a user writes them, in a file of their own, for the tests of scene files."""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+import spherejax as sj
+
+
+class Magnet(sj.AbstractForce):
+    """Pulls a body towards a height."""
+
+    units: ClassVar = {"stiffness": "N/m", "height": "m"}
+    body: str = eqx.field(static=True)
+    stiffness: float
+    height: float = 0.0
+    is_on: bool = eqx.field(static=True, default=True)
+
+    def wrenches(self, t, motions):
+        lift = self.stiffness * (self.height - motions[self.body].position[2])
+        force = jnp.stack([jnp.zeros(()), jnp.zeros(()), lift if self.is_on else 0.0 * lift])
+        return {self.body: sj.Wrench(force, jnp.zeros(3))}
+
+
+class Viscous(sj.AbstractStaticFriction):
+    """Friction that grows with speed; its number is in any unit."""
+
+    rate: float
+    simulable: ClassVar[bool] = True
+
+    def secant(self, speed):
+        return self.rate + 0.0 * speed
+
+    def requirements(self):
+        return []
+
+
+def gust(t):
+    """A force by time."""
+    return jnp.stack([jnp.sin(t), 0.0 * t, 0.0 * t])
+
+
+def hat(x):
+    """A function of one number."""
+    return 1.0 - x * x
+
+
+def helix(place):
+    """Two functions that vanish on a curve."""
+    return jnp.stack([place[0] - jnp.cos(place[2]), place[1] - jnp.sin(place[2])])
+
+
+class Motor(sj.AbstractForce):
+    """A torque by a function of time that is given to it."""
+
+    body: str = eqx.field(static=True)
+    torque: Callable
+
+    def wrenches(self, t, motions):
+        about = jnp.stack([jnp.zeros(()), jnp.zeros(()), self.torque(t)])
+        return {self.body: sj.Wrench(jnp.zeros(3), about)}
+
+
+class Growth(eqx.Module):
+    """A function with a number in it, of any arguments."""
+
+    units: ClassVar = {"rate": "N/m"}
+    rate: float
+
+    def __call__(self, x, *others):
+        return self.rate * x
+
+
+class Renamed(sj.AbstractForce):
+    """Keeps its argument under another name, so that nothing gives it back."""
+
+    inner: float
+
+    def __init__(self, outer):
+        self.inner = 2.0 * outer
+
+    def wrenches(self, t, motions):
+        return {}

@@ -1,0 +1,75 @@
+"""Equations that depend on others are counted and named, and so are singular configurations."""
+
+import pytest
+from test_hard_systems import PARALLEL, UNEQUAL, planar_loop
+
+import spherejax as sj
+
+FLAT = ((0, 0, 0), (0.3, 0, 0), (0.8, 0, 0), (0.5, 0, 0))
+ALL = ("a", "b", "c", "d")
+
+
+@pytest.mark.parametrize(
+    ("pins", "rank", "is_singular"), [(UNEQUAL, 17, False), (PARALLEL, 17, False), (FLAT, 16, True)]
+)
+def test_planar_loops(pins, rank, is_singular):
+    report = sj.constraint_report(planar_loop(pins))
+    assert (report.n_equations, report.rank) == (20, rank)
+    assert report.degrees_of_freedom == 18 - rank
+    assert report.n_redundant == 20 - rank
+    assert report.redundant_joints == ALL
+    assert report.is_singular == is_singular
+    assert "'a', 'b', 'c', 'd'" in str(report)
+    assert ("singular" in str(report)) == is_singular
+
+
+def test_bricard_mechanism_moves_against_the_count():
+    """Six revolutes, five rods: 30 equations for 30 velocities, and one degree of freedom nevertheless."""
+    scene = sj.gallery.bricard()
+    report = sj.constraint_report(scene)
+    assert (report.n_equations, report.rank, report.degrees_of_freedom) == (30, 29, 1)
+    assert set(report.redundant_joints) == set(scene.joints)
+    assert not report.is_singular
+
+
+def test_only_joints_of_the_loop_are_named():
+    """A pendulum on the loop's coupler has nothing to do with the redundancy."""
+    scene = planar_loop(UNEQUAL)
+    bob = sj.Body(1.0, (0.1, 0.1, 0.1), position=(0.25, 0.1, 0.3))
+    hook = sj.Universal(("coupler", "bob"), (0.25, 0.0, 0.3), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    report = sj.constraint_report(sj.Scene({**scene.bodies, "bob": bob}, {**scene.joints, "hook": hook}))
+    assert (report.n_equations, report.rank, report.degrees_of_freedom) == (24, 21, 3)
+    assert report.redundant_joints == ALL
+
+
+def test_what_is_not_redundant_is_not_named():
+    report = sj.constraint_report(sj.gallery.four_bar(sj.Dry(clearance=1e-4)))
+    assert report == sj.ConstraintReport(13, 13, 5, (), False)
+    assert str(report) == "13 constraint equations of rank 13; 5 degrees of freedom."
+    free = sj.constraint_report(sj.Scene({"free": sj.Body(1.0, (1.0, 1.0, 1.0))}))
+    assert free == sj.ConstraintReport(0, 0, 6, (), False)
+
+
+def test_a_mechanism_that_does_not_move():
+    """A driven pendulum: six equations, nothing is free; driven twice, one equation depends on the other."""
+    pair, y = ("ground", "arm"), (0.0, 1.0, 0.0)
+    driver = sj.RotationDriver(pair, y, sj.Linear(2.0, 0.3))
+    joints = {"pivot": sj.Revolute(pair, (0.0, 0.0, 0.0), y), "motor": driver}
+    arm = sj.Body(1.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
+    report = sj.constraint_report(sj.Scene({"arm": arm}, joints), t=0.7)
+    assert report == sj.ConstraintReport(6, 6, 0, (), False)
+    twice = sj.constraint_report(sj.Scene({"arm": arm}, {**joints, "second": driver}))
+    assert (twice.rank, twice.redundant_joints) == (6, ("motor", "second"))
+
+
+def test_over_constrained_scenes_that_cannot_close_are_refused():
+    """Two motors that ask for different angles."""
+    pair, y = ("ground", "arm"), (0.0, 1.0, 0.0)
+    joints = {
+        "pivot": sj.Revolute(pair, (0.0, 0.0, 0.0), y),
+        "one": sj.RotationDriver(pair, y, sj.Linear(2.0, 0.3)),
+        "two": sj.RotationDriver(pair, y, sj.Linear(2.0, 0.4)),
+    }
+    arm = sj.Body(1.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
+    with pytest.raises(sj.SceneError, match=r"joint '(one|two)' cannot be closed.*residual"):
+        sj.constraint_report(sj.Scene({"arm": arm}, joints))

@@ -1,0 +1,446 @@
+"""Scene files: what is written is read again to the last bit, and every public class can stand in one."""
+
+import dataclasses
+import inspect
+import re
+from functools import partial
+from pathlib import Path
+
+import cases
+import double_pendulum
+import jax
+import jax.numpy as jnp
+import my_laws
+import numpy as np
+import pytest
+from double_pendulum import TEXT, write
+from scipy.spatial.transform import Rotation
+
+import spherejax as sj
+from spherejax.files.dimensions import FIELDS
+from spherejax.files.kinds import kebab, kinds_of, parameters_of
+from spherejax.files.objects import same
+from spherejax.files.parts import Part
+from spherejax.files.quantities import Quantity
+from spherejax.files.units import in_si, simplified
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes a text to a scene file, with replacements."""
+    return partial(write, tmp_path)
+
+
+def test_a_file_gives_the_scene_that_python_gives(written):
+    file = sj.read_scene_file(written())
+    for one, other in zip(jax.tree.leaves(file.scene), jax.tree.leaves(double_pendulum.scene()), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-15, atol=1e-17)
+    assert jax.tree.structure(file.scene) == jax.tree.structure(double_pendulum.scene())
+    assert (file.title, file.studied) == ("double pendulum with a dry elbow", "elbow")
+    assert file.settings == sj.SimulationSettings(t1=0.04, samples=5, rtol=1e-6, solver="dopri8")
+
+
+@pytest.mark.parametrize(
+    ("rotation", "expected"),
+    [
+        (
+            '{ axis = [1, 2, 3], angle = "40 deg" }',
+            Rotation.from_rotvec(np.deg2rad(40) * np.array([1, 2, 3]) / 14**0.5),
+        ),
+        ('{ sequence = "ZXZ", angles = ["10 deg", 0.2, 0.3] }', Rotation.from_euler("ZXZ", [np.deg2rad(10), 0.2, 0.3])),
+        ('{ sequence = "xyz", angles = [0.1, 0.2, 0.3] }', Rotation.from_euler("xyz", [0.1, 0.2, 0.3])),
+        ('{ sequence = "YX", angles = [0.1, 0.2] }', Rotation.from_euler("YX", [0.1, 0.2])),
+        ('{ sequence = "y", angles = [0.7] }', Rotation.from_euler("y", 0.7)),
+    ],
+)
+def test_rotations_mean_what_scipy_means(written, rotation, expected):
+    path = written(TEXT, ('{ axis = [0, 1, 0], angle = "90 deg" }', rotation))
+    quaternion = sj.load_scene(path).bodies["upper"].quaternion
+    np.testing.assert_allclose(quaternion, expected.as_quat(scalar_first=True), atol=1e-15)
+
+
+def test_all_of_a_scene_can_stand_in_a_file(written):
+    more = """
+[forces.push]
+kind = "applied-wrench"
+body = "lower"
+force = ["1 kN", 0, 0]
+in_body_axes = true
+[drift]
+kind = "baumgarte"
+alpha = "2 1/s"
+"""
+    scene = sj.load_scene(written('gravity = [0, 0, "-1.62 m/s^2"]\n' + TEXT + more))
+    np.testing.assert_array_equal(scene.gravity, [0, 0, -1.62])
+    assert same(scene.forces["push"], sj.AppliedWrench("lower", (1000.0, 0.0, 0.0), in_body_axes=True))
+    assert same(scene.drift, sj.Baumgarte(alpha=2.0))
+
+
+@pytest.mark.parametrize("kind", ["lugre", "lu-gre", "LuGre"])
+def test_kinds_are_compared_without_hyphens_and_case(written, kind):
+    scene = sj.load_scene(written(TEXT, ('{ kind = "threlfall", mu = 0.1 }', f'"{kind}"')))
+    assert same(scene.joints["elbow"].model.friction, sj.LuGre())
+
+
+def test_the_unit_of_a_stiffness_follows_its_exponent(written):
+    law = '{ kind = "hertz", exponent = 2, stiffness = "3 kN/mm^2" }'
+    scene = sj.load_scene(written(TEXT, ('{ kind = "lankarani-nikravesh", restitution = 0.9 }', law)))
+    assert scene.joints["elbow"].model.normal.stiffness == pytest.approx(3e9, rel=1e-15)
+
+
+UNITS_BY_TIME = {
+    "constant": {"value": "N"},
+    "linear": {"slope": "N/s", "offset": "N"},
+    "polynomial": {"center": "s"},
+    "sine": {"amplitude": "N", "frequency": "Hz", "phase": "rad", "offset": "N"},
+    "step": {"at": "s", "before": "N", "after": "N"},
+    "smooth-step": {"start": "s", "end": "s", "before": "N", "after": "N"},
+    "bump": {"height": "N", "start": "s", "length": "s"},
+    "table": {"x": "s", "y": "N"},
+    "smooth-table": {"x": "s", "y": "N"},
+    "piecewise": {"breaks": "s"},
+    "sum": {},
+}
+"""Of a force by time."""
+
+
+def test_units_of_functions_follow_their_argument_and_value():
+    assert set(UNITS_BY_TIME) == set(kinds_of(sj.AbstractFunction))
+    for kind, cls in kinds_of(sj.AbstractFunction).items():
+        fields = {name: field for name, field in FIELDS[cls].items() if isinstance(field, Quantity)}
+        assert set(fields) == set(UNITS_BY_TIME[kind])
+        for name, field in fields.items():
+            si = simplified(field.si.format(of_argument="s", of_value="N"))
+            assert in_si(f"1 {UNITS_BY_TIME[kind][name]}", si) == 1.0, (kind, name)
+
+
+def test_functions_have_the_units_of_the_place_where_they_stand(written):
+    force = """
+[forces.shock]
+kind = "spring-damper"
+ends = ["ground.hook", "lower"]
+spring = { kind = "polynomial", coefficients = ["1 kN", "2 N/mm", "3 N/mm^2"], center = "1 cm" }
+[forces.shock.damper]
+kind = "table"
+x = { values = [-100, 0, 100], unit = "cm/s" }
+y = ["-1 kN", 0, "1 kN"]
+[forces.twist]
+kind = "torsional-spring"
+bodies = ["ground", "upper"]
+axis = [0, 1, 0]
+spring = { kind = "linear", slope = "1 N m/deg" }
+[joints.motor]
+kind = "rotation-driver"
+bodies = ["ground", "upper"]
+axis = [0, 1, 0]
+angle = { kind = "linear", slope = "60 rpm", offset = "1 deg" }
+[joints.slide]
+kind = "distance-driver"
+first = "ground.hook"
+second = "lower.top"
+length = { kind = "sine", amplitude = "1 cm", frequency = "2 Hz", phase = "90 deg", offset = 0.3 }
+"""
+    scene = sj.load_scene(written(TEXT + force))
+    shock, twist = scene.forces["shock"], scene.forces["twist"]
+    np.testing.assert_allclose(shock.spring.coefficients, [1e3, 2e3, 3e6], rtol=1e-14)
+    assert shock.spring.center == pytest.approx(0.01)
+    np.testing.assert_allclose(shock.damper.x, [-1.0, 0.0, 1.0], rtol=1e-14)
+    np.testing.assert_allclose(shock.damper.y, [-1e3, 0.0, 1e3], rtol=1e-14)
+    assert twist.spring.slope == pytest.approx(180 / np.pi)
+    motor, slide = scene.joints["motor"].angle, scene.joints["slide"].length
+    np.testing.assert_allclose([motor.slope, motor.offset], [2 * np.pi, np.pi / 180])
+    np.testing.assert_allclose([slide.amplitude, slide.frequency, slide.phase, slide.offset], [0.01, 2, np.pi / 2, 0.3])
+
+
+def round_trip(scene: sj.Scene, folder: Path) -> sj.Scene:
+    return sj.load_scene(sj.save_scene(scene, folder / "written.toml"))
+
+
+def assert_equal_trees(one, other):
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+@pytest.mark.parametrize("case", cases.CASES, ids=lambda case: case.name)
+def test_every_scene_of_the_tests_comes_back_to_the_last_bit(case, tmp_path):
+    scene = case.build()
+    assert_equal_trees(round_trip(scene, tmp_path), scene)
+
+
+@pytest.mark.parametrize("name", [name for name in sj.gallery.__all__])
+def test_every_scene_of_the_gallery_comes_back_to_the_last_bit(name, tmp_path):
+    scene = getattr(sj.gallery, name)()
+    assert_equal_trees(round_trip(scene, tmp_path), scene)
+
+
+@pytest.mark.parametrize(
+    "drift", [sj.Baumgarte(1 / 3, 7.0), sj.NoDriftControl(), sj.PostStabilization(), sj.Projection()]
+)
+def test_every_drift_control_comes_back(drift, tmp_path):
+    scene = sj.gallery.four_bar(drift=drift)
+    assert_equal_trees(round_trip(scene, tmp_path), scene)
+
+
+@pytest.mark.parametrize(
+    "number", [0.1 + 0.2, 1e-300, -5e-324, 1.7976931348623157e308, 1 / 3, 1e22, 123456789.123456789]
+)
+def test_numbers_come_back_to_the_last_bit(number, tmp_path):
+    body = sj.Body(1.0, (1.0, 1.0, 1.0), position=(number, -number, 0.0))
+    np.testing.assert_array_equal(round_trip(sj.Scene({"b": body}), tmp_path).bodies["b"].position, body.position)
+
+
+@pytest.mark.parametrize("radius", [0.0099, 0.00999999, 0.01 - 1e-17, 0.003, 1e-9])
+def test_a_ball_radius_comes_back_as_a_ball_radius(radius, tmp_path):
+    if 0.01 - radius == 0:
+        radius = 0.0098765
+    scene = sj.gallery.four_bar(sj.Dry(ball_radius=radius))
+    assert_equal_trees(round_trip(scene, tmp_path), scene)
+
+
+def test_names_that_toml_must_quote_come_back(tmp_path):
+    body = sj.Body(1.0, (1.0, 1.0, 1.0), points={"a b.c": (1.0, 2.0, 3.0), "π": (0.0, 0.0, 0.0), '"': (1.0, 1.0, 1.0)})
+    scene = sj.Scene({"left arm": body}, gravity=(0.0, 0.0, 0.0))
+    assert_equal_trees(round_trip(scene, tmp_path), scene)
+
+
+def test_a_users_classes_are_named_by_their_file_and_come_back(tmp_path):
+    scene = sj.gallery.four_bar(sj.Dry(1e-4, friction=my_laws.Viscous(3.0)))
+    scene = sj.Scene(scene.bodies, scene.joints, {"magnet": my_laws.Magnet("rocker", 2.0, is_on=False)})
+    again = round_trip(scene, tmp_path)
+    assert_equal_trees(again, scene)
+    assert type(again.forces["magnet"]) is my_laws.Magnet
+    assert 'my_laws.py:Magnet"' in (tmp_path / "written.toml").read_text()
+
+
+def test_what_is_written_names_units_and_keeps_title_studied_joint_and_settings(tmp_path):
+    settings = sj.SimulationSettings(t1=0.5, dt=1e-3, rtol=1e-7, solver="rodas5p")
+    scene = sj.gallery.four_bar(sj.Lubricated(1e-4))
+    path = sj.save_scene(scene, tmp_path / "s.toml", title="four", studied="coupler_rocker", settings=settings)
+    text = path.read_text()
+    for line in ("mass = 0.0196 # kg", "viscosity = 0.4 # Pa s", "t1 = 0.5 # s", 'boundary = "guembel"'):
+        assert f"\n{line}\n" in text
+    file = sj.read_scene_file(path)
+    assert (file.title, file.studied, file.settings) == ("four", "coupler_rocker", settings)
+
+
+def test_a_stiffness_is_written_with_the_unit_of_its_exponent(tmp_path):
+    scene = sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Hertz(stiffness=1e9, exponent=1.25)))
+    path = sj.save_scene(scene, tmp_path / "s.toml")
+    assert "stiffness = 1000000000.0 # N/m^1.25\n" in path.read_text()
+
+
+def in_a_function() -> sj.AbstractForce:
+    class Hidden(my_laws.Magnet):
+        pass
+
+    return Hidden("crank", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        (
+            sj.AppliedWrench("crank", force=lambda t: jnp.stack([t, t, t])),
+            "the Python function <lambda> cannot be named in a file; put the Python function at the top of a file of "
+            "its own, and import it from there",
+        ),
+        (
+            sj.SpringDamper(("crank", "ground.pin"), spring=lambda u: u**3),
+            "force 'f' cannot be written: the Python function <lambda> cannot be named in a file",
+        ),
+        (my_laws.Renamed(1.0), "keep each argument of its constructor in an attribute of the same name"),
+        (in_a_function(), "put the class at the top of a file of its own"),
+    ],
+)
+def test_what_no_file_can_hold_is_refused_with_a_remedy(force, message, tmp_path):
+    scene = sj.gallery.four_bar()
+    scene = sj.Scene(scene.bodies, scene.joints, {"f": force}, ground_points={"pin": (0.0, 0.0, 0.0)})
+    with pytest.raises(sj.SceneError, match=re.escape(message)):
+        sj.save_scene(scene, tmp_path / "s.toml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_traced_and_batched_numbers_are_refused(tmp_path):
+    def save(c):
+        sj.save_scene(sj.gallery.four_bar(sj.Dry(c)), tmp_path / "s.toml")
+        return c
+
+    with pytest.raises(sj.SceneError, match="traced"):
+        jax.jit(save)(1e-4)
+    with pytest.raises(sj.SceneError, match=r"2 numbers; a length \[m\] is expected"):
+        save(jnp.array([1e-4, 2e-4]))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scene_that_cannot_be_simulated_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(sj.SceneError, match=r"^body 'b': mass = -1 must be positive"):
+        sj.save_scene(sj.Scene({"b": sj.Body(-1.0, (1.0, 1.0, 1.0))}), tmp_path / "s.toml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_file_is_replaced_only_on_request_and_never_by_a_failure(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text("precious")
+    with pytest.raises(sj.SceneError, match="exists"):
+        sj.save_scene(sj.gallery.four_bar(), path)
+    scene = sj.gallery.four_bar()
+    with pytest.raises(sj.SceneError, match="attribute of the same name"):
+        sj.save_scene(sj.Scene(scene.bodies, scene.joints, {"f": my_laws.Renamed(1.0)}), path, overwrite=True)
+    assert path.read_text() == "precious"
+    sj.save_scene(scene, path, overwrite=True)
+    assert_equal_trees(sj.load_scene(path), scene)
+    assert [one.name for one in tmp_path.iterdir()] == ["s.toml"]
+    with pytest.raises(sj.SceneError, match=r"ending \.toml"):
+        sj.save_scene(scene, tmp_path / "s.txt")
+    with pytest.raises(sj.SceneError, match="cannot write"):
+        sj.save_scene(scene, tmp_path / "nowhere" / "s.toml")
+
+
+FAMILIES = tuple(
+    family
+    for family in (getattr(sj, name) for name in sj.__all__)
+    if inspect.isclass(family) and family.__name__.startswith("Abstract")
+)
+NO_FAMILY = (sj.Body, sj.Material)
+NO_KIND = {sj.UserFunction: "holds a user's own function, which a file names instead"}
+PUBLIC = [
+    cls
+    for cls in (getattr(sj, name) for name in sj.__all__)
+    if inspect.isclass(cls)
+    and not inspect.isabstract(cls)
+    and not cls.__name__.startswith("Abstract")
+    and (issubclass(cls, FAMILIES) or cls in NO_FAMILY)
+    and cls not in NO_KIND
+]
+
+
+@pytest.mark.parametrize("cls", PUBLIC, ids=lambda cls: cls.__name__)
+def test_every_public_class_can_stand_in_a_file_with_all_its_arguments(cls):
+    assert cls in FIELDS, f"add {cls.__name__} to spherejax/files/dimensions.py"
+    assert set(FIELDS[cls]) == set(parameters_of(cls))
+
+
+def test_the_table_has_public_classes_only():
+    assert set(FIELDS) == set(PUBLIC)
+
+
+AXIS = (0.0, 0.1, 1.0)
+HINGE = sj.Bushing(law=sj.HingeElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1, 0.2))
+CROSS = sj.Bushing(law=sj.CrossElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1))
+BOTH = ("ground", "a")
+
+JOINTS = [
+    sj.Revolute(BOTH, "a.tip", AXIS),
+    sj.Revolute(BOTH, (1.0, 2.0, 3.0), AXIS, HINGE),
+    sj.Cylindrical(BOTH, "ground.hook", AXIS),
+    sj.Prismatic(BOTH, (1.0, 2.0, 3.0), AXIS),
+    sj.Universal(BOTH, "a.tip", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), CROSS),
+    sj.Fixed(BOTH, "a.tip"),
+    sj.PointOnPlane("a.tip", (0.0, 0.0, 0.0), AXIS),
+    sj.PointOnPlane("b.tip", "ground.hook", AXIS, body="a"),
+    sj.PointOnCurve("a.tip", sj.Circle((0.0, 0.0, 0.0), AXIS, 1.0)),
+    sj.PointOnCurve("b.tip", sj.Line((0.0, 0.0, 0.0), AXIS), body="a"),
+    sj.PointOnCurve("a.tip", sj.ImplicitCurve(my_laws.helix)),
+    sj.Distance("ground.hook", "a.tip"),
+    sj.Distance("ground.hook", "a.tip", 0.7),
+    sj.DistanceDriver("ground.hook", "a.tip", sj.Sine(0.1, 2.0, 0.3, 1.0)),
+    sj.RotationDriver(BOTH, AXIS, sj.Linear(3.0, 0.1)),
+    sj.RotationDriver(BOTH, AXIS, my_laws.hat),
+    sj.TranslationDriver(BOTH, "a.tip", AXIS, sj.SmoothStep(0.0, 1.0, 0.0, 0.2)),
+    sj.PositionDriver("a.tip", my_laws.gust),
+]
+
+FUNCTIONS = [
+    sj.Constant(2.0),
+    sj.Linear(2.0, 0.1),
+    sj.Polynomial([1.0, 2.0, 3.0], center=0.1),
+    sj.Sine(1.0, 2.0, 0.3, 0.4),
+    sj.Step(0.1, 1.0, 2.0),
+    sj.SmoothStep(0.1, 0.2, 1.0, 2.0),
+    sj.Bump(0.1, 1.0, 2.0),
+    sj.Table([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
+    sj.SmoothTable([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
+    sj.Piecewise([0.0], [sj.Linear(1.0), sj.Sum(sj.Constant(0.5), sj.Polynomial([0.0, 3.0]), my_laws.Growth(2.0))]),
+    sj.Sum(),
+    my_laws.hat,
+    my_laws.Growth(2.0),
+]
+
+FORCES = [
+    *(sj.SpringDamper(("ground.hook", "a.tip"), 1e3, 1.0, 0.1, spring=one, damper=one) for one in FUNCTIONS),
+    sj.SpringDamper(("a", "b.tip"), law=my_laws.Growth(3.0), direction=AXIS),
+    sj.ShockAbsorber(("ground.hook", "a"), sj.Linear(1e3), sj.Linear(2e3), spring=sj.Linear(10.0)),
+    sj.BumpStop(("ground.hook", "a"), shortest=0.1, longest=0.5, stiffness=1e5, damping=10.0, onset=1e-3),
+    sj.BumpStop(("ground.hook", "a"), longest=0.5, spring=sj.Polynomial([0.0, 0.0, 1e6])),
+    sj.TorsionalSpring(BOTH, AXIS, 3.0, 0.1, 0.2, spring=sj.Linear(2.0), damper=sj.Linear(0.1)),
+    sj.Tyre("a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True),
+    sj.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
+    my_laws.Motor("a", sj.Sine(1.0, 2.0)),
+    sj.AppliedWrench("a.tip", force=my_laws.gust, moment=(1.0, 2.0, 3.0), place=(0.1, 0.0, 0.0)),
+]
+
+
+def with_parts(joint: sj.AbstractJoint | None = None, force: sj.AbstractForce | None = None) -> sj.Scene:
+    """A scene of two bodies with one joint of interest, or one force."""
+    body = sj.Body(1.0, (1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0), points={"tip": (0.0, 0.0, 0.5)})
+    joints = {} if joint is None else {"j": joint, "others": sj.Fixed(("a", "b"), (0.0, 0.0, 0.0))}
+    forces = {} if force is None else {"f": force}
+    return sj.Scene({"a": body, "b": body}, joints, forces, ground_points={"hook": (0.0, 0.0, 0.0)})
+
+
+@pytest.mark.parametrize("joint", JOINTS, ids=lambda joint: type(joint).__name__)
+def test_every_joint_comes_back_to_the_last_bit(joint, tmp_path):
+    scene = with_parts(joint=joint)
+    again = round_trip(scene, tmp_path)
+    assert_equal_trees(again, scene)
+    assert same(again, scene)
+
+
+@pytest.mark.parametrize("force", FORCES, ids=lambda force: type(force).__name__)
+def test_every_force_and_function_comes_back_to_the_last_bit(force, tmp_path):
+    scene = with_parts(force=force)
+    again = round_trip(scene, tmp_path)
+    assert_equal_trees(again, scene)
+    assert same(again, scene)
+
+
+def classes_in(value) -> set[type]:
+    """All classes in an object and what it is made of."""
+    if dataclasses.is_dataclass(value):
+        inside = [getattr(value, field.name) for field in dataclasses.fields(value)]
+        return {type(value)}.union(*(classes_in(one) for one in inside))
+    if isinstance(value, dict | tuple):
+        return set().union(*(classes_in(one) for one in (value.values() if isinstance(value, dict) else value)))
+    return set()
+
+
+def test_every_class_of_the_table_has_been_through_a_round_trip():
+    scenes = [case.build() for case in cases.CASES]
+    seen = classes_in((*scenes, *JOINTS, *FORCES, sj.NoDriftControl(), sj.PostStabilization(), sj.Projection()))
+    never_simulated = {sj.Coulomb}
+    assert set(FIELDS) - seen == never_simulated
+
+
+UNITS_WRITTEN = {"N/m**n": "N/m^{exponent}", "-": "1"}
+
+
+@pytest.mark.parametrize("cls", FIELDS, ids=lambda cls: cls.__name__)
+def test_units_are_those_of_the_docstrings(cls):
+    """The docstring of a class was written by whoever wrote the law; the table by whoever wrote the files."""
+    doc = " ".join((cls.__doc__ or "").partition("Attributes:")[2].split())
+    for name, field in FIELDS[cls].items():
+        entry = re.search(rf"(?<![\w.]){name}: (.*?)(?= \w+: |$)", doc)
+        unit = re.search(r"\[([^\]]+)\]", entry.group(1)) if entry else None
+        if isinstance(field, Part) and field.argument is not None and entry:
+            value_by_argument = re.match(r"[^\[]*\[([^\]]+)\] by [^\[]*\[([^\]]+)\]", entry.group(1))
+            assert not value_by_argument or value_by_argument.groups() == (field.value, field.argument), name
+        depends_on_the_place = isinstance(field, Quantity) and "{of_" in (field.si or "")
+        if isinstance(field, Quantity) and unit and not depends_on_the_place:
+            assert field.si == UNITS_WRITTEN.get(unit.group(1), unit.group(1)), name
+
+
+@pytest.mark.parametrize("family", [sj.AbstractFrictionLaw, sj.AbstractNormalLaw, sj.AbstractSphericalModel])
+def test_kinds_are_unique(family):
+    names = [kebab(cls.__name__) for cls in FIELDS if issubclass(cls, family)]
+    assert len(names) == len(set(names)) == len(kinds_of(family)) > 3

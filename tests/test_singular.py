@@ -1,0 +1,71 @@
+"""Singular configurations: mechanisms pass through them at any tolerance, and equations come and go."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import spherejax as sj
+from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT, symmetric_solve
+from spherejax.model.system import compile_scene
+
+G = 9.81
+
+
+def turning_angle(ts, n_loops, speed=1.0):
+    """Angle of the standing rods from upright: the equation in the docstring of `n_four_bar`, for rods of 1 m."""
+    k = ((n_loops + 1) / 2 + n_loops) / ((n_loops + 1) / 3 + n_loops) * G
+    whole = solve_ivp(
+        lambda _, y: [y[1], k * np.sin(y[0])], (0, ts[-1]), [0, speed], "DOP853", ts, rtol=1e-13, atol=1e-13
+    )
+    return whole.y[0]
+
+
+@pytest.mark.parametrize("drift", [sj.PostStabilization(), pytest.param(sj.Projection(), marks=pytest.mark.slow)])
+def test_n_four_bar_passes_its_singular_configurations(drift):
+    ts = np.linspace(0.0, 3.0, 31)
+    theta = turning_angle(ts, 2)
+    assert theta[-1] > 2 * np.pi  # all rods lay on one line three times
+
+    @jax.jit
+    def run(rtol):
+        return sj.simulate(sj.gallery.n_four_bar(2, drift=drift), jnp.asarray(ts), rtol=rtol, max_steps=20_000)
+
+    for rtol, error in ((1e-6, 1e-4), (1e-8, 3e-6), (1e-9, 3e-7), (1e-10, 1e-7), (1e-11, 1e-7)):
+        motion = run(rtol).require_success()
+        energy = np.asarray(motion.mechanical_energy)
+        assert np.asarray(motion.position("rod_00"))[:, 0] == pytest.approx(0.5 * np.sin(theta), abs=error), rtol
+        assert energy == pytest.approx(np.full(31, energy[0]), abs=5 * error), rtol
+
+
+def test_equations_are_left_out_from_the_asked_bound_on():
+    # The third row is the sum of the others but for d: its pivot is about d^2.
+    rows = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 1e-4]])
+    S, b = rows @ rows.T, rows @ jnp.array([0.3, -0.2, 0.5])
+
+    def solution(bound):
+        return symmetric_solve(S, b, bound)
+
+    exact = np.linalg.solve(np.asarray(S), np.asarray(b))
+    assert np.asarray(solution(REDUNDANT_PIVOT)) == pytest.approx(exact, rel=1e-6)
+    for bound in (REDUNDANT_PIVOT, SINGULAR_PIVOT):
+        left_out = np.isclose(np.asarray(solution(bound)), 0).any()
+        assert left_out == (bound == SINGULAR_PIVOT)
+        program = sj.scalarize(lambda S, b, at=bound: symmetric_solve(S, b, at), S, b)
+        # Programs order the rows themselves: what S x gives back is the same, which row is left out is not.
+        assert np.asarray(S @ program(S, b)) == pytest.approx(np.asarray(S @ solution(bound)), abs=1e-4)
+        tangent = jax.jacfwd(lambda b, at=bound: symmetric_solve(S, b, at))(b)
+        assert np.isfinite(tangent).all()
+
+
+def test_the_bound_is_that_of_rounding_where_masses_or_moments_differ():
+    def bound(mass, inertia):
+        bodies = {"a": sj.Body(1.0, (1.0, 1.0, 1.0)), "b": sj.Body(mass, inertia, position=(1.0, 0.0, 0.0))}
+        return compile_scene(sj.Scene(bodies)).system.smallest_pivot
+
+    assert bound(0.01, (1e-3, 1e-3, 1e-3)) == SINGULAR_PIVOT
+    assert bound(0.01, 1e-3 * np.eye(3)) == SINGULAR_PIVOT
+    assert bound(1e-6, (1e-3, 1e-3, 1e-3)) == REDUNDANT_PIVOT
+    assert bound(0.01, (1e-5, 1e-3, 1e-3)) == REDUNDANT_PIVOT
+    assert jax.jit(lambda m: jnp.asarray(bound(m, (1e-3, 1e-3, 1e-3))))(0.01) == REDUNDANT_PIVOT

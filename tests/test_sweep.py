@@ -1,0 +1,340 @@
+"""Sweeps: lanes that never idle, grids, records, stores that are gone on with, executors."""
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import Future
+from pathlib import Path
+
+import diffrax
+import jax
+import numpy as np
+import pytest
+from sweeping import elastic, hanging, pendulum
+
+import spherejax as sj
+from spherejax.motion.lanes import Block
+from spherejax.motion.many import simulate_many
+from spherejax.motion.status import Status
+from spherejax.studies.sweep.grids import product, random_samples, sobol_samples, zipped
+
+TS = np.linspace(0.0, 0.5, 6)
+GRID = {"gravity": np.linspace(1.0, 20.0, 7), "tilt": np.linspace(0.2, 1.2, 5)}
+RECORD = ["position.bob", "final kinetic_energy", "peak reaction.pivot"]
+
+
+def swept(**options):
+    """The sweep that most tests look at: one program, made once."""
+    options = {"chunk": 6, "workers": 2, "progress": False, **options}
+    return sj.sweep(pendulum, GRID, TS, record=RECORD, **options)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return swept()
+
+
+# The engine --------------------------------------------------------------------------------------------------------
+
+
+def test_lanes_make_the_same_runs_as_simulate():
+    clearances = np.linspace(5e-5, 2e-4, 9)
+    ts = np.linspace(0.0, 0.05, 4)
+    runs = simulate_many(hanging, {"clearance": clearances}, ts, rtol=1e-9, block=Block(4, 2))
+    for lane in (0, 4, 8):
+        alone = sj.simulate(hanging(clearances[lane]), ts, rtol=1e-9)
+        np.testing.assert_allclose(runs.trajectories.ys[lane, :, :13], alone.ys[:, :13], atol=1e-8)
+        assert int(runs.trajectories.stats.n_onsets[lane, 0]) == int(alone.stats.n_onsets[0]) > 3
+    assert np.all(runs.time_in_contact > 0)
+    assert np.all(runs.time_in_contact < 0.05)
+
+
+def test_a_stiff_method_runs_in_lanes():
+    stiffness = np.array([1e5, 3e5, 1e6])
+    ts = np.array([0.0, 0.01])
+    runs = simulate_many(elastic, {"stiffness": stiffness}, ts, rtol=1e-7, solver=sj.Ros34PW2(), block=Block(2, 1))
+    alone = sj.simulate(elastic(stiffness[1]), ts, rtol=1e-10, solver=diffrax.Dopri8())
+    np.testing.assert_allclose(runs.trajectories.position("bob")[1, -1], alone.position("bob")[-1], atol=1e-7)
+
+
+@pytest.mark.parametrize(("n_runs", "least"), [(1000, 0.9), (5000, 0.95)])
+def test_lanes_hardly_idle_when_costs_differ_tenfold(n_runs, least):
+    # Steps grow with the root of gravity.
+    gravity = np.random.default_rng(1).uniform(1.0, 10.0, n_runs) ** 2 * 10
+    runs = simulate_many(pendulum, {"gravity": gravity}, np.array([0.0, 1.0]), rtol=1e-9)
+    n_steps = np.asarray(runs.trajectories.stats.n_steps)
+    assert n_steps.max() > 5 * n_steps.min()
+    assert float(runs.lane_efficiency) >= least
+    assert np.all(runs.trajectories.status == Status.SUCCEEDED)
+
+
+def test_failing_lanes_tell_why_and_leave_the_others_alone():
+    gravity = np.array([9.81, 1e8, 3.0, np.nan, 20.0])
+    ts = np.array([0.0, 1.0])
+    runs = simulate_many(pendulum, {"gravity": gravity}, ts, max_steps=200, block=Block(4, 2)).trajectories
+    ok, slow, bad = Status.SUCCEEDED, Status.TOO_MANY_STEPS, Status.BAD_VALUE
+    assert np.asarray(runs.status).tolist() == [ok, slow, ok, bad, ok]
+    assert float(runs.t_reached[1]) < 1.0
+    assert np.all(np.isnan(runs.ys[1, -1]))
+    assert "lane 1: stopped" in runs.diagnosis
+    alone = simulate_many(pendulum, {"gravity": np.full(5, 20.0)}, ts, max_steps=200, block=Block(4, 2)).trajectories
+    np.testing.assert_array_equal(runs.ys[4], alone.ys[4])
+
+
+def test_traced_assembly_in_lanes():
+    tilts = np.array([0.3, 0.6])
+    runs = simulate_many(pendulum, {"tilt": tilts}, np.array([0.0, 0.1])).trajectories
+    np.testing.assert_allclose(runs.position("bob")[:, 0, 0], np.sin(tilts), atol=1e-9)
+
+
+# Grids -------------------------------------------------------------------------------------------------------------
+
+
+def test_grids():
+    grid = product({"a": [1.0, 2.0], "b": [3.0, 4.0, 5.0]})
+    assert grid.shape == (2, 3)
+    assert grid.values["a"].tolist() == [1, 1, 1, 2, 2, 2]
+    assert grid.values["b"].tolist() == [3, 4, 5, 3, 4, 5]
+    assert zipped({"a": [1.0, 2.0], "b": [3.0, 4.0]}).n_runs == 2
+    sample = random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, seed=3, logarithmic=["a"])
+    assert abs(np.mean(np.log10(sample.values["a"])) - 1) < 0.1
+    assert np.all((sample.values["b"] >= 0) & (sample.values["b"] <= 1))
+    again = random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, seed=3, logarithmic=["a"])
+    assert sample.fingerprint == again.fingerprint
+    assert sample.fingerprint != random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, seed=4).fingerprint
+    even = sobol_samples({"a": (0.0, 1.0)}, 64).values["a"]
+    assert np.all(np.histogram(even, 8, (0, 1))[0] == 8)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: product({}), "a sweep needs parameters"),
+        (lambda: product({"a": [1.0, np.nan]}), "parameter 'a' must be finite; entry 1"),
+        (lambda: product({"a": "wide"}), "parameter 'a' must be a list of numbers"),
+        (lambda: zipped({"a": [1.0], "b": [1.0, 2.0]}), "equal length"),
+        (lambda: random_samples({"a": (2.0, 1.0)}, 3), "needs a range"),
+        (lambda: random_samples({"a": (0.0, 1.0)}, 3, logarithmic=["a"]), "must be positive"),
+        (lambda: random_samples({"a": (0.0, 1.0)}, 3, logarithmic=["b"]), "names no parameter"),
+        (lambda: sobol_samples({"a": (0.0, 1.0)}, 0), "at least one run"),
+    ],
+)
+def test_bad_grids(make, words):
+    with pytest.raises(sj.SceneError, match=words):
+        make()
+
+
+# The result --------------------------------------------------------------------------------------------------------
+
+
+def test_the_result_is_labelled(result):
+    assert dict(result.sizes) == {"gravity": 7, "tilt": 5, "time": 6, "axis": 3}
+    alone = sj.simulate(pendulum(20.0, 1.2), TS, rtol=1e-10)
+    found = result["position.bob"].sel(gravity=20.0, tilt=1.2)
+    np.testing.assert_allclose(found, alone.position("bob"), atol=1e-6)
+    assert found.attrs["units"] == "m"
+    assert result["final_kinetic_energy"].attrs["units"] == "J"
+    assert np.all(result["status"] == 0)
+    assert 0 < result.attrs["lane_efficiency"] <= 1
+    assert result.attrs["rtol"] == 1e-8
+    assert result.attrs["failures"] == ""
+    assert result.attrs["jax_version"] == jax.__version__
+
+
+def test_peaks_are_those_of_all_steps(result):
+    # From rest at 1.2 rad the largest reaction is at the lowest point, which is passed between two samples.
+    gravity, tilt = 20.0, 1.2
+    fine = sj.simulate(pendulum(gravity, tilt), np.linspace(0.0, 0.5, 501), rtol=1e-10)
+    largest = np.linalg.norm(fine.reaction("pivot"), axis=1).max()
+    sampled = np.linalg.norm(fine.reaction("pivot")[::100], axis=1).max()
+    found = float(result["peak_reaction.pivot"].sel(gravity=gravity, tilt=tilt))
+    assert sampled * (1 - 1e-6) < found < largest * (1 + 1e-6)
+
+
+def test_peaks_miss_no_impact():
+    peak, ts = "peak acceleration.bob", np.array([0.0, 0.02])
+    found = sj.sweep(hanging, {"mu": [0.0, 0.2]}, ts, record=[peak], rtol=1e-7, progress=False)
+    fine = sj.simulate(hanging(mu=0.2), np.linspace(0.0, 0.02, 20_001), rtol=1e-7)
+    largest = np.linalg.norm(fine.acceleration("bob"), axis=1).max()
+    assert float(found["peak_acceleration.bob"][1]) == pytest.approx(largest, rel=0.05)
+    assert largest > 3 * np.linalg.norm(fine.acceleration("bob")[[0, -1]], axis=1).max()
+
+
+def test_functions_are_kept():
+    found = sj.sweep(
+        pendulum,
+        zipped({"gravity": [5.0, 10.0], "tilt": [0.5, 0.6]}),
+        TS,
+        record={"drop": lambda run: run.position("bob")[0, 2] - run.position("bob")[-1, 2]},
+        progress=False,
+    )
+    alone = sj.simulate(pendulum(10.0, 0.6), TS).position("bob")
+    assert found["drop"].dims == ("run",)
+    np.testing.assert_allclose(found["drop"][1], alone[0, 2] - alone[-1, 2], atol=1e-7)
+    assert found["gravity"].values.tolist() == [5.0, 10.0]
+
+
+def test_work_and_contacts_are_kept():
+    record = ["onsets.hook", "time_in_contact.hook", "final dissipated_energy.hook"]
+    found = sj.sweep(hanging, {"mu": [0.0, 0.2]}, np.array([0.0, 0.05]), record=record, progress=False)
+    assert np.all(found["onsets.hook"] > 0)
+    assert np.all(found["final_dissipated_energy.hook"] > 0)
+
+
+def test_derivatives_of_a_sweep():
+    def height(gravity):
+        return sj.simulate(pendulum(gravity), np.array([0.0, 0.3])).position("bob")[-1, 2]
+
+    gravity = np.array([5.0, 10.0])
+    slopes = jax.vmap(jax.grad(height))(gravity)
+    shift = 1e-4
+    found = [
+        sj.sweep(pendulum, {"gravity": gravity + s}, [0.0, 0.3], record=["final position.bob"], progress=False)
+        for s in (-shift, shift)
+    ]
+    below, above = (each["final_position.bob"].sel(axis="z").values for each in found)
+    np.testing.assert_allclose(slopes, (above - below) / (2 * shift), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ([], "asks for nothing"),
+        (["speed.bob"], "names no quantity"),
+        (["position.bib"], "one of 'bob'"),
+        (["onsets.pivot"], "has no contact"),
+        (["position.bob", "position.bob"], "twice"),
+        ([3], "neither"),
+    ],
+)
+def test_bad_records(record, words):
+    with pytest.raises(sj.SceneError, match=words):
+        sj.sweep(pendulum, {"gravity": [1.0]}, TS, record=record)
+
+
+def test_a_parameter_that_build_does_not_know():
+    with pytest.raises(sj.SceneError, match="cannot be called with the parameters weight"):
+        sj.sweep(pendulum, {"weight": [1.0]}, TS, record=RECORD)
+
+
+# The store ---------------------------------------------------------------------------------------------------------
+
+
+class StopError(Exception):
+    pass
+
+
+def _stop(seen):
+    if seen.n_done >= 12:
+        raise StopError
+
+
+def test_a_stopped_sweep_goes_on_and_ends_the_same(result, tmp_path):
+    path = tmp_path / "sweep.zarr"
+    with pytest.raises(StopError):
+        swept(store=path, workers=1, progress=_stop)
+    seen = []
+    found = swept(store=path, progress=seen.append)
+    assert seen[0].n_done_before == 12
+    for name in result.data_vars:
+        np.testing.assert_array_equal(found[name], result[name])
+    # A third time there is nothing left to do.
+    assert swept(store=path, progress=seen.append).equals(found)
+    assert seen[-1].n_done_before == 35
+
+
+def test_the_store_of_another_sweep_is_refused(tmp_path):
+    path = tmp_path / "sweep.zarr"
+    swept(store=path)
+    with pytest.raises(sj.SceneError, match="store of another sweep: its rtol is 1e-08"):
+        swept(store=path, rtol=1e-9)
+    with pytest.raises(sj.SceneError, match="store of another sweep: its record"):
+        sj.sweep(pendulum, GRID, TS, record=RECORD[:1], store=path)
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(sj.SceneError, match="is no store of a sweep"):
+        swept(store=tmp_path / "notes")
+
+
+def test_a_damaged_store_is_refused(tmp_path):
+    path = tmp_path / "sweep.zarr"
+    swept(store=path)
+    victim = next(file for file in (path / "position.bob").rglob("*") if file.is_file() and file.name != "zarr.json")
+    content = bytearray(victim.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    victim.write_bytes(bytes(content))
+    with pytest.raises(sj.SceneError, match="is damaged"):
+        swept(store=path)
+
+
+# Elsewhere ---------------------------------------------------------------------------------------------------------
+
+
+class LosingExecutor:
+    """Runs what it is given at once, and loses the second thing once, as a worker that dies."""
+
+    def __init__(self):
+        self.n_given = 0
+
+    def submit(self, function, *arguments):
+        self.n_given += 1
+        future: Future = Future()
+        if self.n_given == 2:
+            future.set_exception(RuntimeError("the worker has died"))
+        else:
+            future.set_result(function(*arguments))
+        return future
+
+
+def test_a_lost_chunk_runs_again(result):
+    executor = LosingExecutor()
+    found = swept(executor=executor)
+    assert executor.n_given == 7
+    for name in result.data_vars:
+        np.testing.assert_array_equal(found[name], result[name])
+
+
+TWO_DEVICES = """
+import json, sys
+sys.path.insert(0, {tests!r})
+import numpy as np, jax
+import spherejax as sj
+from sweeping import pendulum
+assert jax.local_device_count() == 2
+found = sj.sweep(pendulum, {{"gravity": np.linspace(1.0, 20.0, 8)}}, [0.0, 0.5], record=["final position.bob"],
+                 progress=False)
+print(json.dumps(found["final_position.bob"].values.tolist()))
+"""
+
+
+def test_several_devices():
+    tests = str(Path(__file__).parent)
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
+    environment = {**os.environ, "XLA_FLAGS": flags}
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_DEVICES.format(tests=tests)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    here = sj.sweep(
+        pendulum, {"gravity": np.linspace(1.0, 20.0, 8)}, [0.0, 0.5], record=["final position.bob"], progress=False
+    )
+    np.testing.assert_allclose(json.loads(done.stdout.splitlines()[-1]), here["final_position.bob"], atol=1e-10)
+
+
+def test_what_cannot_be_sent_is_named():
+    class Unsendable:
+        def __reduce__(self):
+            raise TypeError("not me")
+
+    keep = Unsendable()
+    with pytest.raises(sj.SceneError, match="cannot be sent to another process"):
+        sj.sweep(
+            lambda gravity: pendulum(gravity + (keep is None)),
+            {"gravity": [1.0]},
+            TS,
+            record=["final position.bob"],
+            executor=LosingExecutor(),  # pyright: ignore[reportArgumentType]
+        )
