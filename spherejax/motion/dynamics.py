@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import quaternion_rate
-from spherejax.foundations.types import Quaternion, Scalar, Vector3
+from spherejax.foundations.types import Number, Quaternion, Scalar, Vector3
 from spherejax.model.system import System
 from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import ConstraintSet, Solution, constrained_accelerations, constraint_set
@@ -61,7 +61,7 @@ def _position_rate(norm_feedback: Scalar, motion: BodyMotion) -> Float[Array, "7
     return jnp.concatenate([motion.velocity, turning])
 
 
-def orientation_rate(norm_feedback: Scalar, quaternion: Quaternion, angular_velocity: Vector3) -> Float[Array, "4"]:
+def orientation_rate(norm_feedback: Number, quaternion: Quaternion, angular_velocity: Vector3) -> Float[Array, "4"]:
     """Quaternion rate; feedback pulls the quaternion to unit norm like any other constraint."""
     excess = quaternion @ quaternion - 1
     return quaternion_rate(quaternion, angular_velocity) - norm_feedback * excess * quaternion

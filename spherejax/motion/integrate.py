@@ -75,7 +75,7 @@ class Parameters(NamedTuple):
     """
 
     theta: Float[Array, " p"]
-    ahead: tuple[Array, ...]
+    ahead: Any
 
 
 class Outcome(eqx.Module):

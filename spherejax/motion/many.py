@@ -91,7 +91,7 @@ class Numbers(eqx.Module):
     """
 
     theta: Float[Array, " p"]
-    ahead: tuple[Array, ...]
+    ahead: Any
     tolerances: Any
 
 
