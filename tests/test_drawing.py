@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 import spherejax as sj
@@ -139,16 +140,15 @@ def test_labels_are_there_and_do_not_overlap():
         bodies[f"link_{i}"] = sj.Body(
             0.1,
             (1e-5, 1e-5, 1e-6),
-            position=(0, 0, -0.05 - 0.1 * i),
-            points={"top": (0, 0, 0.05), "end": (0, 0, -0.05)},
+            position=(-0.05 - 0.1 * i, 0, 0),
+            points={"top": (0.05, 0, 0), "end": (-0.05, 0, 0)},
         )
         joints[f"joint_{i}"] = sj.Spherical(f"link_{i - 1}.end" if i else "ground.hook", f"link_{i}.top")
     figure = sj.draw(sj.Scene(bodies, joints, ground_points={"hook": (0, 0, 0)}))
     figure.canvas.draw()
     written = labels(figure)
     assert {text.get_text() for text in written} == {*bodies, *joints}
-    boxes = [text.get_bbox_patch() or text for text in written]
-    boxes = [np.asarray(super(type(text), text).get_window_extent()) for text in boxes]
+    boxes = [np.asarray(Text.get_window_extent(text)) for text in written]  # of the words, without the line to them
     for i, a in enumerate(boxes):
         for b in boxes[:i]:
             assert np.any(a[1] <= b[0]) or np.any(b[1] <= a[0])
@@ -515,3 +515,13 @@ def test_a_box_does_not_hide_the_mechanism():
     )
     box = np.concatenate(paths(sj.draw(scene, view=(-90, 0)), "body:mass")[:6])
     assert np.ptp(box[:, 0]) < 0.1
+
+
+def test_the_arm_of_a_circle_runs_from_its_center_to_its_point():
+    scene = sj.Scene(
+        {"ball": sj.Body(1.0, (1e-3,) * 3, position=(1.0, 0.0, 0.5), points={"eye": (0.0, 0.0, 0.0)})},
+        {"arm": sj.PointOnCurve("ball.eye", sj.Circle((0.0, 0.0, 0.5), (0, 0, 1), 1.0))},
+    )
+    assert mechanism_of(scene).joints["arm"].kind == "PointOnCircle"
+    arm = paths(sj.draw(scene, view=(-90, 0)), "joint:arm")[1]
+    np.testing.assert_allclose(arm, [[0.0, 0.5], [1.0, 0.5]], atol=1e-12)

@@ -14,8 +14,9 @@ import spherejax as sj
 from spherejax import cli
 from spherejax.model.system import flatten_system
 from spherejax.motion.assembly import assemble_now
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, velocity_violation
-from spherejax.motion.dynamics import body_motions, state_rate
+from spherejax.motion.dynamics import state_rate
 from spherejax.motion.integrate import as_ideal
 from spherejax.motion.programs import program_for
 from spherejax.motion.projection import corrected

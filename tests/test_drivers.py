@@ -92,7 +92,7 @@ def test_length_of_a_jack(run):
 
 
 def test_work_of_the_drivers_is_the_change_of_energy(run):
-    power = sum(np.asarray(run.driving_power(name)) for name in ("motor", "push", "jack", "hand"))
+    power = np.sum([run.driving_power(name) for name in ("motor", "push", "jack", "hand")], 0)
     work = np.concatenate([[0.0], np.cumsum((power[:-2:2] + 4 * power[1:-1:2] + power[2::2]) * 0.01 / 3)])
     energy = np.asarray(run.mechanical_energy)[::2]
     assert np.ptp(work) > 10.0
@@ -199,6 +199,18 @@ def test_derivatives_by_a_driver_and_by_a_bushing():
         differences = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * step)
         assert np.abs(differences).max() > 1e-5
         assert slopes[:, i] == pytest.approx(differences, abs=1e-5 * np.abs(differences).max())
+
+
+@pytest.mark.slow
+def test_lanes_with_different_drivers(reference):
+    """Speeds side by side in one batch; the start of each lane is assembled to its own driver."""
+
+    def places(speed):
+        return sj.simulate(crank_and_rod(speed), TS, rtol=1e-10, solver=DOPRI8).position("rod")
+
+    lanes = np.asarray(jax.vmap(places)(jnp.array([20.0, 30.0])))
+    assert lanes[1] == pytest.approx(np.asarray(reference.position("rod")), abs=1e-8)
+    assert np.abs(lanes[0] - lanes[1]).max() > 0.01
 
 
 # Singular configurations and bad input -------------------------------------------------------------------------------

@@ -18,8 +18,9 @@ from spherejax import cli
 from spherejax.gallery.hip import Gait
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.assembly import assemble_now, described_state
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set
-from spherejax.motion.dynamics import body_motions, state_rate
+from spherejax.motion.dynamics import state_rate
 from spherejax.motion.programs import program_for
 from spherejax.physics.state import unpack
 

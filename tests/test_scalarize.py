@@ -13,7 +13,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.foundations.scalar_graph import FLOAT, Graph
-from spherejax.foundations.scalar_rules import _minimum_degree_order
+from spherejax.foundations.scalar_solves import _minimum_degree_order
 from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.model.system import flatten_system
 from spherejax.motion.contacts import crossings, memory_after_step, onset_slopes

@@ -4,13 +4,23 @@ Check values: two public models of the benchmark's suspension, which agree with 
 and Eqs 42 and 43.
 """
 
+import csv
 import functools
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax import cli
+from spherejax.command_line.figures import figures_of
+from spherejax.command_line.scenes import chosen
+from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.longest_step import longest_step
+from spherejax.studies.compare import compare
+from spherejax.studies.subject import Length
+from spherejax.studies.subjects.suspension import SUSPENSION, differences
 
 JOINT = "wheel_a_arm"
 MODELS = {
@@ -133,21 +143,34 @@ def test_the_wheel_moves_as_with_an_ideal_joint(name):
 
 def test_the_automatic_choice_takes_few_steps():
     """Stability alone would hold an explicit method to 1e5 and 3e5 steps with friction and with a film."""
-    for name, n_most in {
-        "ideal": 600,
-        "dry": 20_000,
-        "friction": 10_000,
-        "lubricated": 15_000,
-        "bushing": 10_000,
-    }.items():
+    limits = {"ideal": 600, "dry": 20_000, "friction": 15_000, "lubricated": 15_000, "bushing": 10_000}
+    for name, n_most in limits.items():
         assert int(run_of(name).stats.n_steps) < n_most, name
 
 
-def test_a_stiff_method_does_not_step_over_the_bump():
-    """At rest the error of a long step is nothing, and the bump is over within one of them."""
-    scene, ts = sj.gallery.suspension(), jnp.linspace(0.0, 6.0, 61)
-    run = sj.simulate(scene, ts, rtol=1e-6, solver=sj.Ros34PW2(), throw=True)
-    assert 1e3 * (run.position("wheel")[35, 2] - run.position("wheel")[29, 2]) == pytest.approx(146, abs=0.5)
+def pushed(t):
+    """A push upwards between 3 and 4 s."""
+    return jnp.array([0.0, 0.0, 1.0]) * jnp.where((t > 3.0) & (t < 4.0), jnp.sin(jnp.pi * (t - 3.0)), 0.0)
+
+
+def test_a_stiff_method_at_rest_does_not_step_over_what_comes():
+    """At rest the error of a long step is nothing, and the push is over within one of them."""
+    body = sj.Body(1.0, (1e-2,) * 3, points={"ball": (0.0, 0.0, 0.0)})
+    joint = sj.Spherical("ground.socket", "body.ball", sj.Bushing(law=sj.VectorElastomer(1e4, 1e-3)))
+    forces = {"push": sj.AppliedWrench("body", force=pushed)}
+    places = {"socket": (0.0, 0.0, 0.0)}
+    scene = sj.Scene({"body": body}, {"joint": joint}, forces, gravity=(0.0, 0.0, 0.0), ground_points=places)
+    run = sj.simulate(scene, jnp.linspace(0.0, 6.0, 13), solver=sj.Rodas5P(), throw=True)
+    assert run.position("body")[7, 2] == pytest.approx(1.0 / 1e4, rel=0.01)
+
+
+def test_steps_are_limited_only_where_time_enters():
+    def limit(scene):
+        structure, _ = flatten_system(compile_scene(scene).system)
+        return longest_step(structure, TS)
+
+    assert limit(sj.gallery.suspension()) == pytest.approx(0.06)
+    assert limit(sj.gallery.four_bar()) is None
 
 
 def test_speed_is_a_number_that_can_be_traced():
@@ -155,3 +178,91 @@ def test_speed_is_a_number_that_can_be_traced():
     ts = jnp.array([0.0, 2.9, 3.5])
     slow = sj.simulate(sj.gallery.suspension(speed=2.5), ts, throw=True).position("wheel")[:, 2]
     assert slow[2] == pytest.approx(float(slow[1]), abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def three_models():
+    """The comparison of the models that compile fast, with a second method."""
+    few = {name: case for name, case in SUSPENSION.models().items() if name in ("ideal", "dry", "bushing")}
+    quick = SUSPENSION.quick._replace(fixed=True)
+    return compare(replace(SUSPENSION, models=lambda: few, quick=quick), quick=True)
+
+
+def test_the_comparison_has_the_numbers_of_the_paper(three_models):
+    ideal, dry, bushing = three_models.rows
+    assert ideal.measures["peak_joint_force [N]"] == pytest.approx(20.82e3, abs=5)
+    assert ideal.measures["time_of_peak [s]"] == pytest.approx(3.479, abs=5e-4)
+    assert ideal.measures["dissipated_in_joint [J]"] == 0.0
+    assert ideal.measures["wheel_travel [m]"] == pytest.approx(0.146, abs=5e-4)
+    assert dry.measures["penetration [m]"] == pytest.approx(26.6e-6, abs=0.3e-6)
+    assert dry.measures["contact_share [-]"] == 1.0
+    assert bushing.measures["largest_eccentricity [m]"] == pytest.approx(1.02e-3, abs=1e-5)
+    assert np.isnan(bushing.measures["penetration [m]"])
+    assert min(row.measures["dissipated_in_joint [J]"] for row in (dry, bushing)) > 0.01
+    assert dry.fixed.n_steps > dry.n_steps  # order 5 against order 8
+    assert ideal.time_ratio == ideal.fixed.time_ratio == 1.0
+    assert dry.time_ratio > 1.0
+    assert differences(three_models, "bushing")["of the travel [%]"] < 0.5
+    assert differences(three_models, "ideal")["height [mm]"] == 0.0
+    first, second = SUSPENSION.remarks(three_models)
+    assert "0.39 % of its travel (bushing)" in first
+    assert "stop" in second
+
+
+def test_the_tables_have_a_cell_for_every_head(three_models):
+    for table in SUSPENSION.summaries(three_models):
+        assert all(len(row) == len(table.heads) for row in table.rows)
+        assert [row[0] for row in table.rows] == ["ideal", "dry", "bushing"]
+    cells = [[column.cell(row) for column in SUSPENSION.columns] for row in three_models.rows]
+    penetration = [column.head for column in SUSPENSION.columns].index("penetration [mm]")
+    assert cells[2][penetration] == "-"
+    assert float(cells[1][penetration]) == pytest.approx(0.0266, abs=3e-4)
+
+
+def test_the_figures_of_the_suspension(three_models):
+    found = figures_of(three_models)
+    assert {name[:5] for name in found} == {"fig22", "fig23", "fig24", "fig25"}
+    drawn = {name: draw() for name, draw in found.items()}
+    for figure in drawn.values():
+        figure.canvas.draw()  # a warning is an error
+    position = drawn["fig23_models"].axes[0]
+    assert {line.get_label() for line in position.lines} == {"ideal", "dry", "bushing"}
+    assert max(line.get_ydata().max() for line in position.lines) == pytest.approx(502.0, abs=1.0)
+    assert position.get_ylabel() == "wheel z [mm]"
+    dry = drawn["fig24_eccentricity"].axes[0]
+    assert sorted(patch.get_radius() for patch in dry.patches) == pytest.approx([0.1, 0.1267], abs=1e-4)
+    assert "in contact 99.9 % of the time" in dry.get_title(loc="left")
+    bars = [patch.get_height() for patch in drawn["fig25_time_ratio"].axes[0].patches]
+    assert len([height for height in bars if height > 0]) == 6
+    drawn_bodies = {str(patch.get_gid()) for patch in drawn["fig22_mechanism"].axes[0].patches}
+    assert {"body:wheel", "body:a_arm", "body:leaf_spring", "body:tie_rod"} <= drawn_bodies
+
+
+def test_samples_may_be_finer_at_the_beginning():
+    ts = Length(1.0, 0.1, fine=(0.2, 0.05)).ts
+    np.testing.assert_allclose(ts, [0.0, 0.05, 0.1, 0.15, 0.2, *np.arange(0.3, 1.05, 0.1)])
+
+
+@pytest.mark.slow
+def test_compare_suspension_from_the_command_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
+    folder = tmp_path / "results"
+    assert cli.main(["compare", "suspension", "--quick", "--out", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert "Computing time" in out
+    assert "No significant difference" in out
+    names = {path.name for path in folder.iterdir()}
+    assert {f"{model}.nc" for model in MODELS} | {"table.csv", "fig22_mechanism.png"} <= names
+    with (folder / "table.csv").open() as file:
+        rows = {row["model"]: row for row in csv.DictReader(file)}
+    for name in ("dry", "friction", "lubricated"):
+        assert float(rows[name]["penetration [m]"]) == pytest.approx(26.6e-6, abs=0.3e-6)
+
+
+def test_run_on_the_command_line_takes_the_mechanism_s_own_defaults(capsys):
+    options = cli.parser().parse_args(["run", "suspension", "--joint", "bushing"])
+    found = chosen(options)
+    assert found.settings.t1 == 6.0
+    assert found.studied == JOINT
+    law = found.scene(options).joints[JOINT].model.law
+    assert (law.stiffness, law.damping) == (2e7, 1e-3)

@@ -18,6 +18,14 @@ from jax import lax
 FLOAT, BOOL, INT = np.dtype("float64"), np.dtype("bool"), np.dtype("int64")
 
 
+class NotScalarizable(Exception):  # noqa: N818 - it says what it is
+    """The function has no scalar program; the message says which operation stands in the way."""
+
+
+class TooManyOperations(NotScalarizable):
+    """The scalar program of the function would be larger than allowed."""
+
+
 class Graph:
     """Nodes of a scalar program under construction; a node is named by its index.
 

@@ -10,13 +10,8 @@ from functools import reduce
 import jax
 import numpy as np
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph
-from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
-
-
-class NotScalarizable(Exception):  # noqa: N818 - it says what it is
-    """The function has no scalar program; the message says which operation stands in the way."""
-
+from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph, NotScalarizable
+from spherejax.foundations.scalar_solves import SOLVES
 
 STRUCTURAL = frozenset(
     [
@@ -37,6 +32,7 @@ STRUCTURAL = frozenset(
         "dynamic_update_slice",
         "scatter",
         "tile",
+        "pad",
     ]
 )
 
@@ -109,11 +105,21 @@ def move_names(graph: Graph, primitive, parameters, inputs, shapes) -> list[np.n
         operands.append(
             np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape)
         )
+    if name == "gather" and _picks_rows(parameters, inputs):
+        return [inputs[0][operands[1][:, 0]]]
     with jax.ensure_compile_time_eval():
         moved_names = np.asarray(primitive.bind(*operands, **_filling_with_nothing(name, parameters)))
     if np.any(moved_names < 0):
         raise NotScalarizable(f"{name!r} with an index out of range")
     return [moved_names]
+
+
+def _picks_rows(parameters, inputs) -> bool:
+    """Whether a gather takes whole rows that exist: NumPy does that at once, where JAX would compile a program."""
+    array, dimensions = inputs[0], parameters["dimension_numbers"]
+    picked = jax.lax.GatherDimensionNumbers(tuple(range(1, array.ndim)), (0,), (0,))
+    is_within = parameters["mode"] == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return is_within and dimensions == picked and parameters["slice_sizes"] == (1, *array.shape[1:])
 
 
 def _filling_with_nothing(name, parameters):
@@ -137,6 +143,14 @@ def _slice(inputs, parameters):
     return [inputs[0][tuple(slice(*bound) for bound in bounds)]]
 
 
+def _pad(inputs, parameters):
+    array, filling = inputs
+    config = parameters["padding_config"]
+    if any(low < 0 or high < 0 or interior for low, high, interior in config):
+        raise NotScalarizable("a negative or interior padding")
+    return [np.pad(array, [(low, high) for low, high, _ in config], constant_values=int(filling))]
+
+
 _MOVES = {
     "reshape": lambda inputs, p: [inputs[0].reshape(p["new_sizes"])],
     "squeeze": lambda inputs, p: [np.squeeze(inputs[0], tuple(p["dimensions"]))],
@@ -148,6 +162,7 @@ _MOVES = {
     "stack": lambda inputs, p: [np.stack(inputs, p["axis"])],
     "split": lambda inputs, p: np.split(inputs[0], np.cumsum(p["sizes"])[:-1], p["axis"]),
     "broadcast_in_dim": _broadcast,
+    "pad": _pad,
     "copy": lambda inputs, p: [inputs[0]],
     "copy_p": lambda inputs, p: [inputs[0]],
 }
@@ -265,140 +280,6 @@ def _dot_general(graph, inputs, parameters, shapes, dtypes):
     return [np.array(names, np.int64).reshape(shapes[0])]
 
 
-def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
-    del dtypes
-    matrix, right_side = inputs
-    size, columns = right_side.shape[-2:]
-    matrices = matrix.reshape(-1, size, size)
-    right_sides = right_side.reshape(-1, size, columns)
-    smallest = parameters["smallest_pivot"]
-    solved = [_eliminate(graph, m, b, smallest) for m, b in zip(matrices, right_sides, strict=True)]
-    return [np.array(solved, np.int64).reshape(shapes[0])]
-
-
-def _eliminate(graph: Graph, matrix: np.ndarray, right_side: np.ndarray, smallest_pivot: float) -> np.ndarray:
-    """L D L^T elimination, unrolled, with rows in an order that keeps structural zeros, and back substitution.
-
-    Redundant rows are left out as in `symmetric_solve`.
-    """
-    size = len(matrix)
-    order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
-    s = [[int(matrix[max(i, j), min(i, j)]) for j in order] for i in order]
-    x = [[int(node) for node in right_side[i]] for i in order]
-    diagonal = [s[j][j] for j in range(size)]
-    inverse_pivots = []
-    factors: list[dict[int, int]] = []
-    for j in range(size):
-        inverse_pivot = _inverse_pivot(graph, s[j][j], diagonal[j], smallest_pivot)
-        below = {i: graph.mul(s[i][j], inverse_pivot) for i in range(j + 1, size) if not graph.is_value(s[i][j], 0)}
-        for i in below:
-            for k in below:
-                if k <= i:
-                    s[i][k] = graph.sub(s[i][k], graph.mul(below[i], s[k][j]))
-        for i, factor in below.items():
-            x[i] = [graph.sub(a, graph.mul(factor, b)) for a, b in zip(x[i], x[j], strict=True)]
-        inverse_pivots.append(inverse_pivot)
-        factors.append(below)
-    for j in reversed(range(size)):
-        x[j] = [graph.mul(a, inverse_pivots[j]) for a in x[j]]
-        for i, factor in factors[j].items():
-            x[j] = [graph.sub(a, graph.mul(factor, b)) for a, b in zip(x[j], x[i], strict=True)]
-    solution = np.empty_like(right_side)
-    for position, row in enumerate(order):
-        solution[row] = x[position]
-    return solution
-
-
-def _inverse_pivot(graph: Graph, pivot: int, diagonal: int, smallest_pivot: float) -> int:
-    """1 / pivot, or 0 for a redundant row."""
-    if pivot == diagonal:
-        return graph.div(graph.constant(1, FLOAT), pivot)
-    return _inverse_unless_small(graph, pivot, pivot, diagonal, smallest_pivot)
-
-
-def _inverse_unless_small(
-    graph: Graph, pivot: int, magnitude: int, scale: int, smallest_pivot: float = REDUNDANT_PIVOT
-) -> int:
-    """1 / pivot, or 0 where its magnitude is too small a part of `scale`; guarded, so that derivatives are finite."""
-    one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
-    smallest = graph.mul(scale, graph.constant(smallest_pivot, FLOAT))
-    is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
-    return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
-
-
-def _general_solve(graph, inputs, parameters, shapes, dtypes):
-    del parameters, dtypes
-    matrix, right_side = inputs
-    if matrix.ndim != 2 or right_side.shape[1] != 1:
-        raise NotScalarizable("a general solve for several matrices or right-hand sides")
-    return [_eliminate_general(graph, matrix, right_side[:, 0]).reshape(shapes[0])]
-
-
-def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
-    """L U elimination, unrolled, with rows and columns in an order that keeps structural zeros.
-
-    A row without a diagonal entry gets its pivot from the rows before it; where their contributions cancel, the row is
-    redundant and left out, as in `symmetric_solve`.
-    """
-    size = len(matrix)
-    order = _minimum_degree_order(np.vectorize(lambda node: not graph.is_value(int(node), 0))(matrix))
-    a = [[int(matrix[i, j]) for j in order] for i in order]
-    x = [int(right_side[i]) for i in order]
-    zero = graph.constant(0, FLOAT)
-    contributed = {i: zero for i in range(size) if graph.is_value(a[i][i], 0)}
-    inverse_pivots = []
-    for j in range(size):
-        inverse_pivots.append(_inverse_of_contributions(graph, a[j][j], contributed.get(j)))
-        right_of_pivot = [k for k in range(j + 1, size) if not graph.is_value(a[j][k], 0)]
-        for i in range(j + 1, size):
-            if graph.is_value(a[i][j], 0):
-                continue
-            factor = graph.mul(a[i][j], inverse_pivots[j])
-            for k in right_of_pivot:
-                product = graph.mul(factor, a[j][k])
-                a[i][k] = graph.sub(a[i][k], product)
-                if k == i and i in contributed:
-                    size_of = graph.apply(jax.lax.abs_p, (product,), FLOAT, ())
-                    contributed[i] = graph.add(contributed[i], size_of)
-            x[i] = graph.sub(x[i], graph.mul(factor, x[j]))
-    for j in reversed(range(size)):
-        for k in range(j + 1, size):
-            x[j] = graph.sub(x[j], graph.mul(a[j][k], x[k]))
-        x[j] = graph.mul(x[j], inverse_pivots[j])
-    solution = np.empty(size, np.int64)
-    solution[order] = x
-    return solution
-
-
-def _inverse_of_contributions(graph: Graph, pivot: int, contributed: int | None) -> int:
-    """1 / pivot, or 0 where what made the pivot has cancelled; None: the row has a diagonal entry of its own."""
-    if contributed is None:
-        return graph.div(graph.constant(1, FLOAT), pivot)
-    magnitude = graph.apply(jax.lax.abs_p, (pivot,), FLOAT, ())
-    return _inverse_unless_small(graph, pivot, magnitude, contributed)
-
-
-def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:
-    """Elimination order that takes, again and again, the row with the fewest neighbors (Tinney's second scheme).
-
-    A row whose diagonal entry is a structural zero waits for all its neighbors: they make its pivot, and only all of
-    them together make one that cannot vanish.
-    """
-    has_pivot = np.diagonal(is_nonzero)
-    is_nonzero = is_nonzero | is_nonzero.T
-    neighbors = {i: {j for j in np.flatnonzero(row).tolist() if j != i} for i, row in enumerate(is_nonzero)}
-    awaited = {i: set() if has_pivot[i] else set(neighbors[i]) for i in neighbors}
-    order = []
-    while neighbors:
-        row = min(neighbors, key=lambda i: (len(awaited[i]), len(neighbors[i]), i))
-        joined = neighbors.pop(row)
-        for i in joined:
-            neighbors[i] = (neighbors[i] | joined) - {i, row}
-            awaited[i].discard(row)
-        order.append(row)
-    return order
-
-
 RULES = {
     "add": _folding("add"),
     "add_any": _folding("add"),
@@ -420,6 +301,5 @@ RULES = {
     "reduce_and": _extremum(jax.lax.and_p, True),
     "reduce_or": _extremum(jax.lax.or_p, False),
     "dot_general": _dot_general,
-    "symmetric_solve": _symmetric_solve,
-    "general_solve": _general_solve,
+    **SOLVES,
 }

@@ -52,6 +52,8 @@ class System(eqx.Module):
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
         smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
+        stacks: the numbers of bodies and joints as `model.groups.Stacks`, where they have been stacked already (once,
+            ahead of a loop); None otherwise.
     """
 
     bodies: dict[str, Body]
@@ -63,6 +65,7 @@ class System(eqx.Module):
     tracks_work: bool = eqx.field(static=True)
     refines_constraints: bool = eqx.field(static=True, default=False)
     smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
+    stacks: Any = None
 
     @property
     def layout(self) -> Layout:

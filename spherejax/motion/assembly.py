@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
-from spherejax.foundations.types import Numeric, Scalar
+from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import assembly_set, velocity_violation
-from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.projection import least_correction, without_velocities
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, pack, unpack
@@ -181,11 +182,12 @@ def newton_step(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array
     motions = body_motions(system, state)
     constraints = assembly_set(system, t, motions)
     steps = least_correction(system, motions, constraints, constraints.residual)
-    turned = [
-        normalized(quaternion_product(quaternion_from_rotation_vector(-turn), p))
-        for p, turn in zip(state.quaternion, steps[:, 3:], strict=True)
-    ]
-    return pack(state._replace(position=state.position - steps[:, :3], quaternion=jnp.stack(turned)))
+    turned = over_lanes(_turned_back, state.quaternion, steps[:, 3:])
+    return pack(state._replace(position=state.position - steps[:, :3], quaternion=turned))
+
+
+def _turned_back(p: Quaternion, turn: Vector3) -> Quaternion:
+    return normalized(quaternion_product(quaternion_from_rotation_vector(-turn), p))
 
 
 def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:

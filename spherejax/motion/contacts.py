@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import System
-from spherejax.motion.dynamics import body_motions, state_rate
+from spherejax.motion.body_motions import body_motions
+from spherejax.motion.dynamics import state_rate
 from spherejax.physics.joints.base import Crossing
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import unpack

@@ -5,13 +5,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import quaternion_rate
 from spherejax.foundations.types import Quaternion, Scalar, Vector3
 from spherejax.model.system import System
+from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import ConstraintSet, Solution, constrained_accelerations, constraint_set
-from spherejax.motion.loads import JointLoad, applied_wrenches, joint_loads
-from spherejax.physics.bodies import GROUND
-from spherejax.physics.kinematics import BodyMotion, body_motion, ground_motion
+from spherejax.motion.loads import JointLoads, applied_wrenches, joint_loads
+from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.state import State, unpack
 
 
@@ -27,19 +28,10 @@ class Evaluation(NamedTuple):
     """
 
     state: State
-    motions: dict[str, BodyMotion]
-    loads: dict[str, JointLoad]
+    motions: BodyMotions
+    loads: JointLoads
     constraints: ConstraintSet
     solution: Solution
-
-
-def body_motions(system: System, state: State) -> dict[str, BodyMotion]:
-    """Motion of each body by name, the ground included."""
-    motions = {
-        name: body_motion(state.position[i], state.quaternion[i], state.velocity[i], state.angular_velocity[i])
-        for i, name in enumerate(system.bodies)
-    }
-    return {GROUND: ground_motion(), **motions}
 
 
 def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> Evaluation:
@@ -56,22 +48,20 @@ def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> Evaluation:
 def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " size"]:
     """Time derivative of the flat state: the right-hand side that is integrated."""
     evaluation = evaluate(system, t, y)
-    return jnp.concatenate(
-        [
-            *(_position_rate(system, evaluation, name) for name in system.bodies),
-            *evaluation.solution.accelerations.values(),
-            *(load.response.memory_rate for load in evaluation.loads.values()),
-            *([load.absorbed_power[None] for load in evaluation.loads.values()] if system.tracks_work else []),
-        ]
-    )
+    parts = [
+        over_lanes(_position_rate, evaluation.motions.moving, shared=(system.drift.norm_feedback,)).ravel(),
+        evaluation.solution.accelerations.ravel(),
+        evaluation.loads.memory_rates,
+    ]
+    return jnp.concatenate([*parts, evaluation.loads.absorbed_powers] if system.tracks_work else parts)
 
 
-def _position_rate(system: System, evaluation: Evaluation, name: str) -> Float[Array, "7"]:
-    motion = evaluation.motions[name]
-    return jnp.concatenate([motion.velocity, orientation_rate(system, motion.quaternion, motion.angular_velocity)])
+def _position_rate(norm_feedback: Scalar, motion: BodyMotion) -> Float[Array, "7"]:
+    turning = orientation_rate(norm_feedback, motion.quaternion, motion.angular_velocity)
+    return jnp.concatenate([motion.velocity, turning])
 
 
-def orientation_rate(system: System, quaternion: Quaternion, angular_velocity: Vector3) -> Float[Array, "4"]:
+def orientation_rate(norm_feedback: Scalar, quaternion: Quaternion, angular_velocity: Vector3) -> Float[Array, "4"]:
     """Quaternion rate; feedback pulls the quaternion to unit norm like any other constraint."""
     excess = quaternion @ quaternion - 1
-    return quaternion_rate(quaternion, angular_velocity) - system.drift.norm_feedback * excess * quaternion
+    return quaternion_rate(quaternion, angular_velocity) - norm_feedback * excess * quaternion

@@ -53,12 +53,12 @@ def hooks_of(structure: Structure):
     n_v, n_x = layout.n_velocity, layout.size - layout.n_position
     n_rows = n_x + n_constraints
     frozen_at = program_for(freeze, structure)
-    change = program_for(residual_change, structure, True, (layout.size, n_v, n_constraints, n_v + n_x))
+    change = program_for(residual_change, structure, None, (layout.size, n_v, n_constraints, n_v + n_x))
     pattern = pattern_of(structure, change)
     if pattern is None:
         return None
     stage = program_for(
-        stage_solver(pattern), structure, True, (layout.size, 1, pattern.n_colors * n_rows, layout.size), 5
+        stage_solver(pattern), structure, None, (layout.size, 1, pattern.n_colors * n_rows, layout.size), 5
     )
     rate = program_for(state_rate, structure)
     depends_on_time = rate.scalar is None or rate.scalar.reads(1)
@@ -107,8 +107,8 @@ def inexact_hooks_of(structure: Structure):
     """
     layout, _ = sizes_of(structure)
     rate = program_for(state_rate, structure)
-    stage = program_for(solve_inexact_stage, structure, True, (layout.size, 1, layout.size), 4)
-    product = program_for(inexact_product, structure, True, (layout.size, layout.size))
+    stage = program_for(solve_inexact_stage, structure, None, (layout.size, 1, layout.size), 4)
+    product = program_for(inexact_product, structure, None, (layout.size, layout.size))
     if rate.scalar is None or stage.scalar is None or product.scalar is None:
         return hooks_of(structure)
     if np.any(rate.scalar.dependence(_STATE)[layout.memory_start : layout.work_start]):

@@ -35,12 +35,12 @@ class Plan:
     Attributes:
         structure: structure of the system.
         unknown: indices in theta of the numbers that are traced by the caller.
-        scalar: whether to run on the scalar program.
+        scalar: whether to run on scalar programs; None: on those that are not too large.
     """
 
     structure: Structure
     unknown: tuple[int, ...]
-    scalar: bool
+    scalar: bool | None
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
         """All numbers of the system, from those that are traced and those that are known."""
@@ -118,7 +118,7 @@ def integrate(
     rate = program_for(state_rate, plan.structure, plan.scalar)
     contacts = contacts_of(plan.structure, plan.scalar)
     correct = correction_for(plan)
-    solver = with_structure(options.solver, plan.structure) if plan.scalar else options.solver
+    solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
     with without_host_checks():
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
@@ -181,7 +181,7 @@ def beginning(
 
 
 @lru_cache(maxsize=64)
-def contacts_of(structure: Structure, scalar: bool) -> Contacts | None:
+def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
     """The contacts of a system as programs, for the integrator; None for a system without."""
     example = example_of(structure)
     if not example.contact_joints:

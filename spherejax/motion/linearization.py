@@ -26,15 +26,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.general_solve import general_solve
+from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import quaternion_rate, skew
 from spherejax.foundations.types import Scalar
+from spherejax.model.groups import stacks_of
 from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import constraint_set, desired_accelerations
-from spherejax.motion.dynamics import body_motions, evaluate, orientation_rate
-from spherejax.motion.loads import applied_wrenches, joint_loads
+from spherejax.motion.dynamics import evaluate, orientation_rate
+from spherejax.motion.loads import BodyVectors, applied_wrenches, joint_loads
 from spherejax.motion.programs import Program
-from spherejax.physics.bodies import GROUND, inertia_in_world
-from spherejax.physics.kinematics import BodyMotion, ground_motion
+from spherejax.physics.bodies import Body, inertia_in_world
+from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, unpack
 
 
@@ -53,7 +56,7 @@ class Frozen(NamedTuple):
 def freeze(system: System, t: Scalar, y: Float[Array, " size"]) -> Frozen:
     """Accelerations and multipliers at a state."""
     solution = evaluate(system, t, y).solution
-    return Frozen(jnp.concatenate([*solution.accelerations.values()]), _joined(solution.multipliers.values()))
+    return Frozen(solution.accelerations.ravel(), _joined(solution.multipliers.values()))
 
 
 # Residuals and their derivatives -------------------------------------------------------------------------------------
@@ -79,16 +82,11 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
     loads = joint_loads(system, motions, memory)
     applied = applied_wrenches(system, t, motions, loads)
     constraints = constraint_set(system, t, motions)
-    acceleration_of = dict(zip(system.bodies, accelerations.reshape(-1, VELOCITY_SIZE), strict=True))
-    balance = []
-    for name, acceleration in acceleration_of.items():
-        load = jnp.concatenate([applied[name].force, applied[name].moment])
-        reaction = constraints.transposed_times(name, multipliers)
-        balance.append(_mass_times(system, motions, name, acceleration) + reaction - load)
-    violation = constraints.times(acceleration_of) - desired_accelerations(system, motions, constraints)
-    memory_rates = [load.response.memory_rate for load in loads.values()]
-    powers = [load.absorbed_power[None] for load in loads.values()] if system.tracks_work else []
-    return jnp.concatenate([*balance, *(-rate for rate in memory_rates), *(-power for power in powers), violation])
+    by_body = accelerations.reshape(-1, VELOCITY_SIZE)
+    balance = _masses_times(system, motions, by_body) + constraints.transposed_times(multipliers) - applied
+    violation = constraints.times(by_body) - desired_accelerations(system, motions, constraints)
+    powers = [-loads.absorbed_powers] if system.tracks_work else []
+    return jnp.concatenate([balance.ravel(), -loads.memory_rates, *powers, violation])
 
 
 Point = tuple[Float[Array, " size"], Float[Array, " n_v"], Float[Array, " n_c"], Float[Array, " n_v+n_x"]]
@@ -105,25 +103,30 @@ def residual_change(system: System, t: Scalar, point: Point) -> Float[Array, " n
     return jax.jvp(along, (jnp.zeros_like(direction),), (direction,))[1]
 
 
-def _moved(system: System, state: State, position_change, velocity_change) -> dict[str, BodyMotion]:
+def _moved(system: System, state: State, position_change, velocity_change) -> BodyMotions:
     """Motions of the bodies after a small displacement, rotation, and change of velocity."""
-    moved = {GROUND: ground_motion()}
-    for i, (name, motion) in enumerate(list(body_motions(system, state).items())[1:]):
-        shift, turn = jnp.split(position_change[VELOCITY_SIZE * i : VELOCITY_SIZE * (i + 1)], 2)
-        faster, spin = jnp.split(velocity_change[VELOCITY_SIZE * i : VELOCITY_SIZE * (i + 1)], 2)
-        moved[name] = BodyMotion(
-            motion.position + shift,
-            motion.quaternion + quaternion_rate(motion.quaternion, turn),
-            motion.rotation + skew(turn) @ motion.rotation,
-            motion.velocity + faster,
-            motion.angular_velocity + spin,
-        )
-    return moved
+    changes = [change.reshape(-1, VELOCITY_SIZE) for change in (position_change, velocity_change)]
+    return BodyMotions(tuple(system.bodies), over_lanes(_body_moved, body_motions(system, state).moving, *changes))
 
 
-def _mass_times(system: System, motions: dict[str, BodyMotion], name: str, vector) -> Float[Array, "6"]:
-    body = system.bodies[name]
-    inertia = inertia_in_world(body.inertia, motions[name].rotation)
+def _body_moved(motion: BodyMotion, position_change: Float[Array, "6"], velocity_change: Float[Array, "6"]):
+    (shift, turn), (faster, spin) = jnp.split(position_change, 2), jnp.split(velocity_change, 2)
+    return BodyMotion(
+        motion.position + shift,
+        motion.quaternion + quaternion_rate(motion.quaternion, turn),
+        motion.rotation + skew(turn) @ motion.rotation,
+        motion.velocity + faster,
+        motion.angular_velocity + spin,
+    )
+
+
+def _masses_times(system: System, motions: BodyMotions, vectors: BodyVectors) -> BodyVectors:
+    """M times a vector of each body."""
+    return over_lanes(_mass_times, stacks_of(system).bodies, motions.moving, vectors)
+
+
+def _mass_times(body: Body, motion: BodyMotion, vector: Float[Array, "6"]) -> Float[Array, "6"]:
+    inertia = inertia_in_world(body.inertia, motion.rotation)
     return jnp.concatenate([body.mass * vector[:3], inertia @ vector[3:]])
 
 
@@ -257,7 +260,7 @@ class PositionElimination(NamedTuple):
 
 def _position_elimination(system: System, state: State, i: int, h: Scalar) -> PositionElimination:
     p, w = state.quaternion[i], state.angular_velocity[i]
-    by_p, by_w = jax.jacfwd(lambda p, w: orientation_rate(system, p, w), (0, 1))(p, w)
+    by_p, by_w = jax.jacfwd(lambda p, w: orientation_rate(system.drift.norm_feedback, p, w), (0, 1))(p, w)
     inverse = _inverse_4(jnp.eye(4) - h * by_p)
     zero = jnp.zeros((3, 3))
     by_velocity = jnp.concatenate(
@@ -293,21 +296,24 @@ def _inverse_2(m: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
 
 def _constraint_matrix(system: System, constraints, n_x: int) -> Float[Array, "n_c n_x"]:
     """D, with columns of zeros for memory and work."""
-    columns = []
-    for name in system.bodies:
-        blocks = constraints.blocks_of(name)
-        parts = [blocks.get(joint, jnp.zeros((rows.residual.shape[0], 6))) for joint, rows in constraints.rows.items()]
-        columns.append(jnp.concatenate(parts) if parts else jnp.zeros((0, 6)))
-    n_c = columns[0].shape[0]
-    return jnp.concatenate([*columns, jnp.zeros((n_c, n_x - system.layout.n_velocity))], 1)
+    n_bodies = system.layout.n_bodies
+    parts = []
+    for rows, ends in zip(constraints.rows.values(), constraints.ends, strict=True):
+        nothing = jnp.zeros_like(rows.jacobians[0])
+        of_body = {end - 1: block for end, block in zip(ends, rows.jacobians, strict=True)}
+        parts.append(jnp.concatenate([of_body.get(i, nothing) for i in range(n_bodies)], 1))
+    D = jnp.concatenate([jnp.zeros((0, system.layout.n_velocity)), *parts])
+    return jnp.concatenate([D, jnp.zeros((D.shape[0], n_x - system.layout.n_velocity))], 1)
 
 
 def _generalized_mass(system: System, motions, n_x: int) -> Float[Array, "n_x n_x"]:
-    masses = [
-        jnp.stack([_mass_times(system, motions, name, unit) for unit in jnp.eye(VELOCITY_SIZE)], 1)
-        for name in system.bodies
-    ]
+    bodies = stacks_of(system).bodies
+    masses = over_lanes(_mass_matrix, bodies, motions.moving)
     return _block_diagonal([*masses, jnp.eye(n_x - system.layout.n_velocity)])
+
+
+def _mass_matrix(body: Body, motion: BodyMotion) -> Float[Array, "6 6"]:
+    return jnp.stack([_mass_times(body, motion, unit) for unit in jnp.eye(VELOCITY_SIZE)], 1)
 
 
 def _block_diagonal(blocks) -> Float[Array, "n m"]:
@@ -321,9 +327,8 @@ def _block_diagonal(blocks) -> Float[Array, "n m"]:
 
 def _right_side(system: System, motions, D, rhs_x) -> Float[Array, " n_rows"]:
     n_v = system.layout.n_velocity
-    velocities = rhs_x[:n_v].reshape(-1, VELOCITY_SIZE)
-    momenta = [_mass_times(system, motions, name, v) for name, v in zip(system.bodies, velocities, strict=True)]
-    return jnp.concatenate([*momenta, rhs_x[n_v:], D @ rhs_x])
+    momenta = _masses_times(system, motions, rhs_x[:n_v].reshape(-1, VELOCITY_SIZE))
+    return jnp.concatenate([momenta.ravel(), rhs_x[n_v:], D @ rhs_x])
 
 
 def _joined(parts) -> Float[Array, " n"]:

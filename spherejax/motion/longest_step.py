@@ -18,7 +18,9 @@ _TIME = 1
 """Place of t among the arguments of a program."""
 
 
-def longest_step(structure: Structure, ts: Float[Array, " n"], *, scalar: bool = True) -> Float[Array, ""] | None:
+def longest_step(
+    structure: Structure, ts: Float[Array, " n"], *, scalar: bool | None = None
+) -> Float[Array, ""] | None:
     """The longest step [s] for a motion from the first to the last of `ts`; None where time does not enter.
 
     Args:

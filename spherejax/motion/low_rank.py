@@ -26,11 +26,12 @@ from spherejax.foundations.general_solve import general_solve
 from spherejax.foundations.rotation import quaternion_rate, skew
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.system import System
-from spherejax.motion.constraints import ConstraintSet, InverseMass, constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.dynamics import body_motions
+from spherejax.motion.body_motions import BodyMotions, body_motions
+from spherejax.motion.constraints import ConstraintSet, constraint_set, inverse_masses, solve_augmented
+from spherejax.motion.mobility import InverseMass
 from spherejax.physics.bodies import GROUND
 from spherejax.physics.joints import PlacedSpherical
-from spherejax.physics.kinematics import BodyMotion, RelativeMotion
+from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, State, unpack
 
 ANSWER_SIZE = 6
@@ -51,14 +52,14 @@ class Here(NamedTuple):
         state: the state by name.
         motions: motion of each body, the ground included.
         constraints: constraint equations.
-        masses: inverse mass matrix by body.
+        masses: inverse mass matrix.
     """
 
     system: System
     state: State
-    motions: dict[str, BodyMotion]
+    motions: BodyMotions
     constraints: ConstraintSet
-    masses: dict[str, InverseMass]
+    masses: InverseMass
 
 
 def mechanism_at(system: System, t: Scalar, y: Float[Array, " size"]) -> Here:
@@ -178,7 +179,9 @@ def accelerations_by(here: Here, name: str, answer: Float[Array, "6 k"]) -> Vect
     none = jnp.zeros_like(here.constraints.bias)
 
     def by_one(column):
-        return solve_augmented(here.constraints, here.masses, joint_wrenches(here, name, column), none).accelerations
+        wrenches = jnp.stack(list(joint_wrenches(here, name, column).values()))
+        accelerations = solve_augmented(here.constraints, here.masses, wrenches, none).accelerations
+        return {name: accelerations[i] for i, name in enumerate(here.system.bodies)}
 
     return jax.vmap(by_one, 1, 1)(answer)
 

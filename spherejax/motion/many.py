@@ -25,6 +25,7 @@ from spherejax.motion.implicit import with_structure
 from spherejax.motion.integrate import Plan, beginning, contacts_of, correction_for, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.longest_step import longest_step
+from spherejax.motion.paths import path_of
 from spherejax.motion.programs import program_for
 from spherejax.motion.quantities import magnitudes
 from spherejax.motion.simulate import check_tolerances, checked_times, choice_for, split, start_now, tolerances_of
@@ -248,7 +249,8 @@ class _Prepared:
         system = compiled.system
         structure, theta = flatten_system(system)
         _, unknown = split(system)
-        self.plan = plan = Plan(structure, unknown, True)
+        scalar = path_of(structure).scalar
+        self.plan = plan = Plan(structure, unknown, scalar)
         theta = jnp.asarray(theta)
         tolerances = tolerances_of(system, method.choice.solver, method.rtol, method.atol)
         self.explanation = f"{method.choice.reason}; {tolerances.description}; first step by trial (Hairer)"
@@ -259,7 +261,7 @@ class _Prepared:
         legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
         closed = assembly.residual_after < CLOSING_TOLERANCE
         status = jnp.where(legal, jnp.where(closed, Status.SUCCEEDED, Status.START_NOT_CLOSED), Status.BAD_VALUE)
-        numbers = Numbers(theta, program_for(state_rate, structure, True).ahead(theta), own)
+        numbers = Numbers(theta, program_for(state_rate, structure, scalar).ahead(theta), own)
         return Start(numbers, y0, legal & closed & jnp.all(jnp.isfinite(y0)), status, assembly)
 
     def problem(self) -> LaneProblem:

@@ -10,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import SceneError
-from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.model.system import System, flatten_system
-from spherejax.motion.constraints import constraint_mobility, constraint_set, inverse_masses
-from spherejax.motion.dynamics import body_motions
+from spherejax.motion.body_motions import body_motions
+from spherejax.motion.constraints import constraint_set, inverse_masses, solve_augmented
 from spherejax.motion.programs import program_for
 from spherejax.physics.joints.contact import direction_of, stiffness_of
 from spherejax.physics.state import unpack
@@ -115,12 +114,9 @@ def _normal_mobility(system: System, joint: str, t, y):
     rows = placed.coincidence(motions)
     n = direction_of(placed.relative_motion(motions).eccentricity)
     pair = {body: block.T @ n for body, block in zip(placed.bodies, rows.jacobians, strict=True)}
-    masses = inverse_masses(system, motions)
-    free = {body: masses[body].times(pair[body]) if body in pair else jnp.zeros(6) for body in masses}
+    wrenches = jnp.stack([pair.get(body, jnp.zeros(6)) for body in system.bodies])
     constraints = constraint_set(system, t, motions)
-    moved = free
-    if constraints.rows:
-        mobility = constraint_mobility(constraints, masses)
-        multipliers = symmetric_solve(mobility, constraints.times(free), system.smallest_pivot)
-        moved = {b: free[b] - masses[b].times(constraints.transposed_times(b, multipliers)) for b in masses}
-    return sum(pair[body] @ moved[body] for body in pair if body in moved)
+    none = jnp.zeros_like(constraints.bias)
+    masses = inverse_masses(system, motions)
+    moved = solve_augmented(constraints, masses, wrenches, none, False, system.smallest_pivot).accelerations
+    return jnp.sum(wrenches * moved)

@@ -1,18 +1,22 @@
 """What can be observed of a motion besides the state: accelerations, reactions, energies, constraint violation."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.types import Scalar, Vector3
+from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System
+from spherejax.motion.body_motions import between
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
-from spherejax.physics.bodies import inertia_in_world
+from spherejax.physics.bodies import Body, inertia_in_world
 from spherejax.physics.forces import AbstractForce, power_on_bodies
 from spherejax.physics.joints import PlacedSpherical
-from spherejax.physics.kinematics import point_motion
+from spherejax.physics.kinematics import BodyMotion, RelativeMotion, point_motion
 
 
 class Reaction(NamedTuple):
@@ -68,44 +72,74 @@ class Observation(NamedTuple):
 def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     """All observables at one state."""
     evaluation = evaluate(system, t, y)
-    accelerations = jnp.stack(list(evaluation.solution.accelerations.values()))
-    spherical = {name: joint for name, joint in system.joints.items() if isinstance(joint, PlacedSpherical)}
-    relative = {name: joint.relative_motion(evaluation.motions) for name, joint in spherical.items()}
+    accelerations = evaluation.solution.accelerations
+    relative = _relative_motions(system, evaluation)
     position_violation, velocity_violation = _violations(evaluation)
     driven = [name for name, joint in system.joints.items() if joint.is_driven]
     return Observation(
         acceleration=accelerations[:, :3],
         angular_acceleration=accelerations[:, 3:],
-        reactions={name: _reaction(system, evaluation, name) for name in system.joints},
+        reactions=_reactions(evaluation),
         driving_effort={name: -evaluation.solution.multipliers[name] for name in driven},
         driving_power={name: _driving_power(evaluation, name) for name in driven},
         eccentricity={name: motion.eccentricity for name, motion in relative.items()},
         eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
         parts={name: load.response.parts for name, load in evaluation.loads.items()},
         elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
+        kinetic_energy=jnp.sum(over_lanes(_kinetic_energy, stacks_of(system).bodies, evaluation.motions.moving)),
         forces={name: _force_results(force, t, evaluation) for name, force in system.forces.items()},
-        kinetic_energy=_kinetic_energy(system, evaluation),
         potential_energy=_potential_energy(system, t, evaluation),
         constraint_violation=position_violation,
         velocity_violation=velocity_violation,
     )
 
 
-def _reaction(system: System, evaluation: Evaluation, name: str) -> Reaction:
-    joint = system.joints[name]
-    if name in evaluation.loads:
-        response = evaluation.loads[name].response
-        return Reaction(response.force, response.ball_moment)
-    body = joint.bodies[1]
-    jacobian = evaluation.constraints.rows[name].jacobians[1]
-    wrench = -jacobian.T @ evaluation.solution.multipliers[name]
-    arm = point_motion(evaluation.motions[body], jnp.asarray(joint.points[1])).arm
+def _relative_motions(system: System, evaluation: Evaluation) -> dict[str, RelativeMotion]:
+    """Motion of ball in socket of each spherical joint."""
+    found = {}
+    for group in stacks_of(system).joints:
+        if isinstance(group.joint, PlacedSpherical):
+            found |= _by_name(group, over_lanes(_relative_motion, group.joint, *evaluation.motions.of_ends(group)))
+    return {name: found[name] for name in system.joints if name in found}
+
+
+def _relative_motion(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion) -> RelativeMotion:
+    return joint.relative_motion(between(first, second))
+
+
+def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
+    """What each joint exerts on its second body."""
+    constraints = evaluation.constraints
+    found = {}
+    for rows, multipliers in zip(constraints.groups, constraints.by_group(evaluation.solution.flat), strict=True):
+        second = evaluation.motions.at(rows.group.second)
+        reaction = over_lanes(_constraint_reaction, rows.group.joint, second, rows.rows.jacobians[1], multipliers)
+        found |= _by_name(rows.group, reaction)
+    for loads in evaluation.loads.groups:
+        response = loads.load.response
+        found |= _by_name(loads.group, Reaction(response.force, response.ball_moment))
+    return dict(sorted(found.items()))
+
+
+def _constraint_reaction(joint, second: BodyMotion, jacobian, multipliers) -> Reaction:
+    wrench = -jacobian.T @ multipliers
+    arm = point_motion(second, jnp.asarray(joint.points[1])).arm
     return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
+
+
+def _by_name(group: JointGroup, stacked: Any) -> dict[str, Any]:
+    return {name: jax.tree.map(lambda x, i=i: x[i], stacked) for i, name in enumerate(group.names)}
 
 
 def _driving_power(evaluation: Evaluation, name: str) -> Scalar:
     """-(D^T lambda).v = lambda.Phi_t, for D v = -Phi_t."""
     return evaluation.solution.multipliers[name] @ evaluation.constraints.rows[name].rate_at_rest
+
+
+def _kinetic_energy(body: Body, motion: BodyMotion) -> Scalar:
+    w = motion.angular_velocity
+    rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
+    return (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
 
 
 def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> dict[str, Array]:
@@ -114,28 +148,21 @@ def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> d
     return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
 
 
-def _kinetic_energy(system: System, evaluation: Evaluation) -> Scalar:
-    total = jnp.zeros(())
-    for name, body in system.bodies.items():
-        motion = evaluation.motions[name]
-        w = motion.angular_velocity
-        rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
-        total = total + (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
-    return total
-
-
 def _potential_energy(system: System, t: Scalar, evaluation: Evaluation) -> Scalar:
-    total = jnp.zeros(())
-    for name, body in system.bodies.items():
-        total = total - body.mass * (system.gravity @ evaluation.motions[name].position)
+    bodies, motions = stacks_of(system).bodies, evaluation.motions.moving
+    total = jnp.sum(over_lanes(_weight_energy, bodies, motions, shared=(system.gravity,)))
     for force in system.forces.values():
         total = total + force.potential_energy(t, evaluation.motions)
     return total
 
 
+def _weight_energy(gravity: Vector3, body: Body, motion: BodyMotion) -> Scalar:
+    return -body.mass * (gravity @ motion.position)
+
+
 def _violations(evaluation: Evaluation) -> tuple[Scalar, Scalar]:
     constraints = evaluation.constraints
-    if not constraints.rows:
+    if not constraints.groups:
         return jnp.zeros(()), jnp.zeros(())
     rates = velocity_violation(constraints, evaluation.motions)
     return jnp.max(jnp.abs(constraints.residual)), jnp.max(jnp.abs(rates))

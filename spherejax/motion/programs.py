@@ -1,31 +1,40 @@
 """Functions of a system as programs: clear array code on one side, what the integrator calls on the other.
 
 Every function of a system, time and state is written as array code `function(system, t, y)`. A `Program` evaluates
-it on the flat parameter vector theta as a straight-line scalar program, made once for each structure and kept; where
-no scalar program can be made it falls back to the array code, with a warning.
+it on the flat parameter vector theta as a straight-line scalar program, made once for each structure and kept. A system
+too large for that runs on the array code, which is mapped over all bodies and all joints of a kind; so does a law
+without a scalar program, with a warning.
 """
 
 import warnings
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import concretely
-from spherejax.foundations.scalar_rules import NotScalarizable
+from spherejax.foundations.scalar_graph import NotScalarizable, TooManyOperations
 from spherejax.foundations.scalarize import ScalarProgram, scalarize
+from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
 
 
 class ArrayPathWarning(UserWarning):
-    """A scene runs on array code, which is right but 10 to 30 times slower than a scalar program."""
+    """A scene runs on array code, which is right but may be several times slower than a scalar program."""
 
 
 SystemFunction = Callable[[System, jax.Array, Any], object]
 Sizes = int | tuple[int, ...] | None
+
+LARGEST_SCALAR_PROGRAM = 20_000
+"""Scalar operations up to which a scalar program is made without being asked for.
+
+Measured on chains and loops (`benchmarks/scaling.py`): 13,000 operations compile in 5 s and take 3 us, 28,000 in 14 s
+and 7 us, 71,000 in 144 s and 138 us, for then they do not fit in the caches of instructions; the array code of any of
+these compiles in 2 s, and takes 6, 10 and 27 us."""
 
 
 class Program:
@@ -33,52 +42,71 @@ class Program:
 
     Attributes:
         scalar: the scalar program, or None on the array path.
+        too_large: on the array path by itself, for a scalar program would be too large to compile.
     """
 
-    def __init__(self, function: SystemFunction, structure: Structure, use_scalars: bool, y_size: Sizes, n_ahead: int):
+    def __init__(
+        self, function: SystemFunction, structure: Structure, use_scalars: bool | None, y_size: Sizes, n_ahead: int
+    ):
         self.function = function
         self.structure = structure
         self.scalar: ScalarProgram | None = None
-        if use_scalars:
-            try:
-                self.scalar = _scalar_program(function, structure, y_size, n_ahead)
-            except NotScalarizable as reason:
-                warnings.warn(
-                    f"{function.__name__} runs as array code, 10 to 30 times slower than a scalar program: {reason}. "
-                    "Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, or pass "
-                    "scalar=False to silence this.",
-                    ArrayPathWarning,
-                    stacklevel=2,
-                )
+        self.too_large = False
+        if use_scalars is False:
+            return
+        try:
+            limit = None if use_scalars else LARGEST_SCALAR_PROGRAM
+            self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit)
+        except TooManyOperations:
+            self.too_large = True
+        except NotScalarizable as reason:
+            warnings.warn(
+                f"{function.__name__} runs as array code, which may be several times slower than a scalar program: "
+                f"{reason}. Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, "
+                "or pass scalar=False to silence this.",
+                ArrayPathWarning,
+                stacklevel=2,
+            )
 
     def ahead(self, *leading):
-        """What depends on the leading arguments (the parameters) alone, evaluated once; pass it to `inside`."""
-        return () if self.scalar is None else self.scalar.ahead(*leading)
+        """What depends on the leading arguments (the parameters first) alone, evaluated once; pass it to `inside`."""
+        if self.scalar is not None:
+            return self.scalar.ahead(*leading)
+        return stacks_from(self.structure, leading[0])
 
     def inside(self, theta, ahead, t, y) -> Any:
         """As a call, inside a loop over which the leading arguments (the parameters) are constant."""
-        if self.scalar is None:
-            return self(theta, t, y)
-        return self.scalar.inside(ahead, theta, jnp.asarray(t, jnp.float64), y)
+        if self.scalar is not None:
+            return self.scalar.inside(ahead, theta, jnp.asarray(t, jnp.float64), y)
+        return self._as_arrays(self.structure.system(theta), ahead, t, y)
 
     def compute(self, theta, t, y) -> Any:
         """Evaluate concrete numbers now, as NumPy, without compiling anything where there is a scalar program."""
         if self.scalar is not None:
             return self.scalar.compute(theta, t, y)
-        return concretely(lambda *numbers: self.function(self.structure.system(numbers[0]), *numbers[1:]), theta, t, y)
+        with jax.ensure_compile_time_eval():
+            return jax.tree.map(np.asarray, self._compiled(*jax.tree.map(jnp.asarray, (theta, float(t), y))))
 
     def __call__(self, theta, t, y) -> Any:
         """Evaluate at parameters theta, time t [s] and flat state y."""
         if self.scalar is not None:
             return self.scalar(theta, jnp.asarray(t, jnp.float64), y)
-        return self.function(self.structure.system(theta), t, y)
+        return self._as_arrays(self.structure.system(theta), stacks_from(self.structure, theta), t, y)
+
+    def _as_arrays(self, system: System, stacks, t, y) -> Any:
+        system = eqx.tree_at(lambda s: s.stacks, system, stacks, is_leaf=lambda x: x is None)
+        return self.function(system, jnp.asarray(t, jnp.float64), y)
+
+    @cached_property
+    def _compiled(self):
+        return jax.jit(self)
 
 
 @lru_cache(maxsize=256)
 def program_for(
     function: SystemFunction,
     structure: Structure,
-    use_scalars: bool = True,
+    use_scalars: bool | None = None,
     y_size: Sizes = None,
     n_ahead: int = 1,
 ) -> Program:
@@ -87,14 +115,17 @@ def program_for(
     Args:
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
-        use_scalars: make a scalar program; False keeps the array code.
+        use_scalars: True makes a scalar program of any size, False keeps the array code, None makes a scalar program of
+            up to `LARGEST_SCALAR_PROGRAM` operations.
         y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
         n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
     """
     return Program(function, structure, use_scalars, y_size, n_ahead)
 
 
-def _scalar_program(function: SystemFunction, structure: Structure, y_size: Sizes, n_ahead: int) -> ScalarProgram:
+def _scalar_program(
+    function: SystemFunction, structure: Structure, y_size: Sizes, n_ahead: int, limit: int | None
+) -> ScalarProgram:
     size = sum(int(np.prod(shape)) for shape in structure.shapes)
 
     def of_numbers(theta, t, y):
@@ -109,4 +140,4 @@ def _scalar_program(function: SystemFunction, structure: Structure, y_size: Size
     vectors = tuple(jax.ShapeDtypeStruct((size,), jnp.float64) for size in sizes)
     state = vectors if isinstance(y_size, tuple) else vectors[0]
     fixed = {(0, index): value for index, value in structure.special}
-    return scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead)
+    return scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit)

@@ -7,21 +7,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_rate
-from spherejax.foundations.symmetric_solve import symmetric_solve
-from spherejax.foundations.types import Scalar
+from spherejax.foundations.types import Quaternion, Scalar, Vector3
 from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import (
     ConstraintSet,
-    constraint_mobility,
     constraint_set,
     inverse_masses,
+    mobility_of,
+    solved,
     velocity_violation,
 )
-from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import program_for
-from spherejax.physics.joints import Motions
-from spherejax.physics.state import State, pack, unpack
+from spherejax.physics.state import VELOCITY_SIZE, State, pack, unpack
 
 REGULARIZATION = 1e-13
 """Relative enlargement of the diagonal of D M^-1 D^T, so that redundant equations do no harm. Being relative to each
@@ -33,14 +33,14 @@ BodySteps = Float[Array, "b 6"]
 
 
 def least_correction(
-    system: System, motions: Motions, constraints: ConstraintSet, violation: Float[Array, " n"]
+    system: System, motions: BodyMotions, constraints: ConstraintSet, violation: Float[Array, " n"]
 ) -> BodySteps:
     """M^-1 D^T (D M^-1 D^T)^-1 times a violation: what to take from the bodies so that it vanishes."""
+    if not constraints.groups:
+        return jnp.zeros((system.layout.n_bodies, VELOCITY_SIZE))
     masses = inverse_masses(system, motions)
-    mobility = constraint_mobility(constraints, masses)
-    mobility = mobility * (1 + REGULARIZATION * jnp.eye(mobility.shape[0]))
-    multipliers = symmetric_solve(mobility, violation, system.smallest_pivot)
-    return jnp.stack([masses[name].times(constraints.transposed_times(name, multipliers)) for name in masses])
+    mobility = mobility_of(constraints, masses).with_larger_diagonal(REGULARIZATION)
+    return masses.times(constraints.transposed_times(solved(constraints, mobility, violation, system.smallest_pivot)))
 
 
 def without_velocities(state: State, steps: BodySteps) -> State:
@@ -56,7 +56,7 @@ def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arra
     Both corrections use the same S, of the state before: in a scalar program it is factorized once.
     """
     state = unpack(system.layout, y)
-    state = state._replace(quaternion=jnp.stack([normalized(p) for p in state.quaternion]))
+    state = state._replace(quaternion=over_lanes(normalized, state.quaternion))
     motions = body_motions(system, state)
     constraints = constraint_set(system, t, motions)
     moved = _moved_back(state, least_correction(system, motions, constraints, constraints.residual))
@@ -67,14 +67,16 @@ def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arra
 
 def _moved_back(state: State, steps: BodySteps) -> State:
     """Bodies displaced by minus the steps; small rotations need neither sine nor cosine."""
-    quaternions = [
-        normalized(p + quaternion_rate(p, -turn)) for p, turn in zip(state.quaternion, steps[:, 3:], strict=True)
-    ]
-    return state._replace(position=state.position - steps[:, :3], quaternion=jnp.stack(quaternions))
+    quaternions = over_lanes(_turned_back, state.quaternion, steps[:, 3:])
+    return state._replace(position=state.position - steps[:, :3], quaternion=quaternions)
+
+
+def _turned_back(p: Quaternion, turn: Vector3) -> Quaternion:
+    return normalized(p + quaternion_rate(p, -turn))
 
 
 @lru_cache(maxsize=64)
-def correction_of(structure: Structure, use_scalars: bool, n_corrections: int) -> Callable:
+def correction_of(structure: Structure, use_scalars: bool | None, n_corrections: int) -> Callable:
     """The drift control's correction of a state, for the integrator: a function of (parameters, t, y)."""
     program = program_for(corrected, structure, use_scalars)
 

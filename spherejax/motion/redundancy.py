@@ -17,8 +17,8 @@ from spherejax.foundations.types import Scalar
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.assembly import as_ideal, assemble_now, consistent_velocities, newton_step
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set
-from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import program_for
 from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, unpack

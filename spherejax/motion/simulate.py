@@ -16,6 +16,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.assembly import Assembly, assemble_now
 from spherejax.motion.integrate import Options, Plan, as_ideal, integrate
+from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
@@ -39,7 +40,7 @@ def simulate(
     adjoint: diffrax.AbstractAdjoint | None = None,
     max_steps: int = 20_000_000,
     track_work: bool = False,
-    scalar: bool = True,
+    scalar: bool | None = None,
     throw: bool = False,
 ) -> Trajectory:
     """Simulate a scene.
@@ -69,7 +70,9 @@ def simulate(
             it serves reverse mode only, and takes minutes to compile for a stiff scene.
         max_steps: largest number of steps.
         track_work: integrate the work that each non-ideal joint absorbs.
-        scalar: run on the scalar program; False runs on the array code, which is slower.
+        scalar: True runs on the scalar program, False on the array code. With None the scalar program is taken up to
+            a size that compiles in seconds; larger systems run on the array code, whose time grows with the number of
+            bodies and whose compile time hardly does. `run.stats.explanation` says so.
         throw: raise `SimulationError` when the run fails; otherwise a failed run carries its status, and a
             `SimulationWarning` is given where the outcome is known at once.
 
@@ -85,7 +88,9 @@ def simulate(
     check_tolerances(rtol, atol)
     compiled = compile_scene(scene, track_work=track_work)
     system = compiled.system
-    choice = choice_for(system, rtol, solver)
+    structure, theta = flatten_system(system)
+    path = path_of(structure, scalar)
+    choice = choice_for(system, rtol, solver, explicit_only=path.scalar is False and scalar is None)
     if stepsize_controller is None:
         tolerances = tolerances_of(system, choice.solver, rtol, atol)
         stepsize_controller = diffrax.PIDController(
@@ -94,10 +99,9 @@ def simulate(
         explanation = f"{choice.reason}; {tolerances.description}; first step by trial (Hairer)"
     else:
         explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
-    structure, theta = flatten_system(system)
     start = start_now(system, ts)
     known, unknown = split(system)
-    plan = Plan(structure, unknown, scalar)
+    plan = Plan(structure, unknown, path.scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
@@ -119,23 +123,25 @@ def simulate(
         ts=ts,
         ys=outcome.ys,
         system=system,
-        stats=replace(outcome.stats, explanation=explanation),
+        stats=replace(outcome.stats, explanation="; ".join(filter(None, [explanation, path.reason]))),
         status=outcome.status,
         t_reached=outcome.t_reached,
         y_reached=outcome.y_reached,
         assembly=outcome.assembly if start is None else start,
         choice=choice.reason,
-        scalar=scalar,
+        scalar=path.scalar,
     )
     return _reported(run, throw)
 
 
-def choice_for(system: System | None, rtol, solver: diffrax.AbstractSolver | None) -> Choice:
+def choice_for(
+    system: System | None, rtol, solver: diffrax.AbstractSolver | None, *, explicit_only: bool = False
+) -> Choice:
     """The solver asked for, or the one that the system calls for."""
     if solver is not None:
         return Choice(solver, f"{type(solver).__name__}: as asked for")
     assert system is not None
-    return choose_solver(system, rtol)
+    return choose_solver(system, rtol, explicit_only=explicit_only)
 
 
 def start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:

@@ -61,7 +61,7 @@ class Trajectory(eqx.Module):
         y_reached: the flat state there, shape (size,).
         assembly: how the start was made consistent.
         choice: which method was used, and why.
-        scalar: whether the scalar program is used.
+        scalar: whether scalar programs are used; None: those that are not too large.
     """
 
     ts: Float[Array, " n"]
@@ -73,7 +73,7 @@ class Trajectory(eqx.Module):
     y_reached: Float[Array, " size"]
     assembly: Assembly
     choice: str = eqx.field(static=True)
-    scalar: bool = eqx.field(static=True)
+    scalar: bool | None = eqx.field(static=True)
 
     def __repr__(self) -> str:
         if not is_concrete(self.status):
@@ -318,7 +318,7 @@ class Trajectory(eqx.Module):
 
 
 @eqx.filter_jit
-def _observed(structure, use_scalars: bool, theta, ts, ys) -> Observation:
+def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
     program = program_for(observe, structure, use_scalars)
     ahead = program.ahead(theta)

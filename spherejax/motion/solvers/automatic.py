@@ -59,7 +59,7 @@ class Choice(NamedTuple):
     reason: str
 
 
-def choose_solver(system: System, rtol=1e-8) -> Choice:
+def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> Choice:
     """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
@@ -71,7 +71,12 @@ def choose_solver(system: System, rtol=1e-8) -> Choice:
     Args:
         system: the system.
         rtol: relative tolerance of the run; 1e-8 is assumed when it is traced.
+
+    Other args:
+        explicit_only: the system is too large for a stiff method: on the array path its linear systems are dense.
     """
+    if explicit_only:
+        return Choice(diffrax.Dopri8(), "Dopri8: the linear systems of a stiff method would be dense and too large")
     known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
     by_joints = _choice_by_joints(system, known_rtol)
     if not system.forces:

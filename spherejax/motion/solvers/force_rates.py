@@ -18,8 +18,8 @@ from spherejax.foundations.checks import concretely
 from spherejax.foundations.rotation import quaternion_rate
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.dynamics import body_motions
 from spherejax.motion.programs import ArrayPathWarning, program_for
 from spherejax.physics.state import VELOCITY_SIZE, unpack
 
@@ -75,7 +75,7 @@ def _rates_at(structure: Structure, numbers: bytes, start: bytes, changes) -> Ra
     with warnings.catch_warnings():
         # A law without a scalar program is warned about where the motion is integrated, or the user knows.
         warnings.simplefilter("ignore", ArrayPathWarning)
-        program = program_for(changes, structure, True, (len(y), n_v))
+        program = program_for(changes, structure, None, (len(y), n_v))
     compiled = jax.jit(program) if program.scalar is None else None
 
     def products(x):
@@ -109,8 +109,8 @@ def caused_changes(system: System, t: Scalar, point: Point) -> tuple[Float[Array
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
 
     def accelerations(loads):
-        found = solve_augmented(constraints, masses, loads, jnp.zeros_like(constraints.bias))
-        return jnp.concatenate(list(found.accelerations.values()))
+        found = solve_augmented(constraints, masses, _stacked(loads), jnp.zeros_like(constraints.bias))
+        return found.accelerations.ravel()
 
     by_velocity, by_position = _load_changes(system, t, point)
     return accelerations(by_velocity), accelerations(by_position)
@@ -121,7 +121,7 @@ def free_changes(system: System, t: Scalar, point: Point) -> tuple[Float[Array, 
     masses = inverse_masses(system, body_motions(system, unpack(system.layout, point[0])))
 
     def accelerations(loads):
-        return jnp.concatenate([masses[name].times(load) for name, load in loads.items()])
+        return masses.times(_stacked(loads)).ravel()
 
     by_velocity, by_position = _load_changes(system, t, point)
     return accelerations(by_velocity), accelerations(by_position)
@@ -149,3 +149,7 @@ def _load_changes(system: System, t: Scalar, point: Point):
         return total
 
     return tuple(jax.jvp(loads, (y,), (change,))[1] for change in (faster, further))
+
+
+def _stacked(loads):
+    return jnp.stack(list(loads.values()))

@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import ConstraintSet, assembly_set, constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.dynamics import body_motions
-from spherejax.motion.loads import applied_wrenches
+from spherejax.motion.loads import applied_wrenches, by_body
 from spherejax.motion.programs import program_for
 from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.joints.contact import stiffness_of
@@ -84,9 +84,8 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
-    wrenches = applied_wrenches(system, t, motions, {})
-    weights = {name: jnp.concatenate([wrenches[name].force, wrenches[name].moment]) for name in system.bodies}
-    falling = solve_augmented(constraints, masses, weights, constraints.bias).accelerations
+    weights = applied_wrenches(system, t, motions, None)
+    falling = by_body(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
     decays, squares = [], []
     for name in system.force_joints:
         joint = system.spherical(name)
@@ -132,9 +131,8 @@ def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> Pres
     motions = body_motions(system, state)
     free, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     closed = assembly_set(system, t, motions)
-    wrenches = applied_wrenches(system, t, motions, {})
-    weights = {name: jnp.concatenate([wrenches[name].force, wrenches[name].moment]) for name in system.bodies}
-    falling = solve_augmented(free, masses, weights, free.bias).accelerations
+    weights = applied_wrenches(system, t, motions, None)
+    falling = by_body(system, solve_augmented(free, masses, weights, free.bias).accelerations)
     multipliers = solve_augmented(closed, masses, weights, closed.bias).multipliers
     decays, squares, times = [], [], []
     for name in system.force_joints:
@@ -209,7 +207,9 @@ def _mobility_with_rotation(system: System, motions, constraints: ConstraintSet,
         for body, center, sign in zip(joint.bodies, (socket, ball), (-1.0, 1.0), strict=True):
             if body in loads:
                 loads[body] = sign * jnp.concatenate([unit[:3], unit[3:] + jnp.cross(center.arm, unit[:3])])
-        accelerations = solve_augmented(constraints, masses, loads, jnp.zeros_like(constraints.bias)).accelerations
+        none = jnp.zeros_like(constraints.bias)
+        found = solve_augmented(constraints, masses, jnp.stack(list(loads.values())), none)
+        accelerations = by_body(system, found.accelerations)
         turning = jnp.zeros(3)
         for body, sign in zip(joint.bodies, (-1.0, 1.0), strict=True):
             if body in accelerations:
@@ -227,7 +227,9 @@ def _mobility(system: System, motions, constraints, masses, joint: PlacedSpheric
         for body, center, force in zip(joint.bodies, (socket, ball), (-unit, unit), strict=True):
             if body in loads:
                 loads[body] = jnp.concatenate([force, jnp.cross(center.arm, force)])
-        accelerations = solve_augmented(constraints, masses, loads, jnp.zeros_like(constraints.bias)).accelerations
+        none = jnp.zeros_like(constraints.bias)
+        found = solve_augmented(constraints, masses, jnp.stack(list(loads.values())), none)
+        accelerations = by_body(system, found.accelerations)
         columns.append(_relative_acceleration(joint, motions, accelerations))
     return jnp.stack(columns, 1)
 

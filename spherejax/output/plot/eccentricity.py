@@ -38,7 +38,7 @@ def eccentricity_paths(
     look = _Look(plane, every, outer)
     figure, axes = new_figure(2, len(shown), 3.1 * len(shown), 5.9, title)
     for (upper, lower), (name, one) in zip(axes.T, shown.items(), strict=True):
-        is_small = one.clearance is None and one.distance.max() < 1e-4
+        is_small = one.clearance is None and one.distance.max() < 5e-4
         unit, scale = (1e6, "µm") if is_small else (1e3, "mm")
         _draw_path(upper, one, unit, scale, look)
         lower.plot(*thinned(one.ts, unit * one.distance), color=MODEL_COLORS.get(name, "0.3"), lw=0.9)

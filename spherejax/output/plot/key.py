@@ -38,7 +38,7 @@ def draw_key(ax: Axes, mechanism: Mechanism, *, bodies: bool) -> None:
         bar = _SIZE * np.array([[-1.6, 0.0], [1.6, 0.0]])
         entries = {name: [Stroke(bar, edge=color, width=4.0)] for name, color in colors_of(mechanism).items()}
     for name, joint in kinds_of(mechanism).items():
-        apart = camera.right * _SIZE * (1.8 if joint.kind.startswith("Distance") else 0.0)
+        apart = camera.right * _SIZE * (1.8 if joint.kind.startswith(("Distance", "PointOnCircle")) else 0.0)
         ends = [-apart, apart]
         axes = [np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])][: max(1, len(joint.axes))]
         axes = axes if joint.kind != "PointOnPlane" else [np.array([0.0, 0.0, 1.0])]

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.text import Text
 
@@ -44,7 +45,9 @@ class Label:
     name: str = ""
 
 
-def place_labels(ax: Axes, labels: Sequence[Label], drawn: Sequence[PathPatch], covered: Sequence = ()) -> None:
+def place_labels(
+    ax: Axes, labels: Sequence[Label], drawn: Sequence[PathPatch | Line2D], covered: Sequence = ()
+) -> None:
     """Write labels into a panel whose layout is final.
 
     Args:
@@ -100,11 +103,11 @@ def _costs(low: np.ndarray, high: np.ndarray, boxes: list[np.ndarray], obstacles
     return costs + OUTSIDE_COST * outside
 
 
-def _samples(ax: Axes, drawn: Sequence[PathPatch], spacing: float) -> np.ndarray:
+def _samples(ax: Axes, drawn: Sequence[PathPatch | Line2D], spacing: float) -> np.ndarray:
     """Points all along the drawn lines [pixel], shape (n, 2)."""
     found = [np.zeros((0, 2))]
     for artist in drawn:
-        corners = ax.transData.transform(artist.get_path().vertices)
+        corners = ax.transData.transform(np.asarray(artist.get_path().vertices))
         for a, b in pairwise(corners):
             length = np.linalg.norm(b - a)
             if np.isfinite(length):

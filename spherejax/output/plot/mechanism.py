@@ -19,6 +19,7 @@ from spherejax.motion.assembly import assemble_now
 from spherejax.motion.integrate import as_ideal
 from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.bodies import GROUND, Body
+from spherejax.physics.joints import Circle
 from spherejax.physics.state import Layout, unpack
 
 
@@ -296,6 +297,9 @@ def _drawn_joint(name: str, joint: Any, others: Sequence[Any]) -> DrawnJoint:
         driven = [one for one in others if set(one.bodies) == set(bodies) and not getattr(one, "is_driven", False)]
         if driven:
             return replace(_drawn_joint(name, driven[0], ()), kind=kind, model=None)
+    if kind == "PointOnCurve" and isinstance(joint.curve, Circle):
+        across = sum(float(x) * np.asarray(axis, float) for x, axis in zip(joint.curve.center, joint.axes, strict=True))
+        return DrawnJoint(name, "PointOnCircle", bodies, (first + across, second), ())
     if kind in ONE_POINT:  # the other point is an origin, where nothing is
         return DrawnJoint(name, kind, (bodies[1], bodies[1]), (second, second), ())
     return DrawnJoint(name, kind, bodies, (first, second), axes, getattr(joint, "model", None))

@@ -114,7 +114,7 @@ class Sheet:
         """Names of bodies and joints in the spatial view, where they are at a pose."""
         view = self.views[0]
         covered = [] if view.corner is None else view.corner.boxes()
-        place_labels(view.ax, labels_of(view, pose), view.artists, covered)
+        place_labels(view.ax, labels_of(view, pose), [*view.artists, *view.trace_lines], covered)
 
     def _say(self, pose: Pose) -> None:
         time = "assembled start" if self.mechanism.run is None else f"t = {pose.t:.4f} s"
@@ -204,7 +204,9 @@ def labels_of(view: SpaceView, pose: Pose) -> list[Label]:
     found = []
     for joint in view.mechanism.joints.values():
         ends = [pose.point(body, place) for body, place in zip(joint.bodies, joint.places, strict=True)]
-        anchor = view.camera.project(np.mean(ends, axis=0) if joint.kind.startswith("Distance") else ends[1])
+        anchor = view.camera.project(
+            np.mean(ends, axis=0) if joint.kind.startswith(("Distance", "PointOnCircle")) else ends[1]
+        )
         found.append(Label(joint.name, anchor, 1.2 * view.size, "0.25", False, f"joint:{joint.name}"))
     for body in view.mechanism.bodies:
         places = body.places if len(body.places) > 1 else np.vstack([body.places, np.zeros((1, 3))])

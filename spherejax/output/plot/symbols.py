@@ -194,6 +194,11 @@ def _on_curve(joint, ends, axes, camera, s) -> list[Stroke]:
     return [Stroke(at + curve, 0.0, INK, 1.0), Stroke(at + 0.5 * s * CIRCLE, 0.0, INK, 1.0, PAPER)]
 
 
+def _on_circle(joint, ends, axes, camera, s) -> list[Stroke]:
+    """A thin arm from the circle's center, and a small piece of the curve at the point."""
+    return [*_distance(joint, ends, axes, camera, s), *_on_curve(joint, ends, axes, camera, s)]
+
+
 DRIVER_COLOR = "#882255"
 """Of what is prescribed as a function of time."""
 
@@ -218,6 +223,7 @@ SYMBOLS: dict[str, Callable[..., list[Stroke]]] = {
     "Distance": _distance,
     "PointOnPlane": _on_plane,
     "PointOnCurve": _on_curve,
+    "PointOnCircle": _on_circle,
     "RotationDriver": _rotation_driver,
     "TranslationDriver": _translation_driver,
     "PositionDriver": _position_driver,

@@ -3,6 +3,10 @@
 A driver stands beside the joint that guides the motion: a motor is a `Revolute` and a `RotationDriver` between the same
 bodies. The equations are scaled so that -lambda is the driving torque [N m] or force [N], which
 `run.driving_effort(name)` reports. At the start the mechanism is assembled to the driver's position and velocity.
+
+The function of time is one of `spherejax.physics.functions` (`Linear(slope, offset)`, `Sine(...)`, `SmoothStep(...)`),
+or any callable in jnp. Numbers that are to be swept or differentiated are fields of an `equinox.Module` with
+`__call__`; a plain function is structure: define it once, since each new function object is compiled anew.
 """
 
 from collections.abc import Callable

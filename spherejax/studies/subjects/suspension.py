@@ -123,7 +123,8 @@ def remarks(comparison: "Comparison") -> list[str]:
     def spread(name: str) -> float:
         return 1e2 * max(abs(row.measures[name] / ideal.measures[name] - 1) for row in others)
 
-    stops = max(differences(comparison, row.name)["difference [m/s^2]"] for row in others if row.name != "bushing")
+    gaps = [row for row in others if row.name != "bushing"]
+    stops = max((differences(comparison, row.name)["difference [m/s^2]"] for row in gaps), default=0.0)
     return [
         "No significant difference among the models except in the joint itself: the wheel's height differs by at most "
         f"{found['height [mm]']:.2g} mm, {found['of the travel [%]']:.2g} % of its travel ({worst.label}), the peak "
