@@ -31,6 +31,7 @@ from spherejax.model.drift import (
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
+from spherejax.motion.equilibrium import Equilibrium, equilibrium
 from spherejax.motion.lanes import Block
 from spherejax.motion.many import Runs, simulate_many
 from spherejax.motion.modes import Mode
@@ -167,6 +168,7 @@ __all__ = [
     "Distance",
     "DistanceDriver",
     "Dry",
+    "Equilibrium",
     "ExactRestitution",
     "Fixed",
     "Flores",
@@ -241,6 +243,7 @@ __all__ = [
     "differentiated_rows",
     "draw",
     "effects",
+    "equilibrium",
     "gallery",
     "load_scene",
     "load_urdf",

@@ -66,6 +66,11 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     return Tolerances(rtol * relative, ABSOLUTE_SHARE * rtol * scales, text)
 
 
+def length_scale(system: System) -> Numeric:
+    """How large the mechanism is, L [m]; see `component_tolerances`."""
+    return _scales(system)[0]
+
+
 def time_scale(system: System) -> Numeric:
     """How long the mechanism takes for its own length at its own speed, L / V [s]; see `component_tolerances`."""
     length, speed, _ = _scales(system)
