@@ -31,7 +31,7 @@ def prepared(scene, track_work=True):
     """System, structure, numbers and assembled start of a scene."""
     system = sj.compile_scene(scene, track_work=track_work).system
     structure, theta = flatten_system(system)
-    return system, structure, theta, start_now(system)
+    return system, structure, theta, start_now(system, np.zeros(1))
 
 
 def assert_agree(scalar, array, largest=None):

@@ -163,7 +163,7 @@ class _Descent:
 def rest_conditions(system: System, t: Scalar, y: Float[Array, " n"]) -> tuple[Float[Array, " k"], Float[Array, " m"]]:
     """What vanishes at rest: accelerations [m/s^2, rad/s^2] and constraint residuals [m or 1]."""
     found = evaluate(system, t, y)
-    return jnp.concatenate(list(found.solution.accelerations.values())), found.constraints.residual
+    return found.solution.accelerations.ravel(), found.constraints.residual
 
 
 def rest_slopes(system: System, t: Scalar, y: Float[Array, " n"]) -> tuple[Float[Array, "k k"], Float[Array, "m k"]]:
