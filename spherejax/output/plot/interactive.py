@@ -116,8 +116,8 @@ class Viewer:
 
     def __init__(self, sheet: Sheet):
         """Raises ImportError where ipympl or ipywidgets is missing."""
-        import ipywidgets
-        from ipympl.backend_nbagg import Canvas, FigureManager
+        import ipywidgets  # pyright: ignore[reportMissingImports]
+        from ipympl.backend_nbagg import Canvas, FigureManager  # pyright: ignore[reportMissingImports]
 
         self.sheet = sheet
         self.canvas: Any = Canvas(sheet.figure)
