@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from pathlib import Path
 
 import diffrax
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -206,6 +207,7 @@ def test_derivatives_of_a_sweep():
         (["onsets.pivot"], "has no contact"),
         (["position.bob", "position.bob"], "twice"),
         ([3], "neither"),
+        ({"status": lambda run: run.ts[0]}, "choose another name"),
     ],
 )
 def test_bad_records(record, words):
@@ -244,6 +246,32 @@ def test_a_stopped_sweep_goes_on_and_ends_the_same(result, tmp_path):
     assert seen[-1].n_done_before == 35
 
 
+def heavier(gravity, tilt):
+    """The same mechanism with another number that is not swept."""
+    scene = pendulum(gravity, tilt)
+    return eqx.tree_at(lambda s: s.bodies["bob"].mass, scene, 2.0)
+
+
+def test_a_function_in_the_scene_does_not_make_it_another_sweep(tmp_path):
+    # Another function object, as another process would have it.
+    def build_with(push):
+        def build(gravity):
+            scene = pendulum(gravity)
+            return sj.Scene(scene.bodies, scene.joints, {"push": sj.AppliedWrench("bob", push)}, gravity=scene.gravity)
+
+        return build
+
+    def pushes():
+        def push(t):
+            return np.array([0.0, 0.0, 1.0]) * t
+
+        return push
+
+    grid, options = {"gravity": [5.0, 10.0]}, {"record": RECORD[1:2], "progress": False, "store": tmp_path / "s.zarr"}
+    first = sj.sweep(build_with(pushes()), grid, TS, **options)
+    assert sj.sweep(build_with(pushes()), grid, TS, **options).equals(first)
+
+
 def test_the_store_of_another_sweep_is_refused(tmp_path):
     path = tmp_path / "sweep.zarr"
     swept(store=path)
@@ -251,6 +279,8 @@ def test_the_store_of_another_sweep_is_refused(tmp_path):
         swept(store=path, rtol=1e-9)
     with pytest.raises(sj.SceneError, match="store of another sweep: its record"):
         sj.sweep(pendulum, GRID, TS, record=RECORD[:1], store=path)
+    with pytest.raises(sj.SceneError, match="store of another sweep: its numbers"):
+        sj.sweep(heavier, GRID, TS, record=RECORD, store=path)
     (tmp_path / "notes").mkdir()
     with pytest.raises(sj.SceneError, match="is no store of a sweep"):
         swept(store=tmp_path / "notes")

@@ -27,6 +27,9 @@ Kind = Literal["samples", "final", "peak", "onsets", "time_in_contact", "functio
 Wanted = Sequence[str] | Mapping[str, Callable[[Trajectory], Any]] | Sequence[Any]
 """Names, or functions by name, or a list of both."""
 
+TAKEN = ("status", "t_reached", "n_steps", "n_rejected", "digest", "seconds", "n_lane_steps", "time", "run")
+"""Names that results and stores of sweeps use themselves."""
+
 OBSERVED_AT_ONCE = 64
 """Runs whose observables are evaluated together: as wide as a block of lanes."""
 
@@ -137,6 +140,9 @@ def record_of(wanted: Wanted, system: System) -> Record:
     names = [each.name for each in kept]
     if not names:
         raise SceneError('record= asks for nothing; name a quantity, e.g. record=["final position.rocker"]')
+    taken = next((name for name in names if name in TAKEN), None)
+    if taken is not None:
+        raise SceneError(f"record= calls something {taken!r}, as the sweep calls what it counts; choose another name")
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise SceneError(f"record= asks for {twice!r} twice")

@@ -1,6 +1,7 @@
 """`sj.sweep`: many runs of one scene builder, over all cores or machines, stored as they come."""
 
 import os
+import re
 import subprocess
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -109,7 +110,8 @@ def sweep(
     results = _Results(grid, work, path, facts)
     with reporting(progress, grid.n_runs) as report:
         _run_all(results, _submitting(work, results, workers, executor), report)
-    return dataset_of(grid, wanted, times, results.values(), {**facts, **results.account()})
+    values = results.values()
+    return dataset_of(grid, wanted, times, values, {**facts, **results.account(values)})
 
 
 class _Results:
@@ -121,7 +123,9 @@ class _Results:
         self.chunks: dict[int, ChunkResult] = {}
         self.store: Store | None = None
         if path is not None:
+            # Where the user's folder stands does not make it another sweep.
             identity = {"grid": grid.fingerprint, "chunk_size": work.size, **facts}
+            del identity["commit"]
             shapes = shapes_of(work, self.rows(0))
             self.store = open_store(path, identity, shapes, grid.n_runs, work.size)
 
@@ -149,7 +153,7 @@ class _Results:
         counted = ("status", "t_reached", "n_steps", "n_rejected")
         return {**kept, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in counted}}
 
-    def account(self) -> dict:
+    def account(self, values: dict[str, np.ndarray]) -> dict:
         """Time and lanes, for the attributes."""
         if self.store is None:
             parts = [self.chunks[chunk] for chunk in range(self.n_chunks)]
@@ -157,7 +161,7 @@ class _Results:
             lane_steps = np.array([part.n_lane_steps for part in parts])
         else:
             seconds, lane_steps = self.store.of_chunks("seconds"), self.store.of_chunks("n_lane_steps")
-        n_steps = int(self.values()["n_steps"].sum())
+        n_steps = int(values["n_steps"].sum())
         return {
             "seconds_of_chunks": seconds,
             "n_lane_steps": int(lane_steps.sum()),
@@ -272,10 +276,13 @@ def _provenance(scene, grid: Grid, method: Method, ts, wanted) -> dict[str, Any]
     """What makes a sweep the same sweep, and what a reader wants to know about it."""
     from importlib.metadata import version
 
-    structure, _ = flatten_system(compile_scene(scene).system)
+    structure, theta = flatten_system(compile_scene(scene).system)
+    # A function in the scene is printed with its address, which is another one in each process.
+    described = re.sub(r" at 0x[0-9a-f]+", "", repr((structure.tree, structure.shapes)))
     return {
         "scene": f"bodies {', '.join(scene.bodies)}; joints {', '.join(scene.joints)}",
-        "structure": _digest(repr((structure.tree, structure.shapes))),
+        "structure": _digest(described),
+        "numbers": _digest(np.asarray(theta).tobytes().hex()),
         "grid_kind": grid.kind,
         "record": [f"{kept.kind}: {kept.name}" for kept in wanted.kept],
         "times": _digest(ts.tobytes().hex()),
