@@ -131,6 +131,7 @@ from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
 from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -254,6 +255,7 @@ __all__ = [
     "gallery",
     "load_scene",
     "load_urdf",
+    "open_sweep",
     "product",
     "random_samples",
     "read_scene_file",
