@@ -41,7 +41,7 @@ def _starts(fit) -> list[str]:
     ended = [course for course in fit.courses if course.ending is not None and course.ending.succeeded]
     failed = sum(course.ending is Ending.FAILED_START for course in fit.courses)
     found = [f"{failed} of {len(fit.courses)} starts failed: their runs did not reach their ends"] if failed else []
-    deviations = np.sqrt(np.diagonal(fit.knowledge.scaled_covariance))
+    deviations = fit.knowledge.scaled_deviations
     best, scales = fit.knowledge.values, fit.knowledge.scales
     variance = fit.knowledge.variance
     higher, elsewhere = 0, 0
