@@ -129,8 +129,9 @@ from spherejax.physics.laws import (
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -166,6 +167,7 @@ __all__ = [
     "CrossElastomer",
     "CurveElastomer",
     "Cylindrical",
+    "Descent",
     "Distance",
     "DistanceDriver",
     "Dry",
@@ -253,6 +255,7 @@ __all__ = [
     "gallery",
     "load_scene",
     "load_urdf",
+    "open_sweep",
     "product",
     "random_samples",
     "read_scene_file",
