@@ -128,6 +128,7 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
 from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
@@ -166,6 +167,7 @@ __all__ = [
     "CrossElastomer",
     "CurveElastomer",
     "Cylindrical",
+    "Design",
     "Distance",
     "DistanceDriver",
     "Dry",
@@ -253,6 +255,7 @@ __all__ = [
     "gallery",
     "load_scene",
     "load_urdf",
+    "optimize",
     "open_sweep",
     "product",
     "random_samples",
@@ -262,6 +265,7 @@ __all__ = [
     "scalarize",
     "simulate",
     "simulate_many",
+    "smooth_peak",
     "sobol_samples",
     "sweep",
     "view",
