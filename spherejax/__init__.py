@@ -128,6 +128,7 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
 from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
@@ -169,6 +170,7 @@ __all__ = [
     "CurveElastomer",
     "Cylindrical",
     "Descent",
+    "Design",
     "Distance",
     "DistanceDriver",
     "Dry",
@@ -257,6 +259,7 @@ __all__ = [
     "load_scene",
     "load_urdf",
     "open_sweep",
+    "optimize",
     "product",
     "random_samples",
     "read_scene_file",
@@ -265,6 +268,7 @@ __all__ = [
     "scalarize",
     "simulate",
     "simulate_many",
+    "smooth_peak",
     "sobol_samples",
     "sweep",
     "view",
