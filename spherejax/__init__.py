@@ -129,7 +129,8 @@ from spherejax.physics.laws import (
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
-from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -170,6 +171,7 @@ __all__ = [
     "Dry",
     "Equilibrium",
     "ExactRestitution",
+    "Fit",
     "Fixed",
     "Flores",
     "Gonthier",
@@ -181,15 +183,18 @@ __all__ = [
     "Ideal",
     "ImplicitCurve",
     "LankaraniNikravesh",
+    "LevenbergMarquardt",
     "Line",
     "Linear",
     "LuGre",
     "Lubricated",
     "Material",
     "MatrixElastomer",
+    "Measured",
     "Mode",
     "NoDriftControl",
     "NotScalarizable",
+    "Parameter",
     "Piecewise",
     "PinkusSternlicht",
     "PointOnCurve",
@@ -244,9 +249,11 @@ __all__ = [
     "draw",
     "effects",
     "equilibrium",
+    "fit",
     "gallery",
     "load_scene",
     "load_urdf",
+    "open_sweep",
     "product",
     "random_samples",
     "read_scene_file",
