@@ -128,7 +128,9 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
+from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
@@ -167,6 +169,7 @@ __all__ = [
     "CurveElastomer",
     "Cylindrical",
     "Descent",
+    "Design",
     "Distance",
     "DistanceDriver",
     "Dry",
@@ -255,6 +258,7 @@ __all__ = [
     "load_scene",
     "load_urdf",
     "open_sweep",
+    "optimize",
     "product",
     "random_samples",
     "read_scene_file",
@@ -263,6 +267,7 @@ __all__ = [
     "scalarize",
     "simulate",
     "simulate_many",
+    "smooth_peak",
     "sobol_samples",
     "sweep",
     "view",

@@ -8,6 +8,8 @@ how far to trust it    `statistics`, `judgement`, in the `result`
 
 from spherejax.studies.fit.descent import Descent
 from spherejax.studies.fit.fitting import fit
+from spherejax.studies.fit.growth import Growth
+from spherejax.studies.fit.horizon import GrowingHorizon
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.methods import Course, Ending, Method
@@ -23,7 +25,9 @@ __all__ = [
     "Ending",
     "Evaluation",
     "Fit",
+    "GrowingHorizon",
     "Grown",
+    "Growth",
     "Horizon",
     "LevenbergMarquardt",
     "Measured",
