@@ -84,7 +84,6 @@ def add_fit(commands) -> None:
 
 def fit_scene(options: argparse.Namespace) -> int:
     """Fit, print the report, write everything."""
-    from spherejax.cli import FAILED_RUN, INTERRUPTED
     from spherejax.output.io import make_folder, require_free
     from spherejax.studies.fit import Ending, Whole
 
@@ -114,8 +113,10 @@ def fit_scene(options: argparse.Namespace) -> int:
         names = _write(fitted, folder, found.title or found.name, pictures=not options.no_pictures)
         print(f"wrote {', '.join(names)} to {folder}")
     if fitted.best.ending is Ending.INTERRUPTED:
-        return INTERRUPTED
-    return 0 if fitted.succeeded else FAILED_RUN
+        raise KeyboardInterrupt
+    if not fitted.succeeded:
+        raise sj.SimulationError(fitted.diagnosis)
+    return 0
 
 
 def _starts(options: argparse.Namespace) -> dict[str, Any]:
