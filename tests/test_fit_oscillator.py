@@ -11,7 +11,8 @@ import pytest
 from fitting import DAMPER, INSTANTS, SENSOR, SPRING, START, oscillation, oscillator, seen
 
 import spherejax as sj
-from spherejax.studies.fit import Ending, Whole, problem_of
+from spherejax.studies.fit import Course, Ending, Whole, problem_of
+from spherejax.studies.fit.record import Held
 
 TRUTH = {"stiffness": SPRING, "damping": DAMPER}
 
@@ -131,6 +132,19 @@ def test_missing_values_do_not_count():
         assert with_gaps.estimates[name] == pytest.approx(shorter.estimates[name], rel=1e-5)
 
 
+def test_measurements_may_begin_with_the_motion_and_each_have_its_noise(fitted):
+    """The first instant is that of the start; what is known badly counts little."""
+    ts = np.concatenate([[0.0], INSTANTS[1:]])
+    data = seen(ts=ts)
+    noise = np.where(np.arange(ts.size) % 2, SENSOR, 1e3 * SENSOR)
+    wild = data["position.ball.x"] + np.where(np.arange(ts.size) % 2, 0.0, 0.1)
+    found = sj.fit(oscillator, START, {**data, "position.ball.x": wild}, noise={"position.ball.x": noise})
+    assert found.residuals["experiment 1"]["position.ball.x"].size == ts.size
+    for name, truth in TRUTH.items():
+        assert abs(found.estimates[name] - truth) < 4 * found.standard_deviations[name]
+        assert found.standard_deviations[name] > 1.1 * fitted.standard_deviations[name]
+
+
 def test_two_experiments_are_worth_more_than_one(fitted):
     later = np.linspace(0.1, 1.0, 30)
 
@@ -205,6 +219,12 @@ def test_bounds_that_are_not_active_change_nothing(fitted):
         assert found.estimates[name] == pytest.approx(fitted.estimates[name], rel=1e-4)
         assert found.standard_deviations[name] == pytest.approx(fitted.standard_deviations[name], rel=1e-3)
     assert not found.warnings
+
+
+def test_a_parameter_that_runs_away_is_told():
+    found = sj.fit(oscillator, {"stiffness": 150.0, "damping": 0.4}, seen(damping=0.0, noise=1e-9), noise=SENSOR)
+    assert found.estimates["damping"] < 0.4e-4
+    assert any("damping has fallen from 0.4 to" in warning for warning in found.warnings)
 
 
 def test_arrays_are_fitted_number_by_number(fitted):
@@ -297,6 +317,36 @@ def test_an_interrupt_while_the_record_grows_reports_the_whole():
     found = sj.fit(oscillator, START, seen(), noise=SENSOR, progress=interrupt)
     assert found.status == Ending.INTERRUPTED.value
     assert found.best.residuals.size == INSTANTS.size
+
+
+def test_parts_that_cannot_be_run_from_each_other_fall_back_to_the_start():
+    """Every part leads to a stiffness with which the whole cannot be run; it is then begun at the start."""
+    method = LeadsAstray()
+    found = sj.fit(oscillator, START, seen(), noise=SENSOR, method=method)
+    assert found.succeeded
+    assert method.begun[-2][0] == 25.0
+    np.testing.assert_allclose(method.begun[-1], np.log(list(START.values())))
+    assert found.estimates["stiffness"] == pytest.approx(SPRING, rel=1e-3)
+
+
+class LeadsAstray:
+    """Levenberg-Marquardt that leads astray on parts of the record, and fails from there on the whole."""
+
+    max_iterations = 100
+
+    def __init__(self):
+        self.begun = []
+
+    def roughly(self):
+        return self
+
+    def minimize(self, problem, us, *, noise_is_known, watch):
+        self.begun.append(us[0].copy())
+        if isinstance(problem, Held):
+            return [Course([np.array([25.0, 0.0])], [1.0], [np.inf], ending=Ending.CONVERGED, n_iterations=1)]
+        if us[0][0] > 20:
+            return [Course(ending=Ending.FAILED_START, n_iterations=1, n_failed=1, diagnosis="too stiff")]
+        return sj.LevenbergMarquardt().minimize(problem, us, noise_is_known=noise_is_known, watch=watch)
 
 
 def test_progress_is_told():

@@ -1,6 +1,5 @@
 """How far a sweep is: a bar in terminals and notebooks, nothing in logs."""
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ import numpy as np
 
 from spherejax.motion.status import Status
 from spherejax.studies.sweep.chunks import ChunkResult
+from spherejax.studies.terminals import console, is_watched
 
 
 @dataclass(frozen=True)
@@ -86,18 +86,12 @@ def reporting(progress: bool | Report, n_runs: int) -> Iterator[Report]:
     if callable(progress):
         yield progress
         return
-    if not progress or not (sys.stderr.isatty() or _is_notebook()):
+    if not progress or not is_watched():
         yield lambda seen: None
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("sweep"), BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=not _is_notebook())) as bar:
+    with Progress(*columns, console=console()) as bar:
         task = bar.add_task("compiling", total=n_runs)
         yield lambda seen: bar.update(task, completed=seen.n_done, description=str(seen))
-
-
-def _is_notebook() -> bool:
-    shell = sys.modules.get("IPython")
-    return shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell"
