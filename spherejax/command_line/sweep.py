@@ -67,6 +67,7 @@ def add_sweep(commands) -> None:
     how.add_argument("--rtol", type=float, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
     how.add_argument("--max-steps", type=int, default=1_000_000, metavar="N", help="give a run up beyond")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    how.add_argument("--chunk", type=int, metavar="N", help="runs that are handed out, and stored, at a time")
     how.add_argument("--workers", type=int, metavar="N", help="chunks at the same time (default: all cores)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc)")
@@ -98,6 +99,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         max_steps=options.max_steps,
         solver=SOLVERS[options.solver][0]() if options.solver else None,
         workers=options.workers,
+        chunk=options.chunk,
         store=path if path.suffix == ".zarr" else None,
     )
     seconds = time.perf_counter() - begin

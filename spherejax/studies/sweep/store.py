@@ -67,6 +67,12 @@ class Store:
         self.arrays["n_lane_steps"][chunk] = result.n_lane_steps
         self.arrays["digest"][chunk] = _digest(values)
 
+    @property
+    def n_stored(self) -> int:
+        """Number of runs in stored chunks."""
+        stored = np.flatnonzero(np.asarray(self.arrays["digest"]))
+        return sum(self.runs_of(int(chunk)).stop - self.runs_of(int(chunk)).start for chunk in stored)
+
     def missing(self) -> list[int]:
         """Chunks that are not stored yet.
 
