@@ -13,7 +13,7 @@ from sweep_scenes import CLEARANCES, DURATION, N_CORES, dry, model_of
 import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
 
-N_RUNS = 8
+N_RUNS = 4
 STEPS = (4e-6, 2e-6, 5e-7)
 """Steps [s]; the last one is what the others are compared with."""
 
@@ -47,7 +47,7 @@ def by_exudyn(clearances: list[float], numbers: dict) -> dict:
     asked = {"clearances": clearances, "cores": N_CORES, "numbers": numbers}
     program = Path(__file__).parent / "peers" / "exudyn_clearance.py"
     done = subprocess.run(
-        [sys.executable, str(program)], input=json.dumps(asked), stdout=subprocess.PIPE, text=True, check=True
+        [sys.executable, "-W", "ignore", str(program)], input=json.dumps(asked), stdout=subprocess.PIPE, text=True, check=True
     )
     return json.loads(done.stdout.splitlines()[-1])
 

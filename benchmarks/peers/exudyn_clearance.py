@@ -53,8 +53,11 @@ def height(parameters: dict) -> float:
     settings.timeIntegration.endTime = numbers["duration"]
     settings.timeIntegration.numberOfSteps = round(numbers["duration"] / numbers["step"])
     settings.timeIntegration.verboseMode = 0
+    # Without these Newton's method fails at the first impact, with every step and law that was tried.
+    settings.timeIntegration.discontinuous.maxIterations = 10
+    settings.timeIntegration.discontinuous.ignoreMaxIterations = True
+    settings.timeIntegration.discontinuous.useRecommendedStepSize = False
     settings.solutionSettings.writeSolutionToFile = False
-    settings.displayStatistics = False
     settings.linearSolverType = exu.LinearSolverType.EigenDense
     model.SolveDynamic(settings, solverType=exu.DynamicSolverType.TrapezoidalIndex2)
     return float(model.GetObjectOutputBody(bodies["rocker"], exu.OutputVariableType.Position)[2])
