@@ -47,7 +47,11 @@ def by_exudyn(clearances: list[float], numbers: dict) -> dict:
     asked = {"clearances": clearances, "cores": N_CORES, "numbers": numbers}
     program = Path(__file__).parent / "peers" / "exudyn_clearance.py"
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", str(program)], input=json.dumps(asked), stdout=subprocess.PIPE, text=True, check=True
+        [sys.executable, "-W", "ignore", str(program)],
+        input=json.dumps(asked),
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
     )
     return json.loads(done.stdout.splitlines()[-1])
 

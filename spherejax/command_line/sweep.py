@@ -13,6 +13,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.files.place import one_of
+from spherejax.motion.status import REMEDIES, Status
 
 DESCRIPTION = """\
 Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied
@@ -215,8 +216,29 @@ def _print(found: Chosen, options: argparse.Namespace, result, seconds: float) -
         if name not in ("status", "t_reached", "n_steps", "n_rejected") and np.isfinite(values).any():
             rows.append((f"{name} [{result[name].attrs.get('units', '')}]", _range(values)))
     print_table(f"{found.title or found.name}: {', '.join(options.vary)}", ("quantity", "value"), rows)
-    if facts["failures"]:
-        print(facts["failures"])
+    _print_failures(result)
+
+
+def _print_failures(result) -> None:
+    """Why runs failed, for which values, and what to do."""
+    status = result["status"]
+    rows, remedies = [], []
+    for kind in Status:
+        is_so = np.asarray(status == kind)
+        if kind == Status.SUCCEEDED or not is_so.any():
+            continue
+        words = kind.name.lower().replace("_", " ")
+        where = [
+            f"{name} {_range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so])}"
+            for name in map(str, status.coords)
+            if name != "run"
+        ]
+        reached = _range(np.asarray(result["t_reached"])[is_so])
+        rows.append((words, f"{int(is_so.sum()):,}", "; ".join(where), reached))
+        remedies.append(f"{words}: {REMEDIES[kind]}.")
+    if rows:
+        print_table("failed runs", ("why", "runs", "where", "time reached [s]"), rows)
+        print("\n".join(remedies))
 
 
 def _range(values: np.ndarray) -> str:
