@@ -1,6 +1,7 @@
 """Sweeps: lanes that never idle, grids, records, stores that are gone on with, executors."""
 
 import os
+import shutil
 import subprocess
 import sys
 from concurrent.futures import Future
@@ -335,14 +336,24 @@ def test_a_parameter_with_the_name_of_a_result():
 
 
 def test_a_damaged_store_is_refused(tmp_path):
-    path = tmp_path / "sweep.zarr"
-    swept(store=path)
-    victim = next(file for file in (path / "position.bob").rglob("*") if file.is_file() and file.name != "zarr.json")
-    content = bytearray(victim.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    victim.write_bytes(bytes(content))
-    with pytest.raises(sj.SceneError, match="is damaged"):
-        swept(store=path)
+    whole = tmp_path / "sweep.zarr"
+    swept(store=whole)
+    for folder, name, word in (
+        ("position.bob", "c", "chunk"),
+        ("digest", "c", "digest"),
+        ("status", "zarr.json", "array"),
+    ):
+        path = tmp_path / f"{folder}.zarr"
+        shutil.copytree(whole, path)
+        victim = next(file for file in (path / folder / name, *(path / folder).rglob(f"{name}/**/*")) if file.is_file())
+        content = bytearray(victim.read_bytes())
+        content[len(content) // 2] ^= 0xFF
+        victim.write_bytes(bytes(content))
+        with pytest.raises(sj.SceneError, match=f"is damaged: .*{word}"):
+            swept(store=path)
+    shutil.rmtree(whole / "n_steps")
+    with pytest.raises(sj.SceneError, match="is damaged: an array"):
+        swept(store=whole)
 
 
 # Elsewhere ---------------------------------------------------------------------------------------------------------
