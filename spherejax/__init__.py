@@ -128,8 +128,12 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
+from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -165,11 +169,14 @@ __all__ = [
     "CrossElastomer",
     "CurveElastomer",
     "Cylindrical",
+    "Descent",
+    "Design",
     "Distance",
     "DistanceDriver",
     "Dry",
     "Equilibrium",
     "ExactRestitution",
+    "Fit",
     "Fixed",
     "Flores",
     "Gonthier",
@@ -181,15 +188,18 @@ __all__ = [
     "Ideal",
     "ImplicitCurve",
     "LankaraniNikravesh",
+    "LevenbergMarquardt",
     "Line",
     "Linear",
     "LuGre",
     "Lubricated",
     "Material",
     "MatrixElastomer",
+    "Measured",
     "Mode",
     "NoDriftControl",
     "NotScalarizable",
+    "Parameter",
     "Piecewise",
     "PinkusSternlicht",
     "PointOnCurve",
@@ -244,9 +254,12 @@ __all__ = [
     "draw",
     "effects",
     "equilibrium",
+    "fit",
     "gallery",
     "load_scene",
     "load_urdf",
+    "open_sweep",
+    "optimize",
     "product",
     "random_samples",
     "read_scene_file",
@@ -255,6 +268,7 @@ __all__ = [
     "scalarize",
     "simulate",
     "simulate_many",
+    "smooth_peak",
     "sobol_samples",
     "sweep",
     "view",

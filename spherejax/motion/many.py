@@ -32,6 +32,7 @@ from spherejax.motion.simulate import check_tolerances, checked_times, choice_fo
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.status import Status
 from spherejax.motion.trajectory import Statistics, Trajectory
+from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
 
 Build = Callable[..., Scene]
@@ -120,7 +121,7 @@ def simulate_many(
             runs in between; the stiffest of them decides.
         watch: names of quantities (e.g. `"acceleration.rocker"`) whose largest magnitudes at the ends of all steps are
             kept: unlike a largest sample they miss no impact.
-        block: how wide the block of lanes is.
+        block: how wide the block of lanes is; by default by the kind of device (`motion.widths`).
 
     Returns:
         The runs; failed ones carry their status.
@@ -132,7 +133,7 @@ def simulate_many(
     ts = checked_times(ts)
     check_tolerances(rtol, atol)
     n_runs = count_of_runs(parameters)
-    method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or Block())
+    method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
     method = method._replace(watch=tuple(watch))
     return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
 

@@ -26,7 +26,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
@@ -48,6 +48,7 @@ from spherejax.motion.integrate import (
 )
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.solvers.landing import Contacts
+from spherejax.motion.status import status_of
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
@@ -102,6 +103,64 @@ class Slopes(NamedTuple):
     assembly: Assembly
 
 
+class StatesAndSlopes(NamedTuple):
+    """A run and its derivatives along k directions in the traced numbers, from one integration.
+
+    Attributes:
+        ys: flat states at the sample times; NaN where a failed run did not reach a sample.
+        slopes: their derivatives along the directions.
+        assembly: how the start was made consistent.
+        assembly_slopes: its derivatives, with a leading axis of directions.
+        status: integer of `Status`.
+        t_reached: time reached [s].
+        n_steps: steps tried.
+    """
+
+    ys: Float[Array, "n size"]
+    slopes: Float[Array, "k n size"]
+    assembly: Assembly
+    assembly_slopes: Assembly
+    status: Int[Array, ""]
+    t_reached: Float[Array, ""]
+    n_steps: Int[Array, ""]
+
+
+def integrate_along(
+    plan: Plan,
+    options: Options,
+    values: Float[Array, " p"],
+    directions: Float[Array, "k p"],
+    known: Float[Array, " n_numbers"],
+    ts: Float[Array, " n"],
+    start: Assembly | None,
+    values_are_legal: Flag,
+) -> StatesAndSlopes:
+    """Integrate a run and its derivatives along directions in the traced numbers, in one integration.
+
+    Args:
+        plan, options, values, known, ts, start, values_are_legal: as for `integrate`.
+        directions: of length |p| or so, for all sensitivities to be in the units of the state.
+
+    With an explicit Runge-Kutta method the errors of the sensitivities are controlled as the state's; any other
+    method's steps are differentiated.
+    """
+    if has_controlled_sensitivities(options.solver):
+        return _controlled(plan, options, values, directions, known, ts, start, values_are_legal)
+
+    def floats(values):
+        outcome = integrate(plan, options, values, known, ts, start, values_are_legal)
+        return (outcome.ys, outcome.assembly), outcome
+
+    def along(direction):
+        return jax.jvp(floats, (values,), (direction,), has_aux=True)
+
+    _, slopes, outcome = jax.vmap(along, out_axes=(None, 0, None))(directions)
+    n_steps = outcome.stats.n_steps
+    return StatesAndSlopes(
+        outcome.ys, slopes[0], outcome.assembly, slopes[1], outcome.status, outcome.t_reached, n_steps
+    )
+
+
 def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
     """The derivative of every step of the run, in forward mode."""
 
@@ -113,17 +172,25 @@ def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
 
 
 @eqx.filter_jit
-def _controlled_slopes(
+def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
+    """The derivatives by each of the traced numbers, with their errors controlled."""
+    scale = jnp.where(values == 0, 1.0, jnp.abs(values))
+    found = _controlled(plan, options, values, jnp.diag(scale), *rest)
+    assembly = jax.tree.map(lambda x: _numbers_last(x, scale), found.assembly_slopes)
+    return Slopes(_numbers_last(found.slopes, scale), assembly)
+
+
+def _controlled(
     plan: Plan,
     options: Options,
     values: Float[Array, " p"],
+    directions: Float[Array, "k p"],
     known: Float[Array, " n_numbers"],
     ts: Float[Array, " n"],
     start: Assembly | None,
     values_are_legal: Flag,
-) -> Slopes:
+) -> StatesAndSlopes:
     """Integrate the state and its sensitivities together, with the errors of both controlled."""
-    scale = jnp.where(values == 0, 1.0, jnp.abs(values))
     rate = program_for(state_rate, plan.structure, plan.scalar)
     contacts = contacts_of(plan.structure, plan.scalar)
 
@@ -134,8 +201,9 @@ def _controlled_slopes(
     def beginning_of(values):
         return beginning(plan, plan.theta(values, known), ts[0], start)
 
-    (assembly, y0), (assembly_slopes, Y0) = _linearized(beginning_of, values, scale)
-    may_run = (assembly.residual_after < CLOSING_TOLERANCE) & values_are_legal & jnp.all(jnp.isfinite(y0))
+    (assembly, y0), (assembly_slopes, Y0) = _linearized(beginning_of, values, directions)
+    is_closed = assembly.residual_after < CLOSING_TOLERANCE
+    may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
     t1 = jnp.where(may_run, ts[-1], ts[0])
     contacts = None if contacts is None else _with_rows(contacts, rate)
     correct = _correcting_rows(correction_for(plan))
@@ -147,7 +215,7 @@ def _controlled_slopes(
             t1=t1,
             dt0=None,
             y0=jnp.concatenate([y0[None], Y0]),
-            args=_linearized(parameters_of, values, scale),
+            args=_linearized(parameters_of, values, directions),
             saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
             stepsize_controller=landing_controller(_judging_rows(options.controller), contacts, plan, ts),
             adjoint=options.adjoint,
@@ -156,28 +224,32 @@ def _controlled_slopes(
         )
     sampled: Any = solution.ys
     times: Any = solution.ts
-    ys = jnp.where((ts <= times[1][0])[:, None, None], sampled[0][:, 1:], jnp.nan)
-    return Slopes(_numbers_last(ys, 1, scale), jax.tree.map(lambda x: _numbers_last(x, 0, scale), assembly_slopes))
+    reached = times[1][0]
+    status = status_of(solution.result, values_are_legal, is_closed)
+    rows = jnp.where(((ts <= reached) & may_run)[:, None, None], sampled[0], jnp.nan)
+    n_steps = solution.stats["num_steps"]
+    slopes = jnp.moveaxis(rows[:, 1:], 1, 0)
+    return StatesAndSlopes(rows[:, 0], slopes, assembly, assembly_slopes, status, reached, n_steps)
 
 
-def _numbers_last(scaled: Array, axis: int, scale: Float[Array, " p"]) -> Array:
-    return jnp.moveaxis(scaled, axis, -1) / scale
+def _numbers_last(scaled: Float[Array, "p ..."], scale: Float[Array, " p"]) -> Array:
+    return jnp.moveaxis(scaled, 0, -1) / scale
 
 
 class Linearized(NamedTuple):
-    """Something that follows from the traced numbers, and its derivatives by them, scaled as in the module docstring.
+    """Something that follows from the traced numbers, and its derivatives along directions in them.
 
     Attributes:
         value: the value.
-        slopes: the derivatives, with a leading axis of numbers; None for what is not a float.
+        slopes: the derivatives, with a leading axis of directions; None for what is not a float.
     """
 
     value: Any
     slopes: Any
 
 
-def _linearized(function, values: Float[Array, " p"], scale: Float[Array, " p"]) -> Linearized:
-    """The value of a function of the traced numbers, and its scaled derivatives."""
+def _linearized(function, values: Float[Array, " p"], directions: Float[Array, "k p"]) -> Linearized:
+    """The value of a function of the traced numbers, and its derivatives."""
 
     def floats(values):
         return eqx.partition(function(values), lambda leaf: jnp.issubdtype(jnp.result_type(leaf), jnp.floating))
@@ -185,7 +257,7 @@ def _linearized(function, values: Float[Array, " p"], scale: Float[Array, " p"])
     def along(direction):
         return jax.jvp(floats, (values,), (direction,), has_aux=True)
 
-    value, slopes, others = jax.vmap(along, out_axes=(None, 0, None))(jnp.diag(scale))
+    value, slopes, others = jax.vmap(along, out_axes=(None, 0, None))(directions)
     return Linearized(eqx.combine(value, others), slopes)
 
 

@@ -1,5 +1,6 @@
 """Functions by a table of points: straight lines or smooth cubics between them."""
 
+import abc
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -15,23 +16,6 @@ from spherejax.physics.laws.base import numeric
 
 class _AbstractTable(AbstractFunction):
     """Cubics between points."""
-
-    @property
-    def knows_primitive(self) -> bool:
-        """True."""
-        return True
-
-
-class Table(_AbstractTable):
-    """Straight lines between given points, continued straight beyond the first and the last.
-
-    Attributes:
-        x: abscissas, increasing, shape (n,), n >= 2.
-        y: ordinates, shape (n,).
-
-    Limits: at a point the slope is that of the line that begins there. An integrator of high order takes small steps
-    over such kinks; `SmoothTable` has none.
-    """
 
     x: Numeric
     y: Numeric
@@ -50,6 +34,30 @@ class Table(_AbstractTable):
     def requirements(self) -> list[Requirement]:
         """Two points or more, in order."""
         return _requirements(self.x, self.y)
+
+    @property
+    def knows_primitive(self) -> bool:
+        """True."""
+        return True
+
+    @abc.abstractmethod
+    def _cubics(self) -> "_Cubics":
+        """The pieces."""
+
+
+class Table(_AbstractTable):
+    """Straight lines between given points, continued straight beyond the first and the last.
+
+    Attributes:
+        x: abscissas, increasing, shape (n,), n >= 2.
+        y: ordinates, shape (n,).
+
+    Limits: at a point the slope is that of the line that begins there. An integrator of high order takes small steps
+    over such kinks; `SmoothTable` has none.
+    """
+
+    def __init__(self, x, y):
+        super().__init__(x, y)
 
     def _cubics(self) -> "_Cubics":
         x, y = jnp.asarray(self.x), jnp.asarray(self.y)
@@ -74,23 +82,8 @@ class SmoothTable(_AbstractTable):
     the ends, chosen for what follows beyond them, keep to their condition for monotony.
     """
 
-    x: Numeric
-    y: Numeric
-
     def __init__(self, x, y):
-        self.x, self.y = numbers(x), numbers(y)
-
-    def __call__(self, x: Number) -> Scalar:
-        """f(x)."""
-        return _cubic_at(self._cubics(), x)
-
-    def primitive(self, x: Number) -> Scalar:
-        """F(x), zero at the first point."""
-        return _integral_at(self._cubics(), x)
-
-    def requirements(self) -> list[Requirement]:
-        """Two points or more, in order."""
-        return _requirements(self.x, self.y)
+        super().__init__(x, y)
 
     def _cubics(self) -> "_Cubics":
         x, y = jnp.asarray(self.x), jnp.asarray(self.y)

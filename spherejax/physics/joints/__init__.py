@@ -1,16 +1,17 @@
 """Joints: where two bodies meet, and the models of how they resist."""
 
+from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
 from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Response
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.curves import AbstractCurve, Circle, ImplicitCurve, Line, PointOnCurve
 from spherejax.physics.joints.distance import Distance, DistanceDriver
 from spherejax.physics.joints.drivers import PositionDriver, RotationDriver, TranslationDriver
 from spherejax.physics.joints.dry import Dry
+from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.lubricated import Lubricated
-from spherejax.physics.joints.pairs import Cylindrical, Fixed, PlacedPair, PointOnPlane, Prismatic, Universal
+from spherejax.physics.joints.pairs import Fixed, PointOnPlane, Universal
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
-from spherejax.physics.joints.revolute import PlacedRevolute, Revolute
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
 
@@ -34,7 +35,6 @@ __all__ = [
     "Lubricated",
     "Motions",
     "PlacedPair",
-    "PlacedRevolute",
     "PlacedSpherical",
     "PointOnCurve",
     "PointOnPlane",

@@ -10,7 +10,7 @@ from spherejax.foundations.checks import Requirement, SceneError, is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint
+from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedAtPoints
 from spherejax.physics.joints.placing import in_world
 from spherejax.physics.joints.prescribed import prescribed, time_requirements
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
@@ -63,7 +63,7 @@ class Distance(AbstractJoint):
         return PlacedDistance((one, other), (place, other_place), length)
 
 
-class PlacedDistance(AbstractPlacedJoint):
+class PlacedDistance(AbstractPlacedAtPoints):
     """A massless rod between two points in body axes.
 
     Attributes:
@@ -75,11 +75,6 @@ class PlacedDistance(AbstractPlacedJoint):
     bodies: tuple[str, str] = eqx.field(static=True)
     places: tuple[Numeric, Numeric]
     length: Numeric
-
-    @property
-    def points(self) -> tuple[Numeric, Numeric]:
-        """The ends of the rod."""
-        return self.places
 
     @property
     def n_rows(self) -> int:
@@ -142,7 +137,7 @@ class DistanceDriver(AbstractJoint):
         return PlacedDistanceDriver((one, other), (place, other_place), self.length)
 
 
-class PlacedDistanceDriver(AbstractPlacedJoint):
+class PlacedDistanceDriver(AbstractPlacedAtPoints):
     """A prescribed distance of two points in body axes.
 
     Attributes:
@@ -155,11 +150,6 @@ class PlacedDistanceDriver(AbstractPlacedJoint):
     places: tuple[Numeric, Numeric]
     length: AbstractFunction
     is_driven = True
-
-    @property
-    def points(self) -> tuple[Numeric, Numeric]:
-        """The two points."""
-        return self.places
 
     @property
     def n_rows(self) -> int:

@@ -19,7 +19,12 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints.places import AbstractJoint, AbstractPairJoint, AbstractPlacedJoint
+from spherejax.physics.joints.places import (
+    AbstractJoint,
+    AbstractPairJoint,
+    AbstractPlacedAtPoints,
+    AbstractPlacedJoint,
+)
 from spherejax.physics.joints.placing import (
     cross,
     direction_requirement,
@@ -167,7 +172,7 @@ class TranslationDriver(AbstractPairJoint):
         )
 
 
-class PlacedTranslationDriver(AbstractPlacedJoint):
+class PlacedTranslationDriver(AbstractPlacedAtPoints):
     """A prescribed translation, in body axes.
 
     Attributes:
@@ -182,11 +187,6 @@ class PlacedTranslationDriver(AbstractPlacedJoint):
     axis: Numeric
     travel: AbstractFunction
     is_driven = True
-
-    @property
-    def points(self) -> tuple[Numeric, Numeric]:
-        """The point on each body."""
-        return self.places
 
     @property
     def n_rows(self) -> int:

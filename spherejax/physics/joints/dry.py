@@ -4,32 +4,20 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.numerics import safe_norm
-from spherejax.foundations.types import Number, Numeric
-from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.foundations.types import Number
+from spherejax.physics.joints.base import Response
+from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
-    Surfaces,
-    contact_crossing,
     contact_effects,
     contact_forces,
     contact_law_requirements,
-    contact_memory_at_onset,
-    contact_memory_names,
     contact_moments,
-    has_memory,
     stiffness_of,
 )
 from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Hertz, LankaraniNikravesh, Material
 
 
-def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Numeric:
-    """The clearance c = R_i - R_j [m] from whichever of clearance and ball radius is given."""
-    if (clearance is None) == (ball_radius is None):
-        raise TypeError("give either clearance= or ball_radius=, not both and not neither")
-    return clearance if ball_radius is None else socket_radius - ball_radius
-
-
-class Dry(AbstractSphericalModel):
+class Dry(AbstractClearanceModel):
     """Ball and socket with clearance, dry: they fly, impact, and slide on each other.
 
     Attributes:
@@ -71,21 +59,6 @@ class Dry(AbstractSphericalModel):
         self._ball_radius_given = ball_radius is not None
 
     @property
-    def surfaces(self) -> Surfaces:
-        """Geometry and material together."""
-        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material)
-
-    @property
-    def memory_names(self) -> tuple[str, ...]:
-        """The onset rate, and bristles, only for laws that use them."""
-        return contact_memory_names(self.normal, self.friction)
-
-    @property
-    def detects_onsets(self) -> bool:
-        """Only for laws that remember."""
-        return has_memory(self.normal, self.friction)
-
-    @property
     def effects(self):
         """Elastic contact, then what the normal law adds to it, then friction."""
         elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
@@ -117,15 +90,3 @@ class Dry(AbstractSphericalModel):
                 "sliding_velocity": contact.sliding_velocity,
             },
         )
-
-    def penetration(self, motion):
-        """|e| - c [m]."""
-        return safe_norm(motion.eccentricity) - self.clearance
-
-    def crossing(self, motion):
-        """Sign change at |e| = c."""
-        return contact_crossing(motion, self.clearance)
-
-    def memory_at_onset(self, onset_rate):
-        """Onset rate, and bristles undeflected."""
-        return contact_memory_at_onset(self.memory_names, onset_rate)

@@ -6,20 +6,15 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar
-from spherejax.physics.joints.base import AbstractSphericalModel, Response
+from spherejax.physics.joints.base import Response
+from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
-    Surfaces,
-    contact_crossing,
     contact_effects,
     contact_forces,
     contact_law_requirements,
-    contact_memory_at_onset,
-    contact_memory_names,
     contact_moments,
-    has_memory,
     stiffness_of,
 )
-from spherejax.physics.joints.dry import clearance_from
 from spherejax.physics.laws import (
     AbstractFilmBoundary,
     AbstractFrictionLaw,
@@ -34,7 +29,7 @@ from spherejax.physics.laws import (
 from spherejax.physics.laws.base import at_least, non_negative, positive
 
 
-class Lubricated(AbstractSphericalModel):
+class Lubricated(AbstractClearanceModel):
     """Ball and socket with clearance, filled with a lubricant: squeeze film, and dry contact beyond it.
 
         f = (1 - w) f_film + w f_contact,    w = 0 up to e = c, linear to 1 at e = c + e_h0
@@ -93,21 +88,6 @@ class Lubricated(AbstractSphericalModel):
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
         self._ball_radius_given = ball_radius is not None
-
-    @property
-    def surfaces(self) -> Surfaces:
-        """Geometry and material together."""
-        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material)
-
-    @property
-    def memory_names(self) -> tuple[str, ...]:
-        """The memory of the dry contact, only for laws that use it."""
-        return contact_memory_names(self.normal, self.friction)
-
-    @property
-    def detects_onsets(self) -> bool:
-        """Only for laws that remember."""
-        return has_memory(self.normal, self.friction)
 
     @property
     def effects(self):
@@ -174,15 +154,3 @@ class Lubricated(AbstractSphericalModel):
         blended = normal.elastic_force(inside, stiffness) * inside * inside / ((n + 2) * width)
         full = normal.elastic_energy(penetration, stiffness) - normal.elastic_energy(inside, stiffness)
         return jnp.where(h > 0, blended, 0.0) + full
-
-    def penetration(self, motion):
-        """|e| - c [m]."""
-        return safe_norm(motion.eccentricity) - self.clearance
-
-    def crossing(self, motion):
-        """Sign change at |e| = c."""
-        return contact_crossing(motion, self.clearance)
-
-    def memory_at_onset(self, onset_rate):
-        """Onset rate, and bristles undeflected."""
-        return contact_memory_at_onset(self.memory_names, onset_rate)

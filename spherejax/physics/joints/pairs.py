@@ -1,160 +1,26 @@
-"""Joints made of elementary equations: cylindrical, prismatic, universal, fixed, and a point on a plane.
+"""Joints of two bodies without a common axis: universal, fixed, and a point on a plane.
 
-Points and axes are given in world axes at the start. On the first body the equations use directions that turn with it.
+Points and axes are given in world axes at the start.
 """
-
-from collections.abc import Mapping
 
 import equinox as eqx
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric
-from spherejax.physics.bodies import Body, numbers
+from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.elastic import model_requirements, with_model
+from spherejax.physics.joints.elementary import PlacedPair, right_angles_of_all_axes
 from spherejax.physics.joints.ideal import Ideal
-from spherejax.physics.joints.places import AbstractJoint, AbstractPairJoint, AbstractPlacedJoint
+from spherejax.physics.joints.places import AbstractJoint, AbstractPairJoint
 from spherejax.physics.joints.placing import (
-    cross,
     direction_requirement,
-    perpendicular,
     places_of,
     point_requirements,
     split_point,
     turned,
     unit,
 )
-from spherejax.physics.joints.rows import coincidence_rows, perpendicularity_row, plane_row, stacked
-
-Directions = tuple[Numeric, ...]
-
-
-class PlacedPair(AbstractPlacedJoint):
-    """A joint made of elementary equations, in body axes.
-
-    Attributes:
-        bodies: names of the two bodies.
-        places: the joint's point on each body, body axes [m].
-        coincides: whether the two points coincide: three equations.
-        normals: directions on the first body; the second point stays in the planes through the first point that they
-            are normal to: one equation each.
-        right_angles: pairs of directions, on the first and on the second body, that stay perpendicular: one equation
-            each.
-        axes: the joint's axes on the second body, for whoever draws or drives it.
-    """
-
-    bodies: tuple[str, str] = eqx.field(static=True)
-    places: tuple[Numeric, Numeric]
-    coincides: bool = eqx.field(static=True)
-    normals: Directions
-    right_angles: tuple[tuple[Numeric, Numeric], ...]
-    axes: Directions
-
-    @property
-    def points(self) -> tuple[Numeric, Numeric]:
-        """The joint's point on each body."""
-        return self.places
-
-    @property
-    def n_rows(self) -> int:
-        """As many as its equations."""
-        return (3 if self.coincides else 0) + len(self.normals) + len(self.right_angles)
-
-    def constraint_rows(self, t, motions):
-        """The elementary equations, one after the other."""
-        del t
-        first, second = motions[self.bodies[0]], motions[self.bodies[1]]
-        return stacked(
-            *([coincidence_rows(first, second, *self.places)] if self.coincides else []),
-            *(plane_row(first, second, *self.places, b) for b in self.normals),
-            *(perpendicularity_row(first, second, b, u) for b, u in self.right_angles),
-        )
-
-
-class Cylindrical(AbstractPairJoint):
-    """Two bodies turn about one axis and slide along it: four constraint equations.
-
-    Attributes:
-        bodies: names of the two bodies.
-        point: a point on the axis, world axes at the start [m], shape (3,), or its name `"body.point"`.
-        axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
-    """
-
-    bodies: tuple[str, str] = eqx.field(static=True)
-    point: Numeric | None
-    point_name: str | None = eqx.field(static=True)
-    axis: Numeric
-    model: AbstractSphericalModel
-
-    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
-        self.bodies = (bodies[0], bodies[1])
-        self.point_name, self.point = split_point(point)
-        self.axis = numbers(axis)
-        self.model = Ideal() if model is None else model
-
-    def requirements(self) -> list[Requirement]:
-        """A finite point, a direction, and a model for a joint that turns freely."""
-        return [
-            *point_requirements(self.point),
-            direction_requirement(self.axis),
-            *model_requirements(self.model, turns_freely=True),
-        ]
-
-    def placed(self, bodies, find):
-        """The second point stays on the axis, which stays perpendicular to two directions."""
-        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
-        across = _across(bodies, self.bodies[0], self.axis)
-        axis = turned(bodies, self.bodies[1], unit(self.axis))
-        ideal = PlacedPair(self.bodies, places, False, across, tuple((b, axis) for b in across), (axis,))
-        return with_model(ideal, self.model, bodies, self.axis)
-
-
-class Prismatic(AbstractPairJoint):
-    """Two bodies slide along one axis without turning: five constraint equations.
-
-    Attributes:
-        bodies: names of the two bodies.
-        point: where the bodies meet at the start, world axes at the start [m], shape (3,), or its name
-            `"body.point"`; reactions are about it.
-        axis: direction of sliding, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
-    """
-
-    bodies: tuple[str, str] = eqx.field(static=True)
-    point: Numeric | None
-    point_name: str | None = eqx.field(static=True)
-    axis: Numeric
-    model: AbstractSphericalModel
-
-    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
-        self.bodies = (bodies[0], bodies[1])
-        self.point_name, self.point = split_point(point)
-        self.axis = numbers(axis)
-        self.model = Ideal() if model is None else model
-
-    def requirements(self) -> list[Requirement]:
-        """A finite point, a direction, and a model."""
-        return [
-            *point_requirements(self.point),
-            direction_requirement(self.axis),
-            *model_requirements(self.model, turns_freely=False),
-        ]
-
-    def placed(self, bodies, find):
-        """The second point stays on the axis, and three right angles stay."""
-        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
-        axis = unit(self.axis)
-        across = _across(bodies, self.bodies[0], axis)
-        ideal = PlacedPair(
-            self.bodies,
-            places,
-            False,
-            across,
-            _right_angles_of_all_axes(bodies, self.bodies, axis),
-            (turned(bodies, self.bodies[1], axis),),
-        )
-        return with_model(ideal, self.model, bodies, axis)
 
 
 class Universal(AbstractPairJoint):
@@ -247,7 +113,7 @@ class Fixed(AbstractPairJoint):
     def placed(self, bodies, find):
         """The points coincide and three right angles stay."""
         places = places_of(bodies, find, self.bodies, self.point_name, self.point)
-        angles = _right_angles_of_all_axes(bodies, self.bodies, numbers((0.0, 0.0, 1.0)))
+        angles = right_angles_of_all_axes(bodies, self.bodies, numbers((0.0, 0.0, 1.0)))
         return with_model(PlacedPair(self.bodies, places, True, (), angles, ()), self.model, bodies)
 
 
@@ -288,19 +154,3 @@ class PointOnPlane(AbstractJoint):
         through = places_of(bodies, find, pair, self.through_name, self.through)[0]
         normal = turned(bodies, self.body, unit(self.normal))
         return PlacedPair(pair, (through, place), False, (normal,), (), ())
-
-
-def _across(bodies: Mapping[str, Body], body: str, axis) -> tuple[Numeric, Numeric]:
-    """Two directions of a body that are perpendicular to an axis and to each other."""
-    along = unit(axis)
-    across = perpendicular(along)
-    return turned(bodies, body, across), turned(bodies, body, cross(along, across))
-
-
-def _right_angles_of_all_axes(bodies: Mapping[str, Body], pair: tuple[str, str], axis):
-    """Three right angles that hold two bodies' orientations together: x with y, y with z, z with x."""
-    z = unit(axis)
-    x = perpendicular(z)
-    y = cross(z, x)
-    first, second = pair
-    return tuple((turned(bodies, first, b), turned(bodies, second, u)) for b, u in ((x, y), (y, z), (z, x)))

@@ -62,6 +62,21 @@ class AbstractPlacedJoint(eqx.Module):
         return self
 
 
+class AbstractPlacedAtPoints(AbstractPlacedJoint):
+    """A placed joint that keeps its point on each body.
+
+    Attributes:
+        places: the joint's point on each body, body axes [m].
+    """
+
+    places: eqx.AbstractVar[tuple[Numeric, Numeric]]
+
+    @property
+    def points(self) -> tuple[Numeric, Numeric]:
+        """The point on each body."""
+        return self.places
+
+
 class AbstractJoint(eqx.Module):
     """A joint as the user describes it."""
 

@@ -1,6 +1,7 @@
 """Sweeps: many runs of one scene builder, from one core to a cluster."""
 
 from spherejax.studies.sweep.grids import Grid, product, random_samples, sobol_samples, zipped
+from spherejax.studies.sweep.reading import open_sweep
 from spherejax.studies.sweep.run import sweep
 
-__all__ = ["Grid", "product", "random_samples", "sobol_samples", "sweep", "zipped"]
+__all__ = ["Grid", "open_sweep", "product", "random_samples", "sobol_samples", "sweep", "zipped"]

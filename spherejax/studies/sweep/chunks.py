@@ -6,7 +6,7 @@ results do not depend on who computes it, nor on what was computed before.
 
 import pickle
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -70,47 +70,60 @@ Rows = dict[str, Float[np.ndarray, " n"]]
 def compiled_for(work: Work, rows: Rows) -> Callable:
     """The program of a chunk, compiled: threads that share it do not compile it again."""
     program: Any = _program
-    return program.lower(work, *_filled(work, rows)).compile()
+    return program.lower(work, *filled(work, rows)).compile()
 
 
 def shapes_of(work: Work, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
     """Shape and type of what is kept of one run, by name."""
-    kept, _ = eqx.filter_eval_shape(_program, work, *_filled(work, rows))
+    kept, _ = eqx.filter_eval_shape(_program, work, *filled(work, rows))
     return {name: jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for name, each in kept.items()}
 
 
-def run_chunk(work: Work, rows: Rows, program: Callable | None = None, device: Any = None) -> ChunkResult:
-    """Make the runs of one chunk."""
+def run_chunk(work: Work, rows: Rows, program: Callable | None = None) -> ChunkResult:
+    """Make the runs of one chunk on the default device."""
     begin = time.perf_counter()
-    n = len(next(iter(rows.values())))
-    with jax.default_device(device):
-        kept, outcome = jax.block_until_ready((program or _program)(work, *_filled(work, rows)))
+    kept, outcome = jax.block_until_ready((program or _program)(work, *filled(work, rows)))
+    seconds = time.perf_counter() - begin
+    return result_of(kept, outcome, 0, n_rows(rows), work.size, seconds)
+
+
+def result_of(kept: Mapping[str, Any], outcome: tuple, chunk: int, n: int, size: int, seconds: float) -> ChunkResult:
+    """The first `n` runs of one of several chunks that a program has made one after the other, or side by side."""
+    runs = slice(chunk * size, chunk * size + n)
     status, t_reached, n_steps, n_rejected, n_lane_steps = (np.asarray(values) for values in outcome)
     return ChunkResult(
-        {name: np.asarray(values)[:n] for name, values in kept.items()},
-        status[:n],
-        t_reached[:n],
-        n_steps[:n],
-        n_rejected[:n],
-        int(n_lane_steps),
-        time.perf_counter() - begin,
+        {name: np.asarray(values)[runs] for name, values in kept.items()},
+        status[runs],
+        t_reached[runs],
+        n_steps[runs],
+        n_rejected[runs],
+        int(n_lane_steps[chunk]),
+        seconds,
     )
 
 
-def _filled(work: Work, rows: Rows) -> tuple[Rows, np.ndarray]:
+def n_rows(rows: Rows) -> int:
+    """Number of runs."""
+    return len(next(iter(rows.values())))
+
+
+def filled(work: Work, rows: Rows) -> tuple[Rows, np.ndarray]:
     """The parameters of a whole chunk, and which of its runs are wanted."""
-    n = len(next(iter(rows.values())))
+    n = n_rows(rows)
     filled = {name: np.concatenate([values, np.repeat(values[-1:], work.size - n)]) for name, values in rows.items()}
     return filled, np.arange(work.size) < n
 
 
-@eqx.filter_jit
-def _program(work: Work, rows, is_wanted):
+def made(work: Work, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
+    """The runs of a chunk: what is kept of them, and status, time, steps, and steps of lanes (of each chunk)."""
     runs = many(work.build, work.method, rows, jnp.asarray(work.ts), is_wanted)
     stats = runs.trajectories.stats
     status, t_reached = runs.trajectories.status, runs.trajectories.t_reached
-    outcome = (status, t_reached, stats.n_steps, stats.n_rejected, runs.n_lane_steps)
+    outcome = (status, t_reached, stats.n_steps, stats.n_rejected, runs.n_lane_steps[None])
     return work.record.of(runs), outcome
+
+
+_program = eqx.filter_jit(made)
 
 
 # In other processes ------------------------------------------------------------------------------------------------
@@ -135,9 +148,9 @@ def packed(work: Work) -> bytes:
     )
 
 
-def run_packed_chunk(work: bytes, rows: Rows) -> ChunkResult:
+def run_packed_chunk(work: bytes, rows: Rows) -> list[ChunkResult]:
     """`run_chunk` in another process; what was compiled for the same work is kept there."""
-    return run_chunk(_unpacked(work), rows)
+    return [run_chunk(_unpacked(work), rows)]
 
 
 @lru_cache(maxsize=8)

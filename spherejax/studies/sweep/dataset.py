@@ -1,7 +1,7 @@
 """The results of a sweep as a labelled data set."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,31 +22,91 @@ COUNTED = {
 }
 """What is there of every run: unit and long name."""
 
+RUN = "run"
+"""The dimension of runs that are just numbered."""
 
-def dataset_of(
-    grid: Grid, record: Record, ts: Float[np.ndarray, " n"], values: Mapping[str, np.ndarray], facts: Mapping[str, Any]
-) -> "xarray.Dataset":
-    """Everything that a sweep has kept, with the parameters as coordinates."""
-    import xarray
 
-    variables = {}
+class Column(NamedTuple):
+    """One thing that is known of every run.
+
+    Attributes:
+        dims: dimensions behind the run's.
+        attributes: unit, long name.
+    """
+
+    dims: tuple[str, ...]
+    attributes: dict[str, Any]
+
+
+def columns_of(record: Record, n_dims: Mapping[str, int]) -> dict[str, Column]:
+    """What is known of every run, by name.
+
+    Args:
+        record: what is kept.
+        n_dims: number of dimensions of each thing that is kept, of one run.
+    """
+    columns = {}
     for kept in record.kept:
-        array = values[kept.name].reshape(*grid.shape, *values[kept.name].shape[1:])
         own = kept.dims
         if own is None:
-            own = tuple(f"{kept.name}_{axis}" for axis in range(array.ndim - len(grid.dims)))
-        variables[kept.name] = ((*grid.dims, *own), array, kept.attributes)
+            own = tuple(f"{kept.name}_{axis}" for axis in range(n_dims[kept.name]))
+        columns[kept.name] = Column(own, dict(kept.attributes))
     for name, (unit, long_name) in COUNTED.items():
         attributes: dict[str, Any] = {"units": unit, "long_name": long_name}
         if name == "status":
             attributes["flag_values"] = [int(status) for status in Status]
             attributes["flag_meanings"] = " ".join(status.name.lower() for status in Status)
-        variables[name] = (grid.dims, values[name].reshape(grid.shape), attributes)
-    dataset = xarray.Dataset(variables, _coordinates(grid, ts))
-    dims = set(dataset.dims)
+        columns[name] = Column((), attributes)
+    return columns
+
+
+def coordinates_of(grid: Grid, ts: Float[np.ndarray, " n"]) -> dict[str, tuple]:
+    """Times and parameters."""
+    coordinates: dict[str, Any] = {"time": ("time", ts, {"units": "s", "long_name": "time"})}
+    if grid.axes:
+        return {**coordinates, **{name: (name, values) for name, values in grid.axes.items()}}
+    return {**coordinates, **{name: (RUN, values) for name, values in grid.values.items()}}
+
+
+def dataset_of(
+    dims: tuple[str, ...],
+    coordinates: Mapping[str, tuple],
+    columns: Mapping[str, Column],
+    values: Mapping[str, Any],
+    facts: Mapping[str, Any],
+) -> "xarray.Dataset":
+    """Everything that a sweep has kept, with the parameters as coordinates.
+
+    Args:
+        dims: names of the grid's axes.
+        coordinates: times and parameters.
+        columns: what there is.
+        values: arrays that begin with the grid's axes; in memory, or read when they are asked for.
+        facts: attributes.
+    """
+    import xarray
+
+    variables = {name: ((*dims, *own), values[name], attributes) for name, (own, attributes) in columns.items()}
+    dataset = xarray.Dataset(variables, coordinates)
     extra = {"axis": list(AXES), "component": list(COMPONENTS)}
-    dataset = dataset.assign_coords({name: labels for name, labels in extra.items() if name in dims})
-    return dataset.assign_attrs({**facts, "failures": failures_of(values["status"])})
+    dataset = dataset.assign_coords({name: labels for name, labels in extra.items() if name in dataset.dims})
+    return dataset.assign_attrs({**facts, "failures": failures_of(dataset["status"].values)})
+
+
+def account_of(n_steps: np.ndarray, seconds: np.ndarray, n_lane_steps: np.ndarray) -> dict[str, Any]:
+    """Time and lanes, for the attributes.
+
+    Args:
+        n_steps: of every run.
+        seconds: of every chunk [s].
+        n_lane_steps: of every chunk.
+    """
+    total = int(np.sum(n_lane_steps))
+    return {
+        "seconds_of_chunks": np.asarray(seconds, float),
+        "n_lane_steps": total,
+        "lane_efficiency": int(np.sum(np.maximum(n_steps, 0))) / max(total, 1),
+    }
 
 
 def failures_of(status: np.ndarray) -> str:
@@ -59,10 +119,3 @@ def failures_of(status: np.ndarray) -> str:
             which = ", ".join(map(str, where[:5])) + (", ..." if where.size > 5 else "")
             sentences.append(f"{where.size} runs ({which}), {kind.name.lower()}: {REMEDIES[kind]}.")
     return "\n".join(sentences)
-
-
-def _coordinates(grid: Grid, ts) -> dict:
-    coordinates: dict[str, Any] = {"time": ("time", ts, {"units": "s", "long_name": "time"})}
-    if grid.axes:
-        return {**coordinates, **{name: (name, values) for name, values in grid.axes.items()}}
-    return {**coordinates, **{name: ("run", values) for name, values in grid.values.items()}}

@@ -66,6 +66,10 @@ class Seen:
         return self.n_steps / max(self.n_lane_steps, 1)
 
     def __str__(self) -> str:
+        if self.n_done == self.n_done_before:
+            return (
+                f"{self.n_done:,} of {self.n_runs:,} runs, {'all done' if self.n_done == self.n_runs else 'compiling'}"
+            )
         failed = f", {self.n_failed} failed" if self.n_failed else ""
         return (
             f"{self.n_done:,} of {self.n_runs:,} runs, {self.runs_per_second:,.0f} per second, "

@@ -2,6 +2,10 @@
 
 A chunk counts as stored when its digest has been written, which is the last thing that is done. A chunk that was cut
 off has none and is computed again. Digests are checked when a store is opened: what was damaged since is found.
+
+Runs are numbered along one axis, so that each chunk is a file of each array. Dimensions, units and the parameters of
+every run are stored as well: any program that reads Zarr finds its way (`xarray.open_zarr(path, consolidated=False)`),
+and `open_sweep` sees a product with its axes again.
 """
 
 import hashlib
@@ -16,9 +20,14 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult
+from spherejax.studies.sweep.dataset import RUN, Column
+from spherejax.studies.sweep.grids import Grid
 
 COUNTED = {"status": np.int64, "t_reached": np.float64, "n_steps": np.int64, "n_rejected": np.int64}
 """What is stored of every run besides what was asked for."""
+
+OF_CHUNKS = {"seconds": np.float64, "n_lane_steps": np.int64, "digest": np.uint64}
+"""What is stored of every chunk."""
 
 MARK = "spherejax sweep"
 
@@ -32,10 +41,13 @@ class Store:
         chunk_size: runs in a chunk.
     """
 
-    def __init__(self, path: Path, group: Any, n_runs: int, chunk_size: int):
+    def __init__(self, path: Path, group: Any):
         self.path, self.group = path, group
-        self.n_runs, self.chunk_size = n_runs, chunk_size
-        self.n_chunks = -(-n_runs // chunk_size)
+        self.chunk_size = int(group.attrs["chunk_size"])
+        self.n_runs = int(np.prod(group.attrs["grid_shape"]))
+        self.n_chunks = -(-self.n_runs // self.chunk_size)
+        # A look-up in a group reads and parses a file: once for each array, not once for each chunk.
+        self.arrays: dict[str, Any] = dict(group.arrays())
 
     def runs_of(self, chunk: int) -> slice:
         """Indices of a chunk's runs."""
@@ -43,17 +55,17 @@ class Store:
 
     @property
     def names(self) -> list[str]:
-        """What is stored of every run."""
-        return [name for name in self.group.array_keys() if name not in ("digest", "seconds", "n_lane_steps")]
+        """What is stored of every run as its result."""
+        return self.group.attrs["columns"]
 
     def put(self, chunk: int, result: ChunkResult) -> None:
         """Store a chunk; its digest comes last."""
         runs, values = self.runs_of(chunk), _by_name(result)
         for name, array in values.items():
-            self.group[name][runs] = array
-        self.group["seconds"][chunk] = result.seconds
-        self.group["n_lane_steps"][chunk] = result.n_lane_steps
-        self.group["digest"][chunk] = _digest(values)
+            self.arrays[name][runs] = array
+        self.arrays["seconds"][chunk] = result.seconds
+        self.arrays["n_lane_steps"][chunk] = result.n_lane_steps
+        self.arrays["digest"][chunk] = _digest(values)
 
     def missing(self) -> list[int]:
         """Chunks that are not stored yet.
@@ -61,34 +73,33 @@ class Store:
         Raises:
             SceneError: when a stored chunk is not what was written.
         """
-        digests = np.asarray(self.group["digest"])
+        digests = np.asarray(self.arrays["digest"])
         return [chunk for chunk in range(self.n_chunks) if not self._is_stored(chunk, int(digests[chunk]))]
 
     def _is_stored(self, chunk: int, digest: int) -> bool:
         if digest == 0:
             return False
         try:
-            values = {name: np.asarray(self.group[name][self.runs_of(chunk)]) for name in self.names}
+            values = {name: np.asarray(self.arrays[name][self.runs_of(chunk)]) for name in self.names}
         except Exception as error:
             raise _damaged(self.path, f"chunk {chunk} cannot be read ({error})") from error
         if _digest(values) != digest:
             raise _damaged(self.path, f"chunk {chunk} is not what was written")
         return True
 
-    def values(self) -> dict[str, np.ndarray]:
-        """Everything that is stored, by name, with a leading axis of runs."""
-        return {name: np.asarray(self.group[name]) for name in self.names}
-
-    def of_chunks(self, name: str) -> np.ndarray:
-        """`seconds` or `n_lane_steps` of every chunk."""
-        return np.asarray(self.group[name])
+    def of_all(self, name: str) -> np.ndarray:
+        """Something of every run (e.g. `n_steps`) or of every chunk (`seconds`, `n_lane_steps`), read now."""
+        return np.asarray(self.arrays[name])
 
 
 def open_store(
     path: Path,
     identity: Mapping[str, Any],
+    facts: Mapping[str, Any],
     shapes: Mapping[str, jax.ShapeDtypeStruct],
-    n_runs: int,
+    columns: Mapping[str, Column],
+    grid: Grid,
+    ts: np.ndarray,
     chunk_size: int,
 ) -> Store:
     """A new store, or the store of the same sweep.
@@ -96,52 +107,109 @@ def open_store(
     Args:
         path: folder, which does not exist or holds a store of this sweep.
         identity: what makes it the same sweep; compared entry by entry.
+        facts: what a reader wants to know.
         shapes: of what is kept of one run.
-        n_runs: number of runs.
+        columns: dimensions and units of what is stored of one run.
+        grid: the runs.
+        ts: sample times [s].
         chunk_size: runs in a chunk; an existing store has its own.
 
     Raises:
         SceneError: for the store of another sweep, a damaged one, or a folder that is none.
     """
     if path.exists():
-        return _reopened(path, identity, shapes, n_runs)
-    return _made(path, identity, shapes, n_runs, chunk_size)
+        return _reopened(path, identity, columns)
+    return _made(path, identity, facts, shapes, columns, grid, ts, chunk_size)
 
 
 def stored_chunk_size(path: Path) -> int | None:
-    """Runs in a chunk of an existing store; None where there is none."""
+    """Runs in a chunk of an existing store; None where there is none.
+
+    Raises:
+        SceneError: for a path that cannot be a store, or something else that is there.
+    """
+    if path.suffix in (".nc", ".csv", ".h5", ".hdf5"):
+        raise SceneError(
+            f"store={str(path)!r}: a store is a folder of Zarr files, which takes the results as they come; name it "
+            f"e.g. {path.with_suffix('.zarr').name!r}, and write a file of the result: result.to_netcdf({path.name!r})"
+        )
     if not path.exists():
         return None
-    return int(_opened(path).attrs["chunk_size"])
+    return int(opened(path).attrs["chunk_size"])
 
 
-def _made(path: Path, identity, shapes, n_runs: int, chunk_size: int) -> Store:
+def opened(path: Path, mode: Any = "r+") -> Any:
+    """The group of an existing store.
+
+    Raises:
+        SceneError: where there is none.
+    """
+    import zarr
+
+    try:
+        group = zarr.open_group(path, mode=mode)
+        is_store = group.attrs.get("mark") == MARK and {"identity", "chunk_size", "grid_shape"} <= set(group.attrs)
+    except Exception as error:
+        raise SceneError(f"{str(path)!r} exists and is no store of a sweep ({error}); choose another path") from error
+    if not is_store:
+        raise SceneError(f"{str(path)!r} exists and is no store of a sweep; choose another path")
+    return group
+
+
+def _made(path: Path, identity, facts, shapes, columns, grid: Grid, ts, chunk_size: int) -> Store:
     import zarr
 
     # Made beside its place and moved there whole: a store that exists is complete.
     unfinished = path.with_name(path.name + ".unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         group = zarr.open_group(unfinished, mode="w")
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
-    columns = {name: (each.shape, each.dtype) for name, each in shapes.items()}
-    columns |= {name: ((), dtype) for name, dtype in COUNTED.items()}
-    for name, (shape, dtype) in columns.items():
-        empty = np.nan if np.issubdtype(dtype, np.floating) else -1
+    kinds = {name: (each.shape, each.dtype) for name, each in shapes.items()}
+    kinds |= {name: ((), dtype) for name, dtype in COUNTED.items()}
+    for name, (shape, dtype) in kinds.items():
         group.create_array(
-            name, shape=(n_runs, *shape), chunks=(chunk_size, *shape), dtype=np.dtype(dtype), fill_value=empty
+            name,
+            shape=(grid.n_runs, *shape),
+            chunks=(chunk_size, *shape),
+            dtype=np.dtype(dtype),
+            fill_value=np.nan if np.issubdtype(dtype, np.floating) else -1,
+            dimension_names=(RUN, *columns[name].dims),
+            attributes=columns[name].attributes,
         )
-    n_chunks = -(-n_runs // chunk_size)
-    for name, dtype in (("seconds", np.float64), ("n_lane_steps", np.int64), ("digest", np.uint64)):
-        group.create_array(name, shape=(n_chunks,), chunks=(1,), dtype=np.dtype(dtype), fill_value=0)
-    group.attrs.update({"mark": MARK, "identity": json.dumps(identity), "chunk_size": chunk_size})
+    n_chunks = -(-grid.n_runs // chunk_size)
+    for name, dtype in OF_CHUNKS.items():
+        group.create_array(
+            name, shape=(n_chunks,), chunks=(1,), dtype=np.dtype(dtype), fill_value=0, dimension_names=("chunk",)
+        )
+    _describe(group, facts, grid, ts)
+    group.attrs.update(
+        {
+            "mark": MARK,
+            "identity": json.dumps(identity),
+            "chunk_size": chunk_size,
+            "columns": list(columns),
+            "grid_dims": list(grid.dims),
+            "grid_shape": list(grid.shape),
+            "coordinates": " ".join(grid.values),
+        }
+    )
     unfinished.rename(path)
-    return Store(path, zarr.open_group(path, mode="r+"), n_runs, chunk_size)
+    return Store(path, zarr.open_group(path, mode="r+"))
 
 
-def _reopened(path: Path, identity, shapes, n_runs: int) -> Store:
-    group = _opened(path)
+def _describe(group: Any, facts: Mapping[str, Any], grid: Grid, ts: np.ndarray) -> None:
+    """Times, parameters and what a reader wants to know."""
+    group.create_array("time", data=ts, dimension_names=("time",), attributes={"units": "s", "long_name": "time"})
+    for name, values in grid.values.items():
+        group.create_array(name, data=np.asarray(values), dimension_names=(RUN,))
+    group.attrs.update({"facts": dict(facts)})
+
+
+def _reopened(path: Path, identity, columns) -> Store:
+    group = opened(path)
     before = json.loads(group.attrs["identity"])
     now = json.loads(json.dumps(identity))
     different = [key for key in now if before.get(key) != now[key]]
@@ -151,23 +219,10 @@ def _reopened(path: Path, identity, shapes, n_runs: int) -> Store:
             f"{str(path)!r} is the store of another sweep: its {key} is {before.get(key)!r}, not {now[key]!r}. Choose "
             "another path, or ask for the same sweep to go on with it"
         )
-    missing = [name for name in (*shapes, *COUNTED, "digest", "seconds", "n_lane_steps") if name not in group]
+    missing = [name for name in (*columns, *OF_CHUNKS) if name not in group]
     if missing:
         raise _damaged(path, f"{missing[0]!r} is not there")
-    return Store(path, group, n_runs, int(group.attrs["chunk_size"]))
-
-
-def _opened(path: Path) -> Any:
-    import zarr
-
-    try:
-        group = zarr.open_group(path, mode="r+")
-        is_store = group.attrs.get("mark") == MARK and {"identity", "chunk_size"} <= set(group.attrs)
-    except Exception as error:
-        raise SceneError(f"{str(path)!r} exists and is no store of a sweep ({error}); choose another path") from error
-    if not is_store:
-        raise SceneError(f"{str(path)!r} exists and is no store of a sweep; choose another path")
-    return group
+    return Store(path, group)
 
 
 def _damaged(path: Path, what: str) -> SceneError:

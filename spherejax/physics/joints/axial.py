@@ -1,0 +1,143 @@
+"""Joints about one axis: revolute, cylindrical, prismatic.
+
+Point and axis are given in world axes at the start. On the first body the equations use directions that turn with it.
+"""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.types import Numeric
+from spherejax.physics.bodies import numbers
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.elastic import model_requirements, with_model
+from spherejax.physics.joints.elementary import PlacedPair, RightAngles, right_angles_of_all_axes, two_across
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.places import AbstractPairJoint
+from spherejax.physics.joints.placing import (
+    direction_requirement,
+    places_of,
+    point_requirements,
+    split_point,
+    turned,
+    unit,
+)
+
+
+class AbstractAxialJoint(AbstractPairJoint):
+    """A joint of two bodies at a point of an axis.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
+        point_name: its name, where it is given by name (`point="body.point"`).
+        axis: direction of the axis, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        turns_freely: whether the joint turns about its axis (static).
+
+    Classes below repeat the constructor's arguments: a type checker makes a constructor from the fields otherwise.
+    """
+
+    turns_freely: ClassVar[bool]
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    point: Numeric | None
+    point_name: str | None = eqx.field(static=True)
+    axis: Numeric
+    model: AbstractSphericalModel
+
+    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+        self.bodies = (bodies[0], bodies[1])
+        self.point_name, self.point = split_point(point)
+        self.axis = numbers(axis)
+        self.model = Ideal() if model is None else model
+
+    def requirements(self) -> list[Requirement]:
+        """A finite point, a direction, and a model for such a joint."""
+        return [
+            *point_requirements(self.point),
+            direction_requirement(self.axis),
+            *model_requirements(self.model, turns_freely=self.turns_freely),
+        ]
+
+    def placed(self, bodies, find):
+        """The joint's equations in body axes, or a ball in a socket that stands for them."""
+        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        axis = unit(self.axis)
+        across = two_across(bodies, self.bodies[0], axis)
+        on_second = turned(bodies, self.bodies[1], axis)
+        coincides, right_angles = self._equations(bodies, axis, tuple((b, on_second) for b in across))
+        normals = () if coincides else across
+        ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,))
+        return with_model(ideal, self.model, bodies, axis)
+
+    @abc.abstractmethod
+    def _equations(self, bodies, axis, axis_stays) -> tuple[bool, RightAngles]:
+        """Whether the points coincide, rather than stay on the axis; and the right angles that stay.
+
+        Args:
+            bodies: the scene's bodies.
+            axis: world axes at the start, unit length.
+            axis_stays: the right angles that keep the axis of the second body along that of the first.
+        """
+
+
+class Revolute(AbstractAxialJoint):
+    """Two bodies turn against each other about one axis: five constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
+        point_name: its name, where it is given by name (`point="body.point"`).
+        axis: direction of the axis, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+    """
+
+    turns_freely = True
+
+    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+        super().__init__(bodies, point, axis, model)
+
+    def _equations(self, bodies, axis, axis_stays):
+        return True, axis_stays
+
+
+class Cylindrical(AbstractAxialJoint):
+    """Two bodies turn about one axis and slide along it: four constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: a point on the axis, world axes at the start [m], shape (3,), or its name `"body.point"`.
+        axis: direction of the axis, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+    """
+
+    turns_freely = True
+
+    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+        super().__init__(bodies, point, axis, model)
+
+    def _equations(self, bodies, axis, axis_stays):
+        return False, axis_stays
+
+
+class Prismatic(AbstractAxialJoint):
+    """Two bodies slide along one axis without turning: five constraint equations.
+
+    Attributes:
+        bodies: names of the two bodies.
+        point: where the bodies meet at the start, world axes at the start [m], shape (3,), or its name
+            `"body.point"`; reactions are about it.
+        axis: direction of sliding, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+    """
+
+    turns_freely = False
+
+    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+        super().__init__(bodies, point, axis, model)
+
+    def _equations(self, bodies, axis, axis_stays):
+        return False, right_angles_of_all_axes(bodies, self.bodies, axis)

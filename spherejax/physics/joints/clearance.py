@@ -1,0 +1,69 @@
+"""What the dry and the lubricated joint share: a ball in a socket with clearance, and the memory of their contact."""
+
+import equinox as eqx
+
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Number, Numeric
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.contact import (
+    Surfaces,
+    contact_crossing,
+    contact_memory_at_onset,
+    contact_memory_names,
+    has_memory,
+)
+from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material
+
+
+def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Numeric:
+    """The clearance c = R_i - R_j [m] from whichever of clearance and ball radius is given."""
+    if (clearance is None) == (ball_radius is None):
+        raise TypeError("give either clearance= or ball_radius=, not both and not neither")
+    return clearance if ball_radius is None else socket_radius - ball_radius
+
+
+class AbstractClearanceModel(AbstractSphericalModel):
+    """A ball in a socket with clearance.
+
+    Attributes:
+        clearance: radial clearance c = R_i - R_j [m].
+        socket_radius: R_i [m].
+        normal: law of the normal force.
+        friction: law of the friction force, or None.
+        socket_material: material of the socket.
+        ball_material: material of the ball.
+    """
+
+    clearance: eqx.AbstractVar[Number]
+    socket_radius: eqx.AbstractVar[Number]
+    normal: eqx.AbstractVar[AbstractNormalLaw]
+    friction: eqx.AbstractVar[AbstractFrictionLaw | None]
+    socket_material: eqx.AbstractVar[Material]
+    ball_material: eqx.AbstractVar[Material]
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """Geometry and material together."""
+        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material)
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """The onset rate, and bristles, only for laws that use them."""
+        return contact_memory_names(self.normal, self.friction)
+
+    @property
+    def detects_onsets(self) -> bool:
+        """Only for laws that remember."""
+        return has_memory(self.normal, self.friction)
+
+    def penetration(self, motion):
+        """|e| - c [m]."""
+        return safe_norm(motion.eccentricity) - self.clearance
+
+    def crossing(self, motion):
+        """Sign change at |e| = c."""
+        return contact_crossing(motion, self.clearance)
+
+    def memory_at_onset(self, onset_rate):
+        """Onset rate, and bristles undeflected."""
+        return contact_memory_at_onset(self.memory_names, onset_rate)

@@ -1,0 +1,65 @@
+"""The figures of a fit."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spherejax.foundations.checks import SceneError
+from spherejax.studies.fit.columns import columns_of, units_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def figures_of(fit, title: str = "") -> "dict[str, Figure]":
+    """Pictures by name: `fit`, `residuals`, `correlation` (of several parameters), `history`.
+
+    Args:
+        fit: the fit.
+        title: what was fitted; the names of the parameters when empty.
+    """
+    from spherejax.output.plot.fitted import correlation_figure, fit_figure, history_figure, residuals_figure
+
+    if not fit.best.us:
+        raise SceneError(f"there is nothing to draw: {fit.diagnosis}")
+    title = title or f"Fit of {', '.join(fit.names)}"
+    components = _components(fit)
+    drawn = {
+        "fit": fit_figure(components, f"{title}: measurements and model"),
+        "residuals": residuals_figure(components, f"{title}: residuals"),
+        "history": _history(fit, title, history_figure),
+    }
+    if len(fit.names) > 1:
+        drawn["correlation"] = correlation_figure(fit.correlation, fit.names, f"{title}: correlations")
+    return drawn
+
+
+def _history(fit, title: str, draw) -> "Figure":
+    ends = np.asarray(fit.history["until"])
+    counts = {end: _n_until(fit, end) for end in set(ends.tolist())}
+    squares = np.asarray(fit.history["cost"]) * 2 / np.array([counts[end] for end in ends.tolist()])
+    return draw(squares, ends, np.asarray(fit.history["value"]), fit.names, f"{title}: the way to the minimum")
+
+
+def _n_until(fit, end: float) -> int:
+    experiments = fit.problem.experiments
+    return max(sum(int(np.sum(each.is_measured[each.measured.ts <= end])) for each in experiments), 1)
+
+
+def _components(fit) -> list:
+    """Measured components of all experiments."""
+    from spherejax.output.plot.fitted import FittedComponent
+
+    found = []
+    for i, experiment in enumerate(fit.problem.experiments):
+        several = f"{experiment.measured.name}: " if len(fit.problem.experiments) > 1 else ""
+        for column, (name, unit) in enumerate(zip(columns_of(experiment), units_of(experiment), strict=True)):
+            there = experiment.is_measured[:, column]
+            if not there.any():
+                continue
+            measured = experiment.data[there, column]
+            predicted = measured + fit.tables[i][there, column] * fit.problem.noise[i][there, column]
+            label = f"{several}{name} [{unit}]" if unit else f"{several}{name}"
+            noise = fit.noise[i][there, column]
+            found.append(FittedComponent(label, experiment.measured.ts[there], measured, predicted, noise))
+    return found

@@ -1,0 +1,150 @@
+"""`sj.fit`: identification of parameters from measured motions."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import diffrax
+import numpy as np
+
+from spherejax.foundations.checks import SceneError
+from spherejax.motion.many import Build
+from spherejax.studies.fit.columns import tables_of, widths_of
+from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
+from spherejax.studies.fit.methods import Course, Ending, Method, Seen, Watch
+from spherejax.studies.fit.problem import MAX_STEPS, Problem, problem_of
+from spherejax.studies.fit.progress import reporting
+from spherejax.studies.fit.reading import experiments_from
+from spherejax.studies.fit.record import Grown, Horizon, Whole
+from spherejax.studies.fit.result import Fit
+
+SPREAD = np.log(10.0)
+"""Further starts lie within this of the first in each unknown: a factor of ten for positive parameters."""
+
+REWEIGHTINGS = 4
+"""How often the noise is estimated anew from the residuals, at most."""
+
+
+def fit(
+    build: Build,
+    start: Mapping[str, Any],
+    measured: Any,
+    *,
+    noise: Any = None,
+    method: Method | None = None,
+    starts: int = 1,
+    horizon: Horizon | None = None,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    max_steps: int = MAX_STEPS,
+    level: float = 0.95,
+    determined_within: float = 0.01,
+    seed: int = 0,
+    progress: bool | Callable[[Seen], None] = True,
+) -> Fit:
+    """Estimate parameters of a scene from measurements of its motion.
+
+    Minimises half the sum of squares of (prediction - measurement) / noise over all experiments.
+
+    Args:
+        build: makes a `Scene` from the parameters, given by keyword. It is traced.
+        start: where to begin, by parameter: numbers, arrays, or `sj.Parameter` with bounds. Numbers that are positive
+            are fitted by their logarithm, unless told otherwise.
+        measured: one experiment or a list: a `sj.Measured`; a dict with `"time"` [s] and values by observable; an
+            `xarray.Dataset` with a coordinate `time`; the path of a CSV or netCDF file. Observables are named like
+            `"position.rocker.z"` or `"velocity.rocker"`.
+
+    Other args:
+        noise: standard deviation of the errors of measurement, in the units of what was measured: a number, or numbers
+            by observable. With None it is estimated from the residuals, for each observable of each experiment.
+        method: `sj.LevenbergMarquardt()`, the default, or `sj.Descent(optax_optimiser)` for many parameters.
+        starts: how many starts, all at once. The first is `start`; the others lie around it, up to a factor of ten
+            away (positive parameters) or `log(10)` scales (others), within the bounds.
+        horizon: how much of the record is looked at. With None the record grows: rough fits of its first parts, each
+            twice as long, lead into the whole; a start whose vibration is out of step with the measured one would
+            otherwise end in a wrong minimum. `sj.studies.fit.Whole()` begins with all of it.
+        rtol, atol, solver, max_steps: of the runs, as in `simulate`. An explicit solver controls the errors of the
+            derivatives too. A run that fails within the fit is a step taken back.
+        level: of the confidence intervals in the report.
+        determined_within: a combination of parameters that the data leave with a larger standard deviation (relative,
+            of positive parameters) is named as undetermined.
+        seed: of the further starts.
+        progress: shown in terminals and notebooks and not in logs (True), not at all (False), or a function that is
+            given what `studies.fit.methods.Seen` holds.
+
+    Returns:
+        The `Fit`. An interrupt (Ctrl-C) ends it with the best parameters so far, and the status says so.
+
+    Raises:
+        SceneError: for a request that makes no sense, before anything is simulated.
+    """
+    began = time.monotonic()
+    method = LevenbergMarquardt() if method is None else method
+    experiments = experiments_from(measured)
+    problem = problem_of(build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps)
+    us = _starts(problem, starts, seed)
+    with reporting(progress, problem, method.max_iterations) as report:
+        watch = Watch(report, problem, method.max_iterations)
+        problem, courses = _minimized(problem, method, horizon or Grown(), us, watch)
+    return Fit(problem, courses, level, determined_within, time.monotonic() - began, build)
+
+
+def _minimized(problem: Problem, method: Method, horizon: Horizon, us, watch) -> tuple[Problem, list[Course]]:
+    """Minimise; where the noise is not known, weigh the observables by their residuals and minimise again."""
+    is_known = problem.noise_is_known
+    courses = horizon.minimize(problem, method, us, noise_is_known=is_known, watch=watch)
+    for _ in range(REWEIGHTINGS):
+        best = min(courses, key=lambda course: course.cost)
+        if is_known or _n_observables(problem) == 1 or not best.us or best.ending is Ending.INTERRUPTED:
+            break
+        noise = _estimated_noise(problem, best)
+        change = max(float(np.max(np.abs(np.log(new / old)))) for new, old in zip(noise, problem.noise, strict=True))
+        problem = problem.with_noise(noise, is_known=False)
+        ends = np.stack([course.u if course.us else u for course, u in zip(courses, us, strict=True)])
+        again = Whole().minimize(problem, method, ends, noise_is_known=False, watch=watch)
+        courses = [new.after(old, np.inf) for new, old in zip(again, courses, strict=True)]
+        if change < 0.01:
+            break
+    return problem, courses
+
+
+def _n_observables(problem: Problem) -> int:
+    return sum(len(experiment.measured.values) for experiment in problem.experiments)
+
+
+def _estimated_noise(problem: Problem, course: Course) -> list[np.ndarray]:
+    """Root mean squares of the residuals of each observable, in its unit."""
+    share = max((problem.n_residuals - problem.unknowns.size) / problem.n_residuals, 1e-3)
+    found = []
+    tables = tables_of(problem.experiments, course.residuals)
+    for experiment, table, noise in zip(problem.experiments, tables, problem.noise, strict=True):
+        errors, columns, first = table * noise, [], 0
+        for width in widths_of(experiment):
+            part = slice(first, first + width)
+            columns.append(np.full((len(errors), width), _deviation(errors[:, part], experiment.data[:, part], share)))
+            first += width
+        found.append(np.concatenate(columns, 1))
+    return found
+
+
+def _deviation(errors: np.ndarray, values: np.ndarray, share: float) -> float:
+    """Of errors with NaN among them; what is predicted to the last digit must not outweigh everything else."""
+    there = errors[~np.isnan(errors)]
+    if not there.size:
+        return 1.0
+    return max(float(np.sqrt(np.mean(there**2) / share)), 1e-12 * float(np.max(np.abs(values))), 1e-300)
+
+
+def _starts(problem: Problem, n: int, seed: int) -> np.ndarray:
+    """Unknowns where each start begins, the first as given."""
+    if n < 1:
+        raise SceneError(f"starts = {n} must be at least 1")
+    away = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (n - 1, problem.u0.size))
+    return problem.u0 + np.concatenate([np.zeros((1, problem.u0.size)), away])
+
+
+def with_note(found: Fit, note: str) -> Fit:
+    """The fit with one more thing to say."""
+    return replace(found, notes=(*found.notes, note))

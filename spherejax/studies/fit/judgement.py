@@ -1,0 +1,151 @@
+"""What a fit has to warn of: sentences."""
+
+import numpy as np
+
+from spherejax.studies.fit.growth import REMEDY, lost_at, start_of
+from spherejax.studies.fit.methods import Course, Ending
+from spherejax.studies.fit.statistics import white
+
+UNLIKELY = 1e-3
+"""Residuals that white noise shows more rarely than this are not taken for white."""
+
+FEWEST = 20
+"""Fewer residuals than this say nothing about their colour."""
+
+
+def diagnosis_of(course: Course, problem) -> str:
+    """Why a fit did not succeed, and what to do; empty after success."""
+    if course.ending is Ending.FAILED_START:
+        start = ", ".join(f"{name} = {_shown(value)}" for name, value in problem.start.items())
+        return (
+            f"the run at the start ({start}) failed: {course.diagnosis or 'no reason given'} Begin the fit from "
+            "parameters with which the scene runs."
+        )
+    if course.ending is Ending.TOO_MANY_ITERATIONS:
+        return (
+            f"no minimum after {course.n_iterations} steps. Give more (method=sj.LevenbergMarquardt(max_iterations=)), "
+            "start nearer, or fit fewer parameters."
+        )
+    return Ending.INTERRUPTED.value if course.ending is Ending.INTERRUPTED else ""
+
+
+def warnings_of(fit) -> list[str]:
+    """What to think about before the estimates are used, most important first."""
+    found = [fit.diagnosis] if fit.diagnosis else []
+    if not fit.best.us:
+        return found
+    return [
+        *found,
+        *_starts(fit),
+        *_misfit(fit),
+        *_lost(fit),
+        *_bounds(fit),
+        *_colour(fit),
+        *_failures(fit),
+        *fit.notes,
+    ]
+
+
+def _starts(fit) -> list[str]:
+    """Starts that ended elsewhere."""
+    ended = [course for course in fit.courses if course.ending is not None and course.ending.succeeded]
+    failed = sum(course.ending is Ending.FAILED_START for course in fit.courses)
+    found = [f"{failed} of {len(fit.courses)} starts failed: their runs did not reach their ends"] if failed else []
+    deviations = np.sqrt(np.diagonal(fit.knowledge.scaled_covariance))
+    best, scales = fit.knowledge.values, fit.knowledge.scales
+    variance = fit.knowledge.variance
+    higher, elsewhere = 0, 0
+    for course in ended:
+        if course is fit.best:
+            continue
+        values = fit.problem.unknowns.flat_values_of(course.u)
+        if (course.cost - fit.cost) / variance > max(1.0, 1e-6 * fit.cost / variance):
+            higher += 1
+        elif np.any(np.abs(values - best) / scales > np.maximum(deviations, 1e-6)):
+            elsewhere += 1
+    if higher:
+        found.append(
+            f"{higher} of {len(fit.courses)} starts ended in minima with a larger cost: the cost has several minima, "
+            "and there may be a smaller one still (see fit.starts; more starts, or a start nearer to the truth)"
+        )
+    if elsewhere:
+        found.append(
+            f"{elsewhere} of {len(fit.courses)} starts ended at other parameters with the same cost: the data do not "
+            "tell them apart (see fit.starts)"
+        )
+    return found
+
+
+def _misfit(fit) -> list[str]:
+    """Residuals that are not of the size that was stated."""
+    if not fit.problem.noise_is_known:
+        return []
+    ratio, spread = fit.reduced_chi_square, np.sqrt(2 / max(fit.degrees_of_freedom, 1))
+    if ratio > 1 + max(5 * spread, 0.2):
+        return [
+            f"the residuals are {np.sqrt(ratio):.3g} times as large as the stated noise: the model misses something, "
+            "the noise is understated, or this is not the smallest minimum; the standard deviations are too small"
+        ]
+    if ratio < 1 - max(5 * spread, 0.2):
+        return [
+            f"the residuals are only {np.sqrt(ratio):.3g} times the stated noise: it is overstated, and so are the "
+            "standard deviations"
+        ]
+    return []
+
+
+def _lost(fit) -> list[str]:
+    """A gradient that has lost its meaning within the record, where the residuals are large."""
+    if not _misfit(fit) or fit.reduced_chi_square < 1:
+        return []
+    start = start_of(fit)
+    if start is None or start.to_the_end:
+        return []
+    return [f"{lost_at(start)} (see fit.growth). {REMEDY}".replace("The fit", "the fit", 1)]
+
+
+def _bounds(fit) -> list[str]:
+    """Estimates that rest on their bounds."""
+    unknowns, found = fit.problem.unknowns, []
+    for name, value, lower, upper in zip(
+        unknowns.names, fit.knowledge.values, unknowns.each("lower"), unknowns.each("upper"), strict=True
+    ):
+        for bound, side, other in ((lower, "lower", upper), (upper, "upper", lower)):
+            width = abs(other - bound) if np.isfinite(other) else max(abs(bound), abs(value))
+            if np.isfinite(bound) and (bound != 0 or np.isfinite(other)) and abs(value - bound) < 1e-3 * width:
+                if bound == 0 and side == "lower" and unknowns.each("is_relative").any():
+                    continue  # a positive number far below its upper bound is not at zero
+                found.append(
+                    f"{name} = {value:.6g} rests on its {side} bound {bound:.6g}: the data want it beyond, and its "
+                    "interval is cut off there"
+                )
+    return found
+
+
+def _colour(fit) -> list[str]:
+    """Residuals that are not white."""
+    coloured = []
+    for experiment, columns in fit.residuals.items():
+        for name, values in columns.items():
+            there = values[~np.isnan(values)]
+            if there.size >= FEWEST and white(there) < UNLIKELY:
+                coloured.append(name if len(fit.residuals) == 1 else f"{name} of {experiment}")
+    if not coloured:
+        return []
+    return [
+        f"the residuals of {', '.join(coloured)} are not white: neighbouring ones are alike. The model misses "
+        "something that was measured, or the errors are correlated; the standard deviations are then too small"
+    ]
+
+
+def _failures(fit) -> list[str]:
+    if not fit.best.n_failed:
+        return []
+    return [
+        f"{fit.best.n_failed} of {fit.best.n_iterations} runs on the way did not reach their ends; these steps were "
+        f"taken back ({fit.best.diagnosis})"
+    ]
+
+
+def _shown(value) -> str:
+    return f"{value.item():.6g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6)

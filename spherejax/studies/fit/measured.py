@@ -1,0 +1,132 @@
+"""Measurements of one experiment: values of observables at instants, some of them missing."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spherejax.foundations.checks import SceneError
+from spherejax.motion.many import Build
+
+Function = Callable[[Any], Any]
+"""From a `Trajectory` to an array with a leading axis of samples."""
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Measured:
+    """What was measured in one experiment.
+
+    Attributes:
+        ts: instants [s], increasing, shape (n,).
+        values: measured values by observable, shape (n,) or (n, components), in SI units; NaN where nothing was
+            measured. Observables are named as in `spherejax.motion.quantities`, e.g. `"velocity.rocker"` (three
+            components) or `"position.rocker.z"` (one of them), results of force elements as `"shock.length"`, and
+            `functions` by their own names.
+        noise: standard deviation of the errors in the units of the values, a number for all observables, or numbers
+            (or arrays, for each value) by observable; None: what the fit is told.
+        build: from parameters to the scene of this experiment; None: what the fit is told.
+        name: of the experiment.
+        t0: when the motion starts [s], with the scene as `build` describes it.
+        functions: from a `Trajectory` to an array with a leading axis of samples, by name.
+    """
+
+    ts: np.ndarray
+    values: dict[str, np.ndarray]
+    noise: Any
+    build: Build | None
+    name: str | None
+    t0: float
+    functions: dict[str, Function]
+
+    def __init__(
+        self,
+        ts: Any,
+        values: Mapping[str, Any],
+        *,
+        noise: Any = None,
+        build: Build | None = None,
+        name: str | None = None,
+        t0: float = 0.0,
+        functions: Mapping[str, Function] | None = None,
+    ):
+        times = _times(ts, t0)
+        given = {
+            "ts": times, "values": {key: _column(key, value, times.size) for key, value in values.items()},
+            "noise": noise, "build": build, "name": name, "t0": float(t0), "functions": dict(functions or {}),
+        }  # fmt: skip
+        for key, value in given.items():
+            object.__setattr__(self, key, value)
+        _check(self)
+
+    @property
+    def n_values(self) -> int:
+        """Count of what was measured."""
+        return sum(int(np.sum(~np.isnan(value))) for value in self.values.values())
+
+    def named(self, name: str) -> "Measured":
+        """The same with a name, where it has none."""
+        return self if self.name is not None else _replaced(self, name=name)
+
+    def __repr__(self) -> str:
+        what = ", ".join([*self.values][:4]) + (f" and {len(self.values) - 4} more" if len(self.values) > 4 else "")
+        return f"Measured({what}: {self.n_values} values at {self.ts.size} instants to t = {self.ts[-1]:.6g} s)"
+
+
+def _replaced(measured: Measured, **changes) -> Measured:
+    given = {field: getattr(measured, field) for field in ("noise", "build", "name", "t0", "functions")}
+    return Measured(measured.ts, measured.values, **{**given, **changes})
+
+
+def _times(ts: Any, t0: float) -> np.ndarray:
+    try:
+        times = np.asarray(ts, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError("the instants of measurements must be numbers [s]") from error
+    if times.ndim != 1 or times.size == 0:
+        raise SceneError(
+            f"the instants of measurements must be a list of shape (n,), n >= 1; it has shape {times.shape}"
+        )
+    if not np.all(np.isfinite(times)):
+        at = int(np.argmin(np.isfinite(times)))
+        raise SceneError(f"the instants of measurements must be finite [s]; entry {at} is {times[at]}")
+    steps = np.diff(times)
+    if np.any(steps <= 0):
+        at = int(np.argmax(steps <= 0))
+        raise SceneError(
+            f"the instants of measurements must increase; {times[at + 1]:.9g} s (entry {at + 1}) follows "
+            f"{times[at]:.9g} s. Sort the samples, and put those of one instant into one row"
+        )
+    if not times[0] >= t0:
+        raise SceneError(
+            f"measurements begin at {times[0]:.9g} s, before the motion starts at t0 = {t0:.9g} s; shift the times, or "
+            "say with Measured(..., t0=) when the scene is as its builder describes it"
+        )
+    return times
+
+
+def _column(name: str, value: Any, n: int) -> np.ndarray:
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"measured {name!r} must be numbers") from error
+    if array.ndim not in (1, 2) or array.shape[0] != n:
+        raise SceneError(
+            f"measured {name!r} has shape {array.shape}; it must have one row for each of the {n} instants, "
+            f"({n},) or ({n}, components)"
+        )
+    if np.any(np.isinf(array)):
+        raise SceneError(f"measured {name!r} has an infinite value; leave out what was not measured, or write NaN")
+    return array
+
+
+def _check(measured: Measured) -> None:
+    if not measured.values:
+        raise SceneError("nothing was measured: give values by observable, e.g. {'position.rocker.z': values}")
+    if not measured.n_values:
+        raise SceneError(f"nothing was measured: all values of {', '.join(measured.values)} are missing (NaN)")
+    unused = [name for name in measured.functions if name not in measured.values]
+    if unused:
+        raise SceneError(
+            f"functions={unused} have no measured values of that name; measured are {list(measured.values)}"
+        )

@@ -1,0 +1,301 @@
+"""The problem under a fit: noise-weighted residuals of all experiments as functions of unknowns without bounds.
+
+r_i(u) = (prediction_i(p(u)) - measured_i) / noise_i,    cost = sum r_i^2 / 2,    log likelihood = -cost + const.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from spherejax.foundations.checks import SceneError
+from spherejax.foundations.types import Scalar
+from spherejax.motion.many import Build
+from spherejax.motion.simulate import check_tolerances
+from spherejax.motion.status import Status, diagnosis
+from spherejax.runtime import require_float64
+from spherejax.studies.fit.experiment import Experiment, Integration, experiment_of
+from spherejax.studies.fit.measured import Measured
+from spherejax.studies.fit.parameters import Unknowns, unknowns_from
+
+MAX_STEPS = 1_000_000
+"""Steps after which a run of a fit is given up: an iterate may be far stiffer than the solution."""
+
+
+class Evaluation(NamedTuple):
+    """Residuals and their derivatives at some sets of unknowns, the lanes.
+
+    Attributes:
+        residuals: weighted by the noise; NaN in lanes that failed.
+        jacobians: their derivatives by the unknowns; NaN in lanes that failed.
+        failed: runs that did not reach their end.
+        diagnoses: of each lane why, or nothing.
+        n_steps: steps of the runs.
+    """
+
+    residuals: Float[np.ndarray, "lanes n"]
+    jacobians: Float[np.ndarray, "lanes n k"]
+    failed: Bool[np.ndarray, " lanes"]
+    diagnoses: list[str]
+    n_steps: Int[np.ndarray, " lanes"]
+
+
+class Problem:
+    """Residuals of experiments as functions of unknowns u.
+
+    Attributes:
+        unknowns: what is fitted, and how u stands for it.
+        start: where the fit begins, by name.
+        experiments: what was done.
+        noise: standard deviations of the errors, one array (n, m) for each experiment; all of them ones where the
+            noise is not known.
+        noise_is_known: whether the noise was stated.
+    """
+
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        start: dict[str, np.ndarray],
+        experiments: Sequence[Experiment],
+        noise: Sequence[np.ndarray],
+        noise_is_known: bool,
+    ):
+        self.unknowns, self.start = unknowns, start
+        self.experiments, self.noise = tuple(experiments), tuple(noise)
+        self.noise_is_known = noise_is_known
+
+    @property
+    def u0(self) -> np.ndarray:
+        """Where the fit begins."""
+        return self.unknowns.unknowns_of(self.start)
+
+    @property
+    def names(self) -> list[str]:
+        """Of all numbers that are fitted."""
+        return self.unknowns.names
+
+    @cached_property
+    def n_residuals(self) -> int:
+        """Count of measured values."""
+        return sum(int(np.sum(experiment.is_measured)) for experiment in self.experiments)
+
+    def values_of(self, u: Float[Any, " k"]) -> dict[str, Array]:
+        """Parameters by name."""
+        return self.unknowns.values_of(jnp.asarray(u))
+
+    # As functions that transform --------------------------------------------------------------------------------
+
+    def residuals(self, u: Float[Array, " k"]) -> Float[Array, " n"]:
+        """Weighted residuals; NaN where a run fails. Works under `jit`, forward and reverse differentiation."""
+        return self._residuals(u)
+
+    def jacobian(self, u: Float[Array, " k"]) -> Float[Array, "n k"]:
+        """Derivatives of the residuals by the unknowns: forward sensitivities."""
+        return self.residuals_and_jacobian(u)[1]
+
+    def residuals_and_jacobian(self, u: Float[Array, " k"]) -> tuple[Float[Array, " n"], Float[Array, "n k"]]:
+        """Both, from one integration for each experiment."""
+        found = [self._weighted(i, experiment.predict(u)) for i, experiment in enumerate(self.experiments)]
+        return jnp.concatenate([r for r, _ in found]), jnp.concatenate([j for _, j in found])
+
+    def log_likelihood(self, u: Float[Array, " k"]) -> Scalar:
+        """Logarithm of the probability density of the measurements, for independent normal errors.
+
+        Minus infinity where a run fails.
+
+        Raises:
+            SceneError: where the noise was not stated.
+        """
+        if not self.noise_is_known:
+            raise SceneError("the likelihood needs the noise of the measurements: give noise=")
+        residuals = self.residuals(u)
+        fits = jnp.all(jnp.isfinite(residuals))
+        spread = sum(
+            float(np.sum(np.log(noise[experiment.is_measured])))
+            for noise, experiment in zip(self.noise, self.experiments, strict=True)
+        )
+        constant = -spread - self.n_residuals * np.log(2 * np.pi) / 2
+        return jnp.where(fits, constant - jnp.sum(jnp.where(fits, residuals, 0.0) ** 2) / 2, -jnp.inf)
+
+    @cached_property
+    def _residuals(self):
+        @jax.custom_jvp
+        def residuals(u):
+            found = [self._weighted(i, each.predict_alone(u))[0] for i, each in enumerate(self.experiments)]
+            return jnp.concatenate(found)
+
+        @residuals.defjvp
+        def residuals_jvp(primals, tangents):
+            values, jacobian = self.residuals_and_jacobian(*primals)
+            return values, jnp.where(jnp.isfinite(jacobian), jacobian, 0.0) @ tangents[0]
+
+        return residuals
+
+    def _weighted(self, i: int, prediction) -> tuple[Array, Array]:
+        """Residuals of an experiment where something was measured, with a leading axis of lanes if there is one."""
+        experiment, noise = self.experiments[i], self.noise[i]
+        where = np.nonzero(experiment.is_measured)
+        weights = 1 / noise[where]
+        residuals = (prediction.values[..., where[0], where[1]] - experiment.data[where]) * weights
+        jacobian = prediction.slopes[..., where[0], where[1], :] * weights[:, None]
+        failed = (prediction.status != Status.SUCCEEDED)[..., None]
+        residuals = jnp.where(failed, jnp.nan, residuals)
+        return residuals, jnp.where(failed[..., None], jnp.nan, jacobian)
+
+    # On the host -------------------------------------------------------------------------------------------------
+
+    def evaluate(self, us: Float[np.ndarray, "lanes k"]) -> Evaluation:
+        """Residuals and Jacobians of many sets of unknowns, computed now."""
+        us = np.asarray(us, np.float64)
+        residuals, jacobians, n_steps = [], [], np.zeros(len(us), int)
+        said: list[list[str]] = [[] for _ in us]
+        for i, experiment in enumerate(self.experiments):
+            prediction = self._predicted(experiment, us)
+            r, j = (np.asarray(part) for part in self._weighted(i, prediction))
+            residuals.append(r)
+            jacobians.append(j)
+            n_steps += np.asarray(prediction.n_steps)
+            for lane, why in enumerate(_reasons(experiment, prediction)):
+                if why:
+                    said[lane].append(f"{experiment.measured.name}: {why}" if len(self.experiments) > 1 else why)
+        r, j = np.concatenate(residuals, 1), np.concatenate(jacobians, 1)
+        failed = ~(np.all(np.isfinite(r), 1) & np.all(np.isfinite(j), (1, 2)))
+        for lane in np.nonzero(failed)[0]:
+            said[lane] = said[lane] or ["the residuals or their derivatives are not finite"]
+        return Evaluation(r, j, failed, ["; ".join(lane) for lane in said], n_steps)
+
+    def cost_and_gradient(self, u: Float[np.ndarray, " k"]) -> tuple[float, np.ndarray]:
+        """Half the sum of squares and its gradient in reverse mode, for many unknowns.
+
+        NaN where a run fails.
+        """
+        cost, gradient = 0.0, np.zeros(self.unknowns.size)
+        for experiment, noise in zip(self.experiments, self.noise, strict=True):
+            weights = np.where(experiment.is_measured, 1 / noise, 0.0)
+            part, slope = experiment.cost_and_gradient(jnp.asarray(u), weights)
+            cost, gradient = cost + float(part), gradient + np.asarray(slope)
+        return cost, gradient
+
+    def _predicted(self, experiment: Experiment, us: np.ndarray):
+        if len(us) > 1:
+            return experiment.predict_lanes(jnp.asarray(us))
+        return jax.tree.map(lambda x: np.asarray(x)[None], experiment.predict(jnp.asarray(us[0])))
+
+    def until(self, t: float) -> "Problem":
+        """The problem with what was measured up to t [s]; nothing is compiled for it.
+
+        Experiments that begin later drop out.
+        """
+        kept = [
+            (each.until(t), noise)
+            for each, noise in zip(self.experiments, self.noise, strict=True)
+            if each.until(t).is_measured.any()
+        ]
+        if not kept:
+            raise SceneError(f"nothing was measured up to t = {t:.6g} s")
+        experiments, noise = zip(*kept, strict=True)
+        return Problem(self.unknowns, self.start, experiments, noise, self.noise_is_known)
+
+    def with_noise(self, noise: Sequence[np.ndarray], *, is_known: bool) -> "Problem":
+        """The same problem with other weights."""
+        return Problem(self.unknowns, self.start, self.experiments, noise, is_known)
+
+    def with_data(self, data: Sequence[np.ndarray]) -> "Problem":
+        """The same problem with other measured values, one array (n, m) for each experiment; missing ones stay so."""
+        import equinox as eqx
+
+        experiments = [
+            eqx.tree_at(lambda e: e.data, experiment, np.asarray(values))
+            for experiment, values in zip(self.experiments, data, strict=True)
+        ]
+        return Problem(self.unknowns, self.start, experiments, self.noise, self.noise_is_known)
+
+
+def _reasons(experiment: Experiment, prediction) -> list[str]:
+    """Why each lane failed, or nothing."""
+    end = float(experiment.setting.ts[-1])
+    lanes = zip(np.asarray(prediction.status), np.asarray(prediction.t_reached), strict=True)
+    return [diagnosis(status, reached, end) for status, reached in lanes]
+
+
+def problem_of(
+    build: Build,
+    start: Mapping[str, Any],
+    experiments: Sequence[Measured],
+    noise: Any = None,
+    *,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    max_steps: int = MAX_STEPS,
+) -> Problem:
+    """The problem of a fit; arguments as for `sj.fit`, experiments as `Measured`.
+
+    Raises:
+        SceneError: for a request that makes no sense, before anything is simulated.
+    """
+    require_float64()
+    check_tolerances(rtol, atol)
+    unknowns, values = unknowns_from(start)
+    integration = Integration(rtol, atol, solver, max_steps)
+    experiments = [each.named(f"experiment {i + 1}") for i, each in enumerate(experiments)]
+    n_samples = max(each.ts.size for each in experiments)
+    made = [experiment_of(build, unknowns, values, each, integration, n_samples) for each in experiments]
+    stated = [noise_of(each, noise) for each in made]
+    if len({each is None for each in stated}) == 2:
+        unsaid = [str(each.measured.name) for each, given in zip(made, stated, strict=True) if given is None]
+        raise SceneError(f"state the noise of all measurements or of none; it is missing for {', '.join(unsaid)}")
+    is_known = stated[0] is not None
+    weights = [_scales(each) if given is None else given for each, given in zip(made, stated, strict=True)]
+    problem = Problem(unknowns, values, made, weights, is_known)
+    if problem.n_residuals < unknowns.size:
+        raise SceneError(f"{problem.n_residuals} measured values cannot determine {unknowns.size} parameters")
+    return problem
+
+
+def noise_of(experiment: Experiment, noise: Any) -> np.ndarray | None:
+    """Standard deviations of the errors of an experiment, shape (n, m); None where they are not stated.
+
+    Raises:
+        SceneError: for noise that is not positive, has another shape, or is missing for an observable.
+    """
+    measured = experiment.measured
+    noise = measured.noise if measured.noise is not None else noise
+    if noise is None:
+        return None
+    columns = []
+    for name, values in measured.values.items():
+        if isinstance(noise, Mapping):
+            if name not in noise:
+                raise SceneError(f"noise of {name!r} is missing; noise= has {', '.join(map(repr, noise)) or 'nothing'}")
+            given = noise[name]
+        else:
+            given = noise
+        try:
+            deviation = np.broadcast_to(np.asarray(given, np.float64), values.shape)
+        except (TypeError, ValueError) as error:
+            raise SceneError(
+                f"noise of {name!r} must be a number or an array of shape {values.shape}; it is {given!r}"
+            ) from error
+        if not np.all(deviation[~np.isnan(values)] > 0) or not np.all(np.isfinite(deviation[~np.isnan(values)])):
+            raise SceneError(f"noise of {name!r} must be positive and finite: it is a standard deviation")
+        columns.append(np.where(np.isnan(values), 1.0, deviation).reshape(values.shape[0], -1))
+    if isinstance(noise, Mapping) and (unknown := [name for name in noise if name not in measured.values]):
+        others = ", ".join(map(repr, measured.values))
+        if measured.noise is not None:
+            raise SceneError(f"noise= names {unknown[0]!r}, which was not measured; measured are {others}")
+    return np.concatenate(columns, 1)
+
+
+def _scales(experiment: Experiment) -> np.ndarray:
+    """Weights before the noise has been estimated: how much each observable varies."""
+    columns = []
+    for values in experiment.measured.values.values():
+        size = np.nanstd(values) or np.sqrt(np.nanmean(values**2)) or 1.0
+        columns.append(np.full(values.shape, size).reshape(values.shape[0], -1))
+    return np.concatenate(columns, 1)

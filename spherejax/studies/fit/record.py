@@ -1,0 +1,109 @@
+"""How much of the record a method sees: all of it, or a part that grows.
+
+A start that is far off predicts a vibration of another frequency. After a few periods it is out of step with what was
+measured, and the cost has minima wherever it is in step again by chance. Over a short part of the record there is
+no such minimum yet; its estimates bring the next part, twice as long, in step.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from spherejax.studies.fit.methods import Course, Ending, Method
+from spherejax.studies.fit.problem import Evaluation, Problem
+
+Watching = Callable[[list[Course]], None]
+
+
+class Horizon(Protocol):
+    """How the record is shown to a method: `Whole`, `Grown`, or one of your own."""
+
+    def minimize(
+        self, problem: Problem, method: Method, us: np.ndarray, *, noise_is_known: bool, watch: Watching
+    ) -> list[Course]:
+        """Minimise from one or more starts; the courses end with residuals and Jacobian of the whole record."""
+        ...
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The whole record at once."""
+
+    def minimize(
+        self, problem: Problem, method: Method, us: np.ndarray, *, noise_is_known: bool, watch: Watching
+    ) -> list[Course]:
+        """Minimise from one or more starts."""
+        return method.minimize(problem, us, noise_is_known=noise_is_known, watch=watch)
+
+
+@dataclass(frozen=True)
+class Grown:
+    """Rough fits of parts of the record, each twice as long as the one before, then the whole.
+
+    Attributes:
+        doublings: how often the first part is doubled.
+        held: in the rough fits an unknown counts as known to this standard deviation (of a positive parameter: of its
+            logarithm), so that what a short part does not show stays where it is.
+    """
+
+    doublings: int = 5
+    held: float = 3.0
+
+    def minimize(
+        self, problem: Problem, method: Method, us: np.ndarray, *, noise_is_known: bool, watch: Watching
+    ) -> list[Course]:
+        """Minimise from one or more starts."""
+        courses: list[Course | None] = [None] * len(us)
+        us = np.array(us)
+        for end in self._ends(problem):
+            part = problem if np.isinf(end) else Held(problem.until(end), us.copy(), self.held)
+            stage = method if np.isinf(end) else method.roughly()
+            found = stage.minimize(part, us, noise_is_known=noise_is_known, watch=watch)
+            courses = [new.after(old, end) for new, old in zip(found, courses, strict=True)]
+            for lane, new in enumerate(found):
+                us[lane] = new.u if new.us else us[lane]
+            if any(course.ending is Ending.INTERRUPTED for course in found):
+                break
+        done = [course for course in courses if course is not None]
+        return done if np.isinf(done[0].ends[-1] if done[0].ends else np.inf) else of_the_whole(done, problem)
+
+    def _ends(self, problem: Problem) -> list[float]:
+        """Ends of the parts that show enough for a fit [s], and infinity for the whole."""
+        begin = min(each.measured.t0 for each in problem.experiments)
+        end = max(float(each.measured.ts[-1]) for each in problem.experiments)
+        ends = [begin + (end - begin) / 2**i for i in range(self.doublings, 0, -1)]
+        return [each for each in ends if _shows_enough(problem, each)] + [np.inf]
+
+
+def _shows_enough(problem: Problem, end: float) -> bool:
+    n = sum(int(np.sum(each.until(end).is_measured)) for each in problem.experiments)
+    return n >= 5 * problem.unknowns.size
+
+
+class Held:
+    """A problem in which unknowns are known beforehand, loosely."""
+
+    def __init__(self, problem: Problem, us: np.ndarray, deviation: float):
+        self.problem, self.us, self.deviation = problem, us, deviation
+
+    def evaluate(self, us: np.ndarray) -> Evaluation:
+        """Residuals with those of what is known beforehand."""
+        found = self.problem.evaluate(us)
+        away = (us - self.us) / self.deviation
+        identity = np.broadcast_to(np.eye(us.shape[1]) / self.deviation, (len(us), us.shape[1], us.shape[1]))
+        return found._replace(
+            residuals=np.concatenate([found.residuals, away], 1),
+            jacobians=np.concatenate([found.jacobians, identity], 1),
+        )
+
+
+def of_the_whole(courses: list[Course], problem: Problem) -> list[Course]:
+    """Courses that were interrupted while the record grew, with residuals of the whole."""
+    found = problem.evaluate(np.stack([course.u for course in courses]))
+    for lane, course in enumerate(courses):
+        course.ending = course.ending or Ending.INTERRUPTED
+        if not found.failed[lane]:
+            course.accept(course.u, found.residuals[lane], found.jacobians[lane])
+    return courses

@@ -1,0 +1,288 @@
+"""The result of a fit."""
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import SceneError
+from spherejax.motion.simulate import simulate
+from spherejax.motion.trajectory import Trajectory
+from spherejax.studies.fit.columns import columns_of, tables_of
+from spherejax.studies.fit.growth import Growth, growth_of
+from spherejax.studies.fit.judgement import diagnosis_of, warnings_of
+from spherejax.studies.fit.methods import Course, Ending
+from spherejax.studies.fit.problem import Problem
+from spherejax.studies.fit.statistics import Knowledge, Undetermined
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+    import xarray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Estimated parameters, and how far they can be trusted; prints as a report.
+
+    Attributes:
+        problem: what was minimised.
+        courses: where each start went.
+        level: of the confidence intervals in the report.
+        determined_within: standard deviation (relative, of positive parameters) from which on a combination of
+            parameters counts as undetermined.
+        seconds: how long it took [s], compilation included.
+        build: from parameters to the scene.
+        notes: what else is to be said about it, sentences.
+    """
+
+    problem: Problem
+    courses: list[Course] = field(repr=False)
+    level: float
+    determined_within: float
+    seconds: float
+    build: Any = field(repr=False)
+    notes: tuple[str, ...] = ()
+
+    # The estimates ------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> list[str]:
+        """Of all numbers that were fitted, arrays flattened as `name[0]`, ..."""
+        return self.problem.names
+
+    @cached_property
+    def best(self) -> Course:
+        """The start that reached the smallest cost."""
+        return min(self.courses, key=lambda course: course.cost)
+
+    @property
+    def estimates(self) -> dict[str, Any]:
+        """Parameters by name, numbers or arrays."""
+        return {name: _plain(value) for name, value in self.problem.values_of(self.u).items()}
+
+    @property
+    def u(self) -> np.ndarray:
+        """The estimates as the method's unknowns."""
+        return self.best.u if self.best.us else self.problem.u0
+
+    @property
+    def standard_deviations(self) -> dict[str, Any]:
+        """Of the estimates, by name."""
+        return self._by_name(self.knowledge.standard_deviations)
+
+    @property
+    def best_possible(self) -> dict[str, Any]:
+        """The smallest standard deviations that an unbiased estimate can have (Cramer-Rao), for the stated noise.
+
+        Where the noise was not stated, for that which was estimated.
+        """
+        known = Knowledge(self.problem.unknowns, self.u, self.best.jacobian, self._stated_variance, np.inf)
+        return self._by_name(known.standard_deviations)
+
+    def interval(self, level: float = 0.95) -> dict[str, Any]:
+        """Confidence intervals by name: (low, high) of numbers, arrays (..., 2) of arrays.
+
+        Those of positive parameters are symmetric in the logarithm.
+        """
+        low, high = self.knowledge.intervals(level).T
+        lows, highs = self._by_name(low), self._by_name(high)
+        return {
+            name: (lows[name], highs[name]) if np.ndim(lows[name]) == 0 else np.stack([lows[name], highs[name]], -1)
+            for name in lows
+        }
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the estimates in the order of `names`, in their units."""
+        return self.knowledge.covariance
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Of the estimates in the order of `names`."""
+        return self.knowledge.correlation
+
+    @property
+    def singular_values(self) -> np.ndarray:
+        """Of the noise-weighted Jacobian by the parameters in units of their scales, falling."""
+        return self.knowledge.singular_values / np.sqrt(self.knowledge.variance)
+
+    @cached_property
+    def undetermined(self) -> list[Undetermined]:
+        """Directions that the data do not determine, the worst first."""
+        return self.knowledge.undetermined(self.determined_within)
+
+    @cached_property
+    def knowledge(self) -> Knowledge:
+        """What the data say about the parameters near the estimates."""
+        freedom = np.inf if self.problem.noise_is_known else max(self.degrees_of_freedom, 1)
+        return Knowledge(self.problem.unknowns, self.u, self.best.jacobian, self._stated_variance, freedom)
+
+    @property
+    def _stated_variance(self) -> float:
+        return 1.0 if self.problem.noise_is_known else self.reduced_chi_square
+
+    # How it went ----------------------------------------------------------------------------------------------------
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares of the weighted residuals."""
+        return self.best.cost
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Measured values minus fitted numbers."""
+        return self.problem.n_residuals - self.problem.unknowns.size
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Sum of squares of the weighted residuals over the degrees of freedom: about 1 where all is as stated."""
+        return 2 * self.cost / max(self.degrees_of_freedom, 1)
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether a minimum was found."""
+        return self.best.ending is not None and self.best.ending.succeeded
+
+    @property
+    def status(self) -> str:
+        """How it ended."""
+        assert self.best.ending is not None
+        return self.best.ending.value
+
+    @property
+    def diagnosis(self) -> str:
+        """Why it did not succeed, and what to do; empty after success."""
+        return diagnosis_of(self.best, self.problem)
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What to think about before the estimates are used."""
+        return warnings_of(self)
+
+    @property
+    def n_iterations(self) -> int:
+        """Steps tried by the best start."""
+        return self.best.n_iterations
+
+    @property
+    def starts(self) -> list[dict[str, Any]]:
+        """Of each start: where it began and ended (dicts), its cost, status and number of iterations."""
+        return [
+            {
+                "start": self._flat_by_name(course.us[0]) if course.us else None,
+                "end": self._flat_by_name(course.u) if course.us else None,
+                "cost": course.cost,
+                "status": Ending.FAILED_START.value if course.ending is None else course.ending.value,
+                "n_iterations": course.n_iterations,
+            }
+            for course in self.courses
+        ]
+
+    @cached_property
+    def history(self) -> "xarray.Dataset":
+        """Cost and parameters of the accepted steps of the best start.
+
+        `until` is the end of the record that a cost is of [s]; infinite for the whole.
+        """
+        import xarray
+
+        steps = ("step",)
+        values = [self.problem.unknowns.flat_values_of(u) for u in self.best.us]
+        table = np.reshape(values, (-1, len(self.names)))
+        return xarray.Dataset(
+            {
+                "cost": (steps, np.array(self.best.costs)),
+                "until": (steps, np.array(self.best.ends), {"units": "s"}),
+                "value": ((*steps, "parameter"), table),
+            },
+            {"parameter": self.names},
+        )
+
+    @cached_property
+    def growth(self) -> Growth:
+        """How the sensitivities grow along the record, and how far the gradient means anything.
+
+        Raises:
+            SceneError: for a fit whose run at the start failed: there are no sensitivities.
+        """
+        if not self.best.us:
+            raise SceneError(f"there are no sensitivities: {self.diagnosis}")
+        return growth_of(self)
+
+    # Residuals and runs ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def tables(self) -> list[np.ndarray]:
+        """Prediction minus measurement over the noise of the problem, (n, m) by experiment; NaN: not measured."""
+        return tables_of(self.problem.experiments, self.best.residuals)
+
+    @cached_property
+    def noise(self) -> list[np.ndarray]:
+        """Standard deviations of the errors as stated or estimated, (n, m) by experiment, in the observables' units."""
+        return [noise * np.sqrt(self._stated_variance) for noise in self.problem.noise]
+
+    @cached_property
+    def residuals(self) -> dict[str, dict[str, np.ndarray]]:
+        """Prediction minus measurement over the noise, by experiment and component; NaN where nothing was measured."""
+        size = np.sqrt(self._stated_variance)
+        return {
+            str(experiment.measured.name): dict(zip(columns_of(experiment), table.T / size, strict=True))
+            for experiment, table in zip(self.problem.experiments, self.tables, strict=True)
+        }
+
+    @cached_property
+    def runs(self) -> dict[str, Trajectory]:
+        """A run of each experiment at the estimates, sampled when it was measured; made on first use."""
+        from spherejax.motion.many import built
+
+        found = {}
+        for experiment in self.problem.experiments:
+            measured = experiment.measured
+            scene = built(measured.build or self.build, self.estimates)
+            first = [] if measured.ts[0] == measured.t0 else [measured.t0]
+            found[str(measured.name)] = simulate(scene, jnp.asarray(np.concatenate([first, measured.ts])))
+        return found
+
+    # Out --------------------------------------------------------------------------------------------------------------
+
+    def __str__(self) -> str:
+        from spherejax.studies.fit.report import report
+
+        return report(self)
+
+    def figures(self, title: str = "") -> "dict[str, matplotlib.figure.Figure]":
+        """Pictures by name: `"fit"`, `"residuals"`, `"correlation"`, `"history"`."""
+        from spherejax.studies.fit.figures import figures_of
+
+        return figures_of(self, title)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Estimates, statistics, measurements, predictions and history, labelled."""
+        from spherejax.studies.fit.dataset import to_dataset
+
+        return to_dataset(self)
+
+    def save(self, path: str | os.PathLike, *, overwrite: bool = False) -> Path:
+        """Write `to_xarray()` to a netCDF file (.nc)."""
+        from spherejax.output.io import save
+
+        return save(self.to_xarray(), path, overwrite=overwrite)
+
+    def _by_name(self, flat: np.ndarray) -> dict[str, Any]:
+        found, at = {}, 0
+        for part in self.problem.unknowns.parts:
+            found[part.name] = _plain(np.reshape(flat[at : at + part.size], part.shape))
+            at += part.size
+        return found
+
+    def _flat_by_name(self, u: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.names, self.problem.unknowns.flat_values_of(u).tolist(), strict=True))
+
+
+def _plain(value: Any) -> Any:
+    array = np.asarray(value)
+    return array.item() if array.ndim == 0 else array

@@ -1,0 +1,206 @@
+"""What residuals and their Jacobian at the estimates say about the parameters.
+
+With the Jacobian J of the noise-weighted residuals by the numbers p, each in units of its scale s (its own size, or
+what `Parameter(scale=)` says), and its singular values sigma_i and directions v_i,
+
+    covariance of p / s = variance * sum_i v_i v_i^T / sigma_i^2,
+
+which is the Cramer-Rao bound for independent normal errors where the noise is stated (variance 1). Along v_i the data
+leave a standard deviation of 1 / sigma_i.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import stats
+
+from spherejax.studies.fit.parameters import Unknowns
+
+SMALLEST_SHARE = 0.1
+"""A parameter belongs to a direction in words if its part of it is at least this share of the largest."""
+
+
+class Undetermined(NamedTuple):
+    """A direction among the parameters that the data do not determine.
+
+    Attributes:
+        direction: by name: relative changes of positive parameters, changes in units of their scales of the others.
+        singular_value: of the noise-weighted Jacobian along it; 1 over it is the standard deviation along it.
+        explanation: one sentence.
+    """
+
+    direction: dict[str, float]
+    singular_value: float
+    explanation: str
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the data say about the parameters near the estimates.
+
+    Attributes:
+        unknowns: what was fitted.
+        u: the estimates as unknowns.
+        jacobian: of the weighted residuals by the unknowns.
+        variance: of the weighted residuals: 1 where the noise was stated, estimated otherwise.
+        degrees_of_freedom: of that estimate; infinite where the noise was stated.
+    """
+
+    unknowns: Unknowns
+    u: np.ndarray
+    jacobian: np.ndarray
+    variance: float
+    degrees_of_freedom: float
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """The estimates."""
+        return self.unknowns.flat_values_of(self.u)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """What counts as a large change of each."""
+        return self.unknowns.scales(self.values)
+
+    @cached_property
+    def scaled_jacobian(self) -> np.ndarray:
+        """By the parameters in units of their scales."""
+        return self.jacobian * self.unknowns_per_scale
+
+    @cached_property
+    def unknowns_per_scale(self) -> np.ndarray:
+        """Change of each unknown for a change of its parameter by its scale."""
+        slopes = np.asarray(jax.jvp(self._flat, (jnp.asarray(self.u),), (jnp.ones(self.u.size),))[1])
+        return self.scales / slopes
+
+    @property
+    def most_sensitive(self) -> np.ndarray:
+        """Direction of the parameters, in units of their scales, that changes the predictions most."""
+        return self._decomposition[1][0]
+
+    def _flat(self, u):
+        return jnp.concatenate([jnp.ravel(value) for value in self.unknowns.values_of(u).values()])
+
+    @cached_property
+    def _decomposition(self):
+        n, k = self.scaled_jacobian.shape
+        _, singular, right = np.linalg.svd(self.scaled_jacobian, full_matrices=n < k)
+        return np.concatenate([singular, np.zeros(k - singular.size)]), right
+
+    @property
+    def singular_values(self) -> np.ndarray:
+        """Of the scaled Jacobian, falling."""
+        return self._decomposition[0]
+
+    @cached_property
+    def scaled_covariance(self) -> np.ndarray:
+        """Of the parameters in units of their scales; infinite along directions that leave no trace in the data."""
+        singular, right = self._decomposition
+        deviations = np.where(
+            singular > _rounding(singular, self.jacobian.shape), 1 / np.maximum(singular, 1e-300), 1e150
+        )
+        factor = right.T * np.sqrt(self.variance) * np.minimum(deviations, 1e150)
+        return factor @ factor.T
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the parameters, in their units."""
+        return self.scaled_covariance * np.outer(self.scales, self.scales)
+
+    @property
+    def standard_deviations(self) -> np.ndarray:
+        """Of the parameters, in their units."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Of the parameters."""
+        deviations = np.sqrt(np.diagonal(self.scaled_covariance))
+        return self.scaled_covariance / np.outer(deviations, deviations)
+
+    def intervals(self, level: float) -> np.ndarray:
+        """Confidence intervals within the bounds, shape (k, 2): of positive parameters symmetric in the logarithm."""
+        quantile = float(stats.t.ppf((1 + level) / 2, self.degrees_of_freedom))
+        reach = quantile * np.sqrt(np.diagonal(self.scaled_covariance))
+        relative = self.unknowns.each("is_relative") & (self.values > 0)
+        factor = np.exp(np.minimum(reach, 700.0))
+        low = np.where(relative, self.values / factor, self.values - reach * self.scales)
+        high = np.where(relative, self.values * factor, self.values + reach * self.scales)
+        lower, upper = self.unknowns.each("lower"), self.unknowns.each("upper")
+        return np.stack([np.maximum(low, lower), np.minimum(high, upper)], 1)
+
+    def undetermined(self, within: float) -> list[Undetermined]:
+        """Directions along which the data leave a larger standard deviation than `within`, the worst first."""
+        singular, right = self._decomposition
+        deviations = np.sqrt(self.variance) / np.maximum(singular, 1e-300)
+        found = [
+            _described(self.unknowns, right[i], float(singular[i]), float(deviations[i]), within)
+            for i in range(singular.size)
+            if deviations[i] > within
+        ]
+        return found[::-1]
+
+
+def _rounding(singular: np.ndarray, shape: tuple[int, ...]) -> float:
+    return float(singular[0] * max(shape) * np.finfo(float).eps) if singular.size else 0.0
+
+
+def _described(unknowns: Unknowns, direction: np.ndarray, singular: float, deviation: float, within: float):
+    names, relative = unknowns.names, unknowns.each("is_relative")
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    parts = {name: float(part) for name, part in zip(names, direction, strict=True)}
+    order = np.argsort(-np.abs(direction))
+    main = [int(i) for i in order if abs(direction[i]) >= SMALLEST_SHARE * abs(direction[order[0]])]
+    first = names[main[0]]
+    if len(main) == 1:
+        what = f"{first} is"
+    else:
+        others = [f"{names[i]} {'rises' if direction[i] > 0 else 'falls'}" for i in main[1:]]
+        what = f"{first} while {_listed(others)}{_ratios(direction, main, relative)} is"
+    how = _how_open(deviation, bool(relative[main[0]]), first)
+    text = f"{what} {how}; singular value {singular:.3g}"
+    return Undetermined(parts, singular, text[0].lower() + text[1:])
+
+
+def _how_open(deviation: float, is_relative: bool, name: str) -> str:
+    if deviation > 1e6:
+        return f"not determined at all: changing {name} leaves no trace in what was measured"
+    if is_relative and deviation > 0.5:
+        return f"not determined: a factor of {np.exp(min(deviation, 700.0)):.2g} in it is within one standard deviation"
+    if is_relative:
+        return f"determined no better than to {100 * deviation:.2g} percent (one standard deviation)"
+    return f"determined no better than to {deviation:.2g} of its scale (one standard deviation)"
+
+
+def _ratios(direction: np.ndarray, main: list[int], relative: np.ndarray) -> str:
+    if len(main) == 2 and all(relative[main]):
+        return f" by {abs(direction[main[1]] / direction[main[0]]):.2g} as many percent"
+    return ""
+
+
+def _listed(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def white(residuals: np.ndarray, lags: int = 10) -> float:
+    """Probability that white residuals look as correlated as these, by the test of Ljung and Box (1978).
+
+    Args:
+        residuals: consecutive, of one observable.
+        lags: how many correlations are looked at.
+    """
+    n = residuals.size
+    lags = min(lags, n // 5)
+    if lags < 1:
+        return 1.0
+    centered = residuals - residuals.mean()
+    power = centered @ centered
+    if power == 0:
+        return 1.0
+    correlations = np.array([centered[k:] @ centered[:-k] for k in range(1, lags + 1)]) / power
+    statistic = n * (n + 2) * np.sum(correlations**2 / (n - np.arange(1, lags + 1)))
+    return float(stats.chi2.sf(statistic, lags))

@@ -1,0 +1,176 @@
+"""Who computes the chunks of a sweep: threads on the cores, the accelerators side by side, or somebody's executor."""
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import contextmanager
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any, NamedTuple
+
+import jax
+
+from spherejax.foundations.checks import SceneError
+from spherejax.studies.sweep.chunks import ChunkResult, compiled_for, packed, run_chunk, run_packed_chunk
+from spherejax.studies.sweep.devices import compiled_for_all, run_side_by_side
+from spherejax.studies.sweep.progress import Report, Seen
+from spherejax.studies.sweep.results import Results
+
+ATTEMPTS = 3
+"""How often a chunk is sent out when the worker that has it dies."""
+
+Submit = Callable[[Sequence[int]], "Future[list[ChunkResult]]"]
+"""Hand out chunks that are computed together."""
+
+
+class Crew(NamedTuple):
+    """Where chunks go.
+
+    Attributes:
+        opened: a context in which `Submit` works.
+        together: chunks that are handed out together.
+        at_once: how many such are under way at the same time; more wait here, where they can be stopped.
+    """
+
+    opened: Callable
+    together: int
+    at_once: int
+
+
+def crew_for(results: Results, workers: int, executor: Executor | None) -> Crew:
+    """An executor, where one is given; otherwise the devices of this process."""
+    if executor is not None:
+        return _elsewhere(results, executor)
+    devices = jax.local_devices()
+    return _threads(results, workers) if len(devices) == 1 else _devices(results, devices[:workers])
+
+
+def default_workers() -> int:
+    """All cores, or all devices where there are several or one is no CPU."""
+    devices = jax.local_devices()
+    if devices[0].platform == "cpu" and len(devices) == 1:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(devices)
+
+
+def work_off(results: Results, crew: Crew, report: Report) -> None:
+    """Hand out the missing chunks, take what comes back, and hand out again what was lost."""
+    waiting = results.missing()
+    seen = Seen.beginning(results.grid.n_runs, results.n_chunks, results.n_chunks - len(waiting), results.work.size)
+    report(seen)
+    if not waiting:
+        return
+    attempts: Counter[int] = Counter()
+    try:
+        with crew.opened() as submit:
+            under_way: dict[Future, list[int]] = {}
+            try:
+                while waiting or under_way:
+                    while waiting and len(under_way) < crew.at_once:
+                        chunks, waiting = waiting[: crew.together], waiting[crew.together :]
+                        attempts.update(chunks)
+                        under_way[submit(chunks)] = chunks
+                    for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                        chunks = under_way.pop(future)
+                        error = future.exception()
+                        if error is None:
+                            for chunk, result in zip(chunks, future.result(), strict=True):
+                                results.put(chunk, result)
+                                seen = seen.with_chunk(result)
+                            report(seen)
+                        elif max(attempts[chunk] for chunk in chunks) < ATTEMPTS and not isinstance(error, SceneError):
+                            waiting = [*waiting, *chunks]
+                        else:
+                            raise error
+            finally:
+                for future in under_way:
+                    future.cancel()
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(_where_it_stands(results, seen))
+        raise
+
+
+def _where_it_stands(results: Results, seen: Seen) -> str:
+    if results.store is None:
+        return "sweep: stopped; nothing is kept, for the sweep has no store (store=)"
+    return (
+        f"sweep: stopped; {seen.n_done:,} of {seen.n_runs:,} runs are in {str(results.store.path)!r}, and the same "
+        "call goes on from there"
+    )
+
+
+# The three crews ---------------------------------------------------------------------------------------------------
+
+
+def _elsewhere(results: Results, executor: Executor) -> Crew:
+    sent = packed(results.work)
+
+    @contextmanager
+    def opened() -> Iterator[Submit]:
+        yield lambda chunks: executor.submit(run_packed_chunk, sent, results.rows(chunks[0]))
+
+    return Crew(opened, 1, 4 * (getattr(executor, "_max_workers", None) or os.cpu_count() or 1))
+
+
+def _threads(results: Results, workers: int) -> Crew:
+    """Threads of one device: the compiled loop runs on one core."""
+    work = results.work
+
+    @contextmanager
+    def opened() -> Iterator[Submit]:
+        with _Threads(workers) as pool:
+            # Compiled in a thread: this one stays free to be interrupted.
+            program = pool.submit(lambda: compiled_for(work, results.rows(0)))
+            yield lambda chunks: pool.submit(lambda: [run_chunk(work, results.rows(chunks[0]), program.result())])
+
+    return Crew(opened, 1, workers)
+
+
+def _devices(results: Results, devices: Sequence[Any]) -> Crew:
+    """All devices together, a chunk for each; the next chunks wait while the last ones are stored."""
+    work, n = results.work, len(devices)
+
+    @contextmanager
+    def opened() -> Iterator[Submit]:
+        with _Threads(1) as pool:
+            program = pool.submit(lambda: compiled_for_all(work, results.rows(0), devices))
+
+            def side_by_side(chunks: Sequence[int]) -> list[ChunkResult]:
+                return run_side_by_side(work, [results.rows(chunk) for chunk in chunks], program.result(), n)
+
+            yield lambda chunks: pool.submit(lambda: side_by_side(chunks))
+
+    return Crew(opened, n, 2)
+
+
+class _Threads:
+    """Threads that nobody waits for: who interrupts a sweep, or ends the process, need not wait for a chunk's end."""
+
+    def __init__(self, n: int):
+        self.jobs: SimpleQueue = SimpleQueue()
+        self.threads = [Thread(target=self._work, daemon=True) for _ in range(n)]
+
+    def __enter__(self) -> "_Threads":
+        for thread in self.threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_) -> None:
+        for _ in self.threads:
+            self.jobs.put(None)
+
+    def submit(self, call: Callable[[], Any]) -> Future:
+        future: Future = Future()
+        self.jobs.put((future, call))
+        return future
+
+    def _work(self) -> None:
+        while (job := self.jobs.get()) is not None:
+            future, call = job
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                future.set_result(call())
+            except BaseException as error:
+                future.set_exception(error)

@@ -1,0 +1,76 @@
+"""What makes a sweep the same sweep, and what a reader wants to know about it."""
+
+import hashlib
+import re
+import subprocess
+from typing import Any
+
+import numpy as np
+
+from spherejax.foundations.checks import SceneError
+from spherejax.model.scene import Scene
+from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.many import Build, Method, built
+from spherejax.motion.widths import platform_of_runs
+from spherejax.studies.sweep.grids import Grid
+from spherejax.studies.sweep.records import Record
+
+
+def example_of(build: Build, grid: Grid) -> Scene:
+    """The scene of the first run that can be built; the others' errors become their status.
+
+    Raises:
+        SceneError: when none can be built.
+    """
+    problem: SceneError | None = None
+    for run in sorted({0, grid.n_runs // 2, grid.n_runs - 1}):
+        try:
+            scene = built(build, {name: values[run] for name, values in grid.values.items()})
+            compile_scene(scene)
+            return scene
+        except SceneError as error:
+            problem = problem or error
+        except TypeError as error:
+            raise SceneError(f"build cannot be called with the parameters {', '.join(grid.values)}: {error}") from error
+    assert problem is not None
+    raise problem
+
+
+def provenance(scene: Scene, grid: Grid, method: Method, ts: np.ndarray, wanted: Record) -> dict[str, Any]:
+    """Scene, tolerances, method, versions, commit."""
+    from importlib.metadata import version
+
+    structure, theta = flatten_system(compile_scene(scene).system)
+    # A function in the scene is printed with its address, which is another one in each process.
+    described = re.sub(r" at 0x[0-9a-f]+", "", repr((structure.tree, structure.shapes)))
+    return {
+        "scene": f"bodies {', '.join(scene.bodies)}; joints {', '.join(scene.joints)}",
+        "structure": _digest(described),
+        "numbers": _digest(np.asarray(theta).tobytes().hex()),
+        "grid_kind": grid.kind,
+        "record": [f"{kept.kind}: {kept.name}" for kept in wanted.kept],
+        "times": _digest(ts.tobytes().hex()),
+        "rtol": float(method.rtol),
+        "atol": "by component" if method.atol is None else float(method.atol),
+        "method": method.choice.reason,
+        "max_steps": method.max_steps,
+        "lanes": f"{method.block.width}, at the end {method.block.narrow}",
+        "platform": platform_of_runs(),
+        **{f"{name}_version": version(name) for name in ("spherejax", "jax", "diffrax")},
+        "commit": _commit(),
+    }
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _commit() -> str:
+    """The commit of the user's working folder."""
+    try:
+        found = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=5, check=False
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return found.stdout.strip() or "unknown"
