@@ -1,19 +1,27 @@
 """Sphinx configuration: `python -m sphinx -W -n -b html docs docs/_build`."""
 
 import sys
+from importlib.metadata import version as installed_version
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 
-import spherejax
-
 project = "spherejax"
 author = "the spherejax authors"
-version = release = __import__("importlib.metadata", fromlist=["version"]).version("spherejax")
+version = release = installed_version("spherejax")
 project_copyright = author
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "docstrings", "signatures", "mathml", "result_tables", "scene_gallery"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "docstrings",
+    "signatures",
+    "mathml",
+    "result_tables",
+    "scene_gallery",
+    "public_names",
+]
 exclude_patterns = ["_build", "extensions"]
 source_suffix = {".md": "markdown"}
 nitpicky = True

@@ -57,8 +57,13 @@ def pages() -> list[Path]:
     return [path for path in found if any(True for _ in blocks(path.read_text()))]
 
 
-def blocks(text: str) -> Iterator[Block]:
-    """The blocks of a page that are run, or compared with what is printed."""
+def blocks(text: str, also_shown: tuple[str, ...] = ()) -> Iterator[Block]:
+    """The blocks of a page that are run, or compared with what is printed.
+
+    Args:
+        text: the page.
+        also_shown: further languages whose blocks are not run.
+    """
     for match in FENCE.finditer(text):
         head, body = match["head"].strip(), match["body"]
         line = text.count("\n", 0, match.start("body")) + 1
@@ -70,19 +75,19 @@ def blocks(text: str) -> Iterator[Block]:
                 raise ExampleError(f"line {line}: a code-block without :caption: is no file; use a plain fence")
             content = body[caption.end() :].lstrip("\n")
             yield Block(head.removeprefix("{code-block}").strip(), caption[1].strip(), content, line)
-        elif not head.startswith("{") and head not in SHOWN_ONLY:
+        elif not head.startswith("{") and head not in (*SHOWN_ONLY, *also_shown):
             raise ExampleError(f"line {line}: blocks of {head!r} are not run; see docs/examples.py for those that are")
 
 
-def run_page(path: Path, folder: Path, *, show: bool = False) -> None:
-    """Run all blocks of a page, in a folder of its own; `show` prints what they print."""
+def run_page(path: Path, folder: Path, *, show: bool = False, also_shown: tuple[str, ...] = ()) -> None:
+    """Run all blocks of a page, in a folder of its own; `show` prints what they print; the rest is as in `blocks`."""
     namespace: dict = {"__name__": "__main__"}
     printed = ""
     with contextlib.chdir(folder):
         sys.path.insert(0, str(folder))
         try:
-            for block in blocks(path.read_text()):
-                where = f"{path.relative_to(HERE)}, line {block.line}"
+            for block in blocks(path.read_text(), also_shown):
+                where = f"{path.relative_to(HERE.parent)}, line {block.line}"
                 if block.file:
                     Path(block.file).write_text(block.code)
                 elif block.language == "text":

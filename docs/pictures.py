@@ -44,7 +44,7 @@ def accelerations() -> Figure:
         panel.plot(1e3 * ts, run.acceleration("rocker")[:, 2], color=color, linewidth=0.8)
         panel.set_title(name, loc="left", fontsize=9)
         panel.margins(x=0)
-    panels[len(panels) // 2].set_ylabel("vertical acceleration of the rocker [m/s$^2$]")
+    figure.supylabel("vertical acceleration of the rocker [m/s$^2$]", fontsize=10)
     panels[-1].set_xlabel("t [ms]")
     return figure
 

@@ -29,9 +29,9 @@ def code(content: str) -> str:
     name = content.removeprefix("spherejax.").removeprefix("sj.").removesuffix("()")
     owner, _, member = name.partition(".")
     # Escaped spaces let plurals and brackets stand beside.
-    if owner in sj.__all__ and (not member or hasattr(getattr(sj, owner), member)):
-        if owner not in ("gallery", "runtime"):
-            return rf"\ :py:obj:`{content} <spherejax.{name}>`\ "
+    is_public = owner in sj.__all__ and (not member or hasattr(getattr(sj, owner), member))
+    if is_public and owner not in ("gallery", "runtime"):
+        return rf"\ :py:obj:`{content} <spherejax.{name}>`\ "
     return rf"\ ``{content}``\ "
 
 

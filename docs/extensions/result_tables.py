@@ -1,9 +1,9 @@
 """Directive `result-table`: a CSV of `benchmarks/results` as a table, with the command and the machine that made it.
 
-    ```{result-table} four_bar_runs.csv
-    :columns: case, rtol, milliseconds, steps, error_m
-    :where: rtol=1e-08
-    ```
+```{result-table} four_bar_runs.csv
+:columns: case, rtol, milliseconds, steps, error_m
+:where: rtol=1e-08
+```
 """
 
 import csv

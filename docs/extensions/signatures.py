@@ -27,7 +27,7 @@ OF_THE_PROGRAM = {
     "requirements",
     "surfaces",
 }
-"""Members that a class has for the compiler of scenes; they are shown once, with the abstract class that asks for them."""
+"""Members for the compiler of scenes; they are shown once, with the abstract class that asks for them."""
 
 
 def shorter(app: Sphinx, what: str, name: str, thing, options, signature: str | None, returned: str | None):
