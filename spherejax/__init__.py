@@ -128,8 +128,11 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
 from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
@@ -166,6 +169,8 @@ __all__ = [
     "CrossElastomer",
     "CurveElastomer",
     "Cylindrical",
+    "Descent",
+    "Design",
     "Distance",
     "DistanceDriver",
     "Dry",
@@ -254,6 +259,7 @@ __all__ = [
     "load_scene",
     "load_urdf",
     "open_sweep",
+    "optimize",
     "product",
     "random_samples",
     "read_scene_file",
@@ -262,6 +268,7 @@ __all__ = [
     "scalarize",
     "simulate",
     "simulate_many",
+    "smooth_peak",
     "sobol_samples",
     "sweep",
     "view",
