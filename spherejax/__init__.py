@@ -130,9 +130,7 @@ from spherejax.physics.laws import (
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
-from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
