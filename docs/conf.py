@@ -21,17 +21,30 @@ extensions = [
     "result_tables",
     "scene_gallery",
     "public_names",
+    "notebooks",
 ]
 exclude_patterns = ["_build", "extensions"]
 source_suffix = {".md": "markdown"}
 nitpicky = True
 nitpick_ignore_regex = [
-    ("py:.*", r"(?!spherejax\.).*"),  # names of other packages: their documentation is not there without a network
-    ("py:.*", r"spherejax\.(physics|motion|model|foundations|studies|output|files)\..*"),  # not public
+    (
+        "py:.*",
+        r"(?!spherejax\.).*",
+    ),  # names of other packages: their documentation is not there without a network
+    (
+        "py:.*",
+        r"spherejax\.(physics|motion|model|foundations|studies|output|files)\..*",
+    ),  # not public
 ]
 suppress_warnings = ["autosummary"]
 
-myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "fieldlist"]
+myst_enable_extensions = [
+    "dollarmath",
+    "amsmath",
+    "colon_fence",
+    "deflist",
+    "fieldlist",
+]
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
@@ -64,4 +77,4 @@ html_theme_options = {
     "back_to_top_button": False,
 }
 html_context = {"default_mode": "auto"}
-html_sidebars = {"index": [], "comparison": [], "gallery": []}
+html_sidebars = {"index": [], "comparison": [], "gallery": [], "notebooks": []}

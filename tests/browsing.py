@@ -71,13 +71,14 @@ def set_size(driver, width: int, height: int) -> None:
 
 
 TOO_WIDE = """
+const width = document.documentElement.clientWidth;  // innerWidth grows with what stands out
 const scrolls = node => node && node !== document.body
     && (['auto', 'scroll', 'hidden'].includes(getComputedStyle(node).overflowX) || scrolls(node.parentElement));
 const found = [...document.querySelectorAll('article *')].filter(node => {
     const box = node.getBoundingClientRect();
-    return box.width > 0 && box.right > innerWidth + 1 && !scrolls(node);
+    return box.width > 0 && box.right > width + 1 && !scrolls(node);
 });
-if (document.documentElement.scrollWidth > innerWidth) found.push(document.documentElement);
+if (document.documentElement.scrollWidth > width) found.push(document.documentElement);
 return found.map(node => node.outerHTML.slice(0, 120));
 """
 """What stands out of the window on the right, and cannot be scrolled into it."""

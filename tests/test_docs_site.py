@@ -54,6 +54,43 @@ def test_a_wrong_equation_or_table_fails_the_build():
         tables.chosen(rows, "rtol=7", path)
 
 
+DOCSTRING = """Force |e| of a_law*.
+
+    f = k |e|**2
+
+Attributes:
+    stiffness: k [N/m], see `Dry` and `mu_k`,
+        continued.
+    a, b: two at once.
+
+Returns:
+    What it is.
+
+Limits: none at e = 0.
+"""
+
+RST = r"""Force \|e\| of a\_law\*.
+
+.. code-block:: none
+
+        f = k |e|**2
+
+:Attributes:
+
+    * ``stiffness`` -- k [N/m], see \ :py:obj:`Dry <spherejax.Dry>`\  and \ ``mu_k``\ , continued.
+    * ``a``, ``b`` -- two at once.
+
+:returns: What it is.
+
+**Limits.** none at e = 0.
+"""
+
+
+def test_docstrings_become_restructured_text():
+    written = program("extensions/docstrings").rst(DOCSTRING.splitlines())
+    assert "\n".join(written).strip() == RST.strip()
+
+
 # What is there ----------------------------------------------------------------------------------------------------
 
 
@@ -138,6 +175,27 @@ def opened(site):
 def complaints(driver) -> list[str]:
     """Warnings and errors on the console since the last call."""
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] in ("WARNING", "SEVERE")]
+
+
+WRONG = """<!doctype html><meta name="viewport" content="width=device-width, initial-scale=1">
+<article style="margin: 0">
+<div style="width: 900px; height: 9px; background: red">a</div><img src="none.png" alt="not there"><math></math>
+<div style="overflow-x: auto"><div style="width: 900px; height: 9px"></div></div></article>
+<script>console.error("wrong")</script>
+"""
+
+
+@needs_browser
+def test_the_checks_see_what_is_wrong(tmp_path):
+    (tmp_path / "index.html").write_text(WRONG)
+    with browsing.served(tmp_path) as address, browsing.chromium() as driver:
+        browsing.set_size(driver, *PHONE)
+        driver.get(f"{address}/index.html")
+        wide = driver.execute_script(browsing.TOO_WIDE)
+        assert sum("background: red" in node and node.startswith("<div") for node in wide) == 1
+        assert sum("overflow-x" in node and node.startswith("<div") for node in wide) == 0
+        assert len(driver.execute_script(browsing.NOT_SHOWN)) == 2
+        assert sum("wrong" in message or "none.png" in message for message in complaints(driver)) == 2
 
 
 @needs_browser

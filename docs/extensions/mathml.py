@@ -20,14 +20,29 @@ from sphinx.errors import SphinxError
 FONT = "math.woff"
 """Name in the static folder; the style sheet refers to it."""
 
-ALWAYS = "0123456789+-=()[]|,./ "
+ALWAYS = "0123456789+-=()[]{}|,./ \u221a\u2212\u2032"
+"""What an equation may show without saying so, first of all the radical of a root."""
 
 
-ALPHABETS = ((0x61, 0x7A, 0x1D44E), (0x41, 0x5A, 0x1D434), (0x3B1, 0x3C9, 0x1D6FC), (0x391, 0x3A9, 0x1D6E2))
+ALPHABETS = (
+    (0x61, 0x7A, 0x1D44E),
+    (0x41, 0x5A, 0x1D434),
+    (0x3B1, 0x3C9, 0x1D6FC),
+    (0x391, 0x3A9, 0x1D6E2),
+)
 """First and last letter of an alphabet (Latin and Greek, small and capital), and its first mathematical italic."""
 
 
-PARTS = {"mfrac": 2, "mroot": 2, "msub": 2, "msup": 2, "mover": 2, "munder": 2, "msubsup": 3, "munderover": 3}
+PARTS = {
+    "mfrac": 2,
+    "mroot": 2,
+    "msub": 2,
+    "msup": 2,
+    "mover": 2,
+    "munder": 2,
+    "msubsup": 3,
+    "munderover": 3,
+}
 """How many parts an element must have; the translator leaves out what an equation lacks."""
 
 
@@ -36,7 +51,9 @@ def mathml(latex: str, *, as_block: bool) -> str:
     try:
         written = convert(latex, display="block" if as_block else "inline")
     except Exception as error:
-        raise SphinxError(f"equation {latex!r}: {type(error).__name__} {error}") from error
+        raise SphinxError(
+            f"equation {latex!r}: {type(error).__name__} {error}"
+        ) from error
     unknown = re.search(r"<m[iot][^>]*>(\\[A-Za-z]+)", written)
     if unknown:
         raise SphinxError(f"equation {latex!r}: {unknown[1]} is not understood")
@@ -54,7 +71,11 @@ def _tightened(written: str) -> str:
         r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>',
         written,
     )
-    return re.sub(r"(&#x00028;</mo>)<mo>(&#x02212;|&#x0002D;|-)</mo>", r'\1<mo form="prefix">\2</mo>', written)
+    return re.sub(
+        r"(&#x00028;</mo>)<mo>(&#x02212;|&#x0002D;|-)</mo>",
+        r'\1<mo form="prefix">\2</mo>',
+        written,
+    )
 
 
 def nodes_of(written: str) -> Iterator[ElementTree.Element]:
@@ -71,7 +92,10 @@ def visit_inline(translator, node: nodes.math) -> None:
 
 def visit_block(translator, node: nodes.math_block) -> None:
     """Write a displayed equation."""
-    _write(translator, f'<div class="equation">{mathml(node.astext(), as_block=True)}</div>\n')
+    _write(
+        translator,
+        f'<div class="equation">{mathml(node.astext(), as_block=True)}</div>\n',
+    )
 
 
 def _write(translator, written: str) -> None:
@@ -84,11 +108,19 @@ def write_font(app: Sphinx, failure: Exception | None) -> None:
     if failure is not None or app.builder.format != "html":
         return
     pages = Path(app.outdir).rglob("*.html")
-    equations = [found for page in pages for found in re.findall(r"<math.*?</math>", page.read_text(), re.DOTALL)]
+    equations = [
+        found
+        for page in pages
+        for found in re.findall(r"<math.*?</math>", page.read_text(), re.DOTALL)
+    ]
     plain = re.sub(r"<[^>]*>", "", "".join(equations))
-    letters = {int(code, 16) for code in re.findall(r"&#x([0-9A-Fa-f]+);", plain)} | set(map(ord, plain + ALWAYS))
+    letters = {
+        int(code, 16) for code in re.findall(r"&#x([0-9A-Fa-f]+);", plain)
+    } | set(map(ord, plain + ALWAYS))
     options = subset.Options(flavor="woff", layout_features=["*"], notdef_outline=True)
-    with importlib.resources.as_file(importlib.resources.files("ziamath.fonts") / "STIXTwoMath-Regular.ttf") as path:
+    with importlib.resources.as_file(
+        importlib.resources.files("ziamath.fonts") / "STIXTwoMath-Regular.ttf"
+    ) as path:
         font = subset.load_font(str(path), options)
     chosen = subset.Subsetter(options)
     chosen.populate(unicodes=letters | set(map(_italic, letters)))

@@ -20,10 +20,16 @@ import spherejax as sj
 def names_of(module: str) -> list[str]:
     """Public names that a module, or what is below it, defines; functions first."""
     place = f"spherejax.{module}"
-    found = [name for name in sj.__all__ if f"{getattr(getattr(sj, name), '__module__', '')}.".startswith(f"{place}.")]
+    found = [
+        name
+        for name in sj.__all__
+        if f"{getattr(getattr(sj, name), '__module__', '')}.".startswith(f"{place}.")
+    ]
     if not found:
         raise SphinxError(f"no public name is defined in {place}")
-    return sorted(found, key=lambda name: (inspect.isclass(getattr(sj, name)), name.lower()))
+    return sorted(
+        found, key=lambda name: (inspect.isclass(getattr(sj, name)), name.lower())
+    )
 
 
 class PublicNames(Directive):
@@ -35,9 +41,14 @@ class PublicNames(Directive):
     def run(self) -> list[nodes.Node]:
         """Write the page, and have it parsed."""
         lines: list[str] = []
-        for name in [name for module in self.arguments[0].split() for name in names_of(module)]:
+        for name in [
+            name for module in self.arguments[0].split() for name in names_of(module)
+        ]:
             is_class = inspect.isclass(getattr(sj, name))
-            lines += ["```{eval-rst}", f".. auto{'class' if is_class else 'function'}:: spherejax.{name}"]
+            lines += [
+                "```{eval-rst}",
+                f".. auto{'class' if is_class else 'function'}:: spherejax.{name}",
+            ]
             lines += ["   :members:"] * is_class + ["```", ""]
         section = nodes.section()
         self.state.nested_parse(StringList(lines), self.content_offset, section)
