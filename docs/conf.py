@@ -26,15 +26,11 @@ extensions = [
 exclude_patterns = ["_build", "extensions"]
 source_suffix = {".md": "markdown"}
 nitpicky = True
+NOT_PUBLIC = "physics|motion|model|foundations|studies|output|files"
 nitpick_ignore_regex = [
-    (
-        "py:.*",
-        r"(?!spherejax\.).*",
-    ),  # names of other packages: their documentation is not there without a network
-    (
-        "py:.*",
-        r"spherejax\.(physics|motion|model|foundations|studies|output|files)\..*",
-    ),  # not public
+    # The documentation of other packages is not there without a network.
+    ("py:.*", r"(?!spherejax\.).*"),
+    ("py:.*", rf"spherejax\.({NOT_PUBLIC})\..*"),
 ]
 suppress_warnings = ["autosummary"]
 
