@@ -131,7 +131,7 @@ from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.bayes import Posterior, posterior
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
@@ -168,6 +168,7 @@ __all__ = [
     "CrossElastomer",
     "CurveElastomer",
     "Cylindrical",
+    "Descent",
     "Design",
     "Distance",
     "DistanceDriver",

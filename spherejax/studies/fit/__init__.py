@@ -2,11 +2,14 @@
 
 prediction(p)          `experiment`: what was measured, and its derivatives, from one integration
 r(u)                   `problem`: residuals weighted by the noise, of unknowns without bounds (`parameters`)
-min |r(u)|^2 / 2       `levenberg_marquardt`; `record`: over parts of the record that grow
+min |r(u)|^2 / 2       `levenberg_marquardt`, `descent`; `record`: over parts of the record that grow
 how far to trust it    `statistics`, `judgement`, in the `result`
 """
 
+from spherejax.studies.fit.descent import Descent
 from spherejax.studies.fit.fitting import fit
+from spherejax.studies.fit.growth import Growth
+from spherejax.studies.fit.horizon import GrowingHorizon
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.methods import Course, Ending, Method
@@ -18,10 +21,13 @@ from spherejax.studies.fit.statistics import Undetermined
 
 __all__ = [
     "Course",
+    "Descent",
     "Ending",
     "Evaluation",
     "Fit",
+    "GrowingHorizon",
     "Grown",
+    "Growth",
     "Horizon",
     "LevenbergMarquardt",
     "Measured",

@@ -26,6 +26,7 @@ from spherejax.motion.sensitivities import integrate_along
 from spherejax.motion.simulate import choice_for, split, start_now, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.status import Status
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
@@ -137,6 +138,16 @@ class Experiment(eqx.Module):
     def predict_lanes(self, us: Float[Array, "lanes k"]) -> Prediction:
         """As `predict`, for many sets of unknowns side by side."""
         return self._cut(_predicted_in_lanes(self.frame, self.setting, jax.vmap(self.numbers)(us)))
+
+    def cost_and_gradient(self, u: Float[Array, " k"], weights: Float[np.ndarray, "n m"]) -> tuple[Array, Array]:
+        """Half the sum of squares of weighted residuals, and its gradient by reverse mode; NaN where the run fails."""
+        numbers = self.numbers(u)
+        n = self.setting.ts.shape[0] - 1
+        data = np.zeros((n, self.data.shape[1]))
+        padded = np.zeros_like(data)
+        data[: len(self.data)], padded[: len(self.data)] = self.data, weights
+        cost, gradient = _cost_and_gradient(self.frame, self.setting, numbers, data, padded)
+        return cost, numbers.directions @ gradient
 
     def until(self, t: float) -> "Experiment":
         """The experiment as if it had ended at t [s]; nothing is compiled for it."""
@@ -311,6 +322,22 @@ def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Predic
     values = _observed(frame, setting, numbers.values, outcome.ys, outcome.assembly)
     none = jnp.zeros((*values.shape, 0))
     return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps)
+
+
+@eqx.filter_jit
+def _cost_and_gradient(frame: Frame, setting: Setting, numbers: Numbers, data, weights) -> tuple[Array, Array]:
+    """Through the steps of the run, by the traced numbers of the system."""
+    options = eqx.tree_at(lambda o: o.adjoint, setting.options, diffrax.RecursiveCheckpointAdjoint())
+
+    def cost(values):
+        outcome = integrate(frame.plan, options, values, setting.known, setting.ts, setting.start, numbers.are_legal)
+        predicted = _observed(frame, setting, values, outcome.ys, outcome.assembly)[1:]
+        # Samples that were not measured may be NaN where the run did not reach them.
+        errors = jnp.where(weights > 0, (predicted - data) * weights, 0.0)
+        return jnp.sum(errors**2) / 2, outcome.status
+
+    (value, status), gradient = jax.value_and_grad(cost, has_aux=True)(numbers.values)
+    return jnp.where(status == Status.SUCCEEDED, value, jnp.nan), gradient
 
 
 def _check_shapes(made: Experiment) -> None:

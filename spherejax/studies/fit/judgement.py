@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from spherejax.studies.fit.growth import REMEDY, lost_at, start_of
 from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.statistics import white
 
@@ -33,7 +34,16 @@ def warnings_of(fit) -> list[str]:
     found = [fit.diagnosis] if fit.diagnosis else []
     if not fit.best.us:
         return found
-    return [*found, *_starts(fit), *_misfit(fit), *_bounds(fit), *_colour(fit), *_failures(fit), *fit.notes]
+    return [
+        *found,
+        *_starts(fit),
+        *_misfit(fit),
+        *_lost(fit),
+        *_bounds(fit),
+        *_colour(fit),
+        *_failures(fit),
+        *fit.notes,
+    ]
 
 
 def _starts(fit) -> list[str]:
@@ -82,6 +92,16 @@ def _misfit(fit) -> list[str]:
             "standard deviations"
         ]
     return []
+
+
+def _lost(fit) -> list[str]:
+    """A gradient that has lost its meaning within the record, where the residuals are large."""
+    if not _misfit(fit) or fit.reduced_chi_square < 1:
+        return []
+    start = start_of(fit)
+    if start is None or start.to_the_end:
+        return []
+    return [f"{lost_at(start)} (see fit.growth). {REMEDY}".replace("The fit", "the fit", 1)]
 
 
 def _bounds(fit) -> list[str]:

@@ -69,7 +69,7 @@ class Measured:
         return self if self.name is not None else _replaced(self, name=name)
 
     def __repr__(self) -> str:
-        what = ", ".join(self.values)
+        what = ", ".join([*self.values][:4]) + (f" and {len(self.values) - 4} more" if len(self.values) > 4 else "")
         return f"Measured({what}: {self.n_values} values at {self.ts.size} instants to t = {self.ts[-1]:.6g} s)"
 
 

@@ -169,6 +169,18 @@ class Problem:
             said[lane] = said[lane] or ["the residuals or their derivatives are not finite"]
         return Evaluation(r, j, failed, ["; ".join(lane) for lane in said], n_steps)
 
+    def cost_and_gradient(self, u: Float[np.ndarray, " k"]) -> tuple[float, np.ndarray]:
+        """Half the sum of squares and its gradient in reverse mode, for many unknowns.
+
+        NaN where a run fails.
+        """
+        cost, gradient = 0.0, np.zeros(self.unknowns.size)
+        for experiment, noise in zip(self.experiments, self.noise, strict=True):
+            weights = np.where(experiment.is_measured, 1 / noise, 0.0)
+            part, slope = experiment.cost_and_gradient(jnp.asarray(u), weights)
+            cost, gradient = cost + float(part), gradient + np.asarray(slope)
+        return cost, gradient
+
     def _predicted(self, experiment: Experiment, us: np.ndarray):
         if len(us) > 1:
             return experiment.predict_lanes(jnp.asarray(us))

@@ -58,7 +58,7 @@ class Grown:
         courses: list[Course | None] = [None] * len(us)
         us = np.array(us)
         for end in self._ends(problem):
-            part = problem if np.isinf(end) else _Held(problem.until(end), us.copy(), self.held)
+            part = problem if np.isinf(end) else Held(problem.until(end), us.copy(), self.held)
             stage = method if np.isinf(end) else method.roughly()
             found = stage.minimize(part, us, noise_is_known=noise_is_known, watch=watch)
             courses = [new.after(old, end) for new, old in zip(found, courses, strict=True)]
@@ -67,7 +67,7 @@ class Grown:
             if any(course.ending is Ending.INTERRUPTED for course in found):
                 break
         done = [course for course in courses if course is not None]
-        return done if np.isinf(done[0].ends[-1] if done[0].ends else np.inf) else _of_the_whole(done, problem)
+        return done if np.isinf(done[0].ends[-1] if done[0].ends else np.inf) else of_the_whole(done, problem)
 
     def _ends(self, problem: Problem) -> list[float]:
         """Ends of the parts that show enough for a fit [s], and infinity for the whole."""
@@ -82,7 +82,7 @@ def _shows_enough(problem: Problem, end: float) -> bool:
     return n >= 5 * problem.unknowns.size
 
 
-class _Held:
+class Held:
     """A problem in which unknowns are known beforehand, loosely."""
 
     def __init__(self, problem: Problem, us: np.ndarray, deviation: float):
@@ -99,7 +99,7 @@ class _Held:
         )
 
 
-def _of_the_whole(courses: list[Course], problem: Problem) -> list[Course]:
+def of_the_whole(courses: list[Course], problem: Problem) -> list[Course]:
     """Courses that were interrupted while the record grew, with residuals of the whole."""
     found = problem.evaluate(np.stack([course.u for course in courses]))
     for lane, course in enumerate(courses):

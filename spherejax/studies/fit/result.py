@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.foundations.checks import SceneError
 from spherejax.motion.simulate import simulate
 from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.fit.columns import columns_of, tables_of
+from spherejax.studies.fit.growth import Growth, growth_of
 from spherejax.studies.fit.judgement import diagnosis_of, warnings_of
 from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.problem import Problem
@@ -199,6 +201,17 @@ class Fit:
             },
             {"parameter": self.names},
         )
+
+    @cached_property
+    def growth(self) -> Growth:
+        """How the sensitivities grow along the record, and how far the gradient means anything.
+
+        Raises:
+            SceneError: for a fit whose run at the start failed: there are no sensitivities.
+        """
+        if not self.best.us:
+            raise SceneError(f"there are no sensitivities: {self.diagnosis}")
+        return growth_of(self)
 
     # Residuals and runs ---------------------------------------------------------------------------------------------
 

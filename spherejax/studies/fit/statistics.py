@@ -69,8 +69,18 @@ class Knowledge:
     @cached_property
     def scaled_jacobian(self) -> np.ndarray:
         """By the parameters in units of their scales."""
+        return self.jacobian * self.unknowns_per_scale
+
+    @cached_property
+    def unknowns_per_scale(self) -> np.ndarray:
+        """Change of each unknown for a change of its parameter by its scale."""
         slopes = np.asarray(jax.jvp(self._flat, (jnp.asarray(self.u),), (jnp.ones(self.u.size),))[1])
-        return self.jacobian * (self.scales / slopes)
+        return self.scales / slopes
+
+    @property
+    def most_sensitive(self) -> np.ndarray:
+        """Direction of the parameters, in units of their scales, that changes the predictions most."""
+        return self._decomposition[1][0]
 
     def _flat(self, u):
         return jnp.concatenate([jnp.ravel(value) for value in self.unknowns.values_of(u).values()])

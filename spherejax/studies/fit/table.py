@@ -1,0 +1,118 @@
+"""Tables of measurements: CSV files.
+
+The first row names the columns: `time`, and observables like `position.rocker.z`. Units may follow in brackets,
+`position.rocker.z [mm]`; without them they are SI units. What `sj.save` writes (`position rocker z [m]`) is read as
+well, without the run's own errors (violations of constraints). Columns are separated by commas, semicolons or tabs.
+Empty cells and NaN stand for what was not measured; lines that are empty or begin with # are passed over.
+"""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+
+from spherejax.files.units import UnitError, in_si
+from spherejax.foundations.checks import SceneError
+from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
+
+MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}
+TIMES = {"time", "t"}
+_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Columns by name, in SI units, `time` among them.
+
+    Raises:
+        SceneError: for a file that cannot be read, naming the line and the column.
+    """
+    lines = _lines_of(path)
+    number, head = lines[0]
+    names, factors = _columns(head, path, number)
+    rows = []
+    for number, cells in lines[1:]:
+        if len(cells) != len(names):
+            raise SceneError(
+                f"{path.name}:{number}: {len(cells)} cells in a row, but the head (line {lines[0][0]}) names "
+                f"{len(names)} columns"
+            )
+        rows.append([_number(cell, path, number, name) for cell, name in zip(cells, names, strict=True)])
+    if not rows:
+        raise SceneError(f"{path.name}: no measurements below the head")
+    table = np.array(rows) * factors
+    missing = np.isnan(table[:, names.index("time")])
+    if missing.any():
+        raise SceneError(f"{path.name}:{lines[1 + int(np.argmax(missing))][0]}: the time is missing")
+    return {name: column for name, column in zip(names, table.T, strict=True) if not name.endswith("_violation")}
+
+
+def _lines_of(path: Path) -> list[tuple[int, list[str]]]:
+    """Numbered rows of cells, without comments and empty lines."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{str(path)!r} is no text file: {error}") from error
+    except OSError as error:
+        raise SceneError(f"cannot read {str(path)!r}: {error.strerror or error}") from error
+    kept = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if not kept:
+        raise SceneError(f"{str(path)!r} is empty: the first row must name the columns, time first")
+    head = kept[0][1]
+    separator = max((";", "\t", ","), key=head.count)
+    cells = csv.reader((line for _, line in kept), delimiter=separator, skipinitialspace=True)
+    return [(i, [cell.strip() for cell in row]) for (i, _), row in zip(kept, cells, strict=False)]
+
+
+def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.ndarray]:
+    """Names of the columns, and what their numbers are multiplied by."""
+    names, factors = [], []
+    for cell in head:
+        found = _WITH_UNIT.match(cell)
+        name, unit = (found["name"], found["unit"].strip()) if found else (cell, "")
+        name = "time" if name.lower() in TIMES else ".".join(name.split())
+        if not name:
+            raise SceneError(f"{path.name}:{number}: a column has no name")
+        if name in names:
+            raise SceneError(f"{path.name}:{number}: two columns are named {name!r}")
+        if _is_number(name):
+            raise SceneError(
+                f"{path.name}:{number}: {cell!r} is a number: the first row must name the columns, e.g. "
+                "time,position.rocker.z"
+            )
+        names.append(name)
+        try:
+            factors.append(_factor(name, unit))
+        except UnitError as error:
+            raise SceneError(f"{path.name}:{number}: column {name!r}: {error}") from error
+    if "time" not in names:
+        raise SceneError(f"{path.name}:{number}: no column is named time; there are {', '.join(map(repr, names))}")
+    return names, np.array(factors)
+
+
+def _factor(name: str, unit: str) -> float:
+    """From the unit of a column to SI units."""
+    kinds = {**OF_BODIES, **OF_JOINTS, **OF_THE_WHOLE}
+    kind = name.partition(".")[0]
+    expected = "s" if name == "time" else kinds[kind][1] if kind in kinds else None
+    if unit in ("", expected) or (expected is not None and " or " in expected):
+        return 1.0
+    return in_si(f"1 {unit}", expected)
+
+
+def _number(cell: str, path: Path, number: int, name: str) -> float:
+    if cell.lower() in MISSING:
+        return np.nan
+    try:
+        return float(cell)
+    except ValueError:
+        hint = "; write decimals with a point" if re.fullmatch(r"[-+]?\d+,\d+", cell) else ""
+        raise SceneError(f"{path.name}:{number}: column {name!r}: {cell!r} is no number{hint}") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
