@@ -45,14 +45,16 @@ def measured(noise, seed=0):
 # The density ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "parameter",
-    [2.0, sj.Parameter(2.0, positive=False), sj.Parameter(2.0, lower=1.0), sj.Parameter(2.0, lower=1.0, upper=7.0)]
-    + [sj.Parameter(2.0, upper=7.0, positive=False), sj.Parameter(np.array([2.0, 3.0]), upper=4.0)],
-)
+POSITIVE = [2.0, sj.Parameter(2.0, lower=1.0), sj.Parameter(2.0, lower=1.0, upper=7.0)]
+ANY = [sj.Parameter(2.0, positive=False), sj.Parameter(2.0, upper=7.0, positive=False)]
+
+
+@pytest.mark.parametrize("parameter", [*POSITIVE, *ANY, sj.Parameter(np.array([2.0, 3.0]), upper=4.0)])
 def test_the_volume_is_the_derivative_of_the_map(parameter):
     unknowns, start = unknowns_from({"x": parameter})
-    flat = lambda u: jnp.ravel(unknowns.values_of(u)["x"])
+
+    def flat(u):
+        return jnp.ravel(unknowns.values_of(u)["x"])
 
     def volume(u):
         return np.sum(np.log(np.abs(np.diagonal(jax.jacfwd(flat)(jnp.asarray(u))))))

@@ -45,17 +45,18 @@ def pairs_figure(
                 ax.set_ylabel(names[row])
             if row == k - 1:
                 ax.set_xlabel(names[column])
-            _few_ticks(ax, "x" if row == column else "both")
+            _few_ticks(ax, both=row != column)
         axes[row, row].set_xlim(axes[-1, row].get_xlim())
     axes[0, 0].legend(fontsize=7, frameon=False)
     return figure
 
 
-def _few_ticks(ax: Axes, which: str) -> None:
-    for axis, name in ((ax.xaxis, "x"), (ax.yaxis, "y")):
-        if which in (name, "both"):
-            axis.set_major_locator(MaxNLocator(4))
-            ax.ticklabel_format(axis=name, style="sci", scilimits=(-2, 4))
+def _few_ticks(ax: Axes, *, both: bool) -> None:
+    ax.xaxis.set_major_locator(MaxNLocator(4))
+    ax.ticklabel_format(axis="x", style="sci", scilimits=(-2, 4))
+    if both:
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+        ax.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4))
 
 
 def _often(ax: Axes, values: np.ndarray, normal) -> None:
