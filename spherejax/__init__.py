@@ -128,6 +128,7 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.bayes import Posterior, posterior
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
 from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
@@ -205,6 +206,7 @@ __all__ = [
     "Polynomial",
     "PositionDriver",
     "PostStabilization",
+    "Posterior",
     "Prismatic",
     "Projection",
     "RadialElastomer",
@@ -258,6 +260,7 @@ __all__ = [
     "load_urdf",
     "open_sweep",
     "optimize",
+    "posterior",
     "product",
     "random_samples",
     "read_scene_file",
