@@ -129,8 +129,7 @@ from spherejax.physics.laws import (
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
-from spherejax.studies.sweep import Grid, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
@@ -178,6 +177,7 @@ __all__ = [
     "Flores",
     "Gonthier",
     "Grid",
+    "GrowingHorizon",
     "Guembel",
     "Hertz",
     "HingeElastomer",
