@@ -132,6 +132,7 @@ from spherejax.studies.bayes import Posterior, posterior
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
 from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
@@ -180,6 +181,7 @@ __all__ = [
     "Flores",
     "Gonthier",
     "Grid",
+    "GrowingHorizon",
     "Guembel",
     "Hertz",
     "HingeElastomer",
