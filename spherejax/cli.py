@@ -54,8 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except sj.SimulationError as error:
         print(f"spherejax: the run failed: {_one_line(error)}", file=sys.stderr)
         return FAILED_RUN
-    except KeyboardInterrupt:
-        print("spherejax: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print("\n".join(["spherejax: interrupted", *getattr(interrupt, "__notes__", ())]), file=sys.stderr)
+        if argv is None:
+            _leave(INTERRUPTED)
         return INTERRUPTED
 
 
@@ -80,6 +82,13 @@ def parser() -> argparse.ArgumentParser:
         # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.
         command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     return parser
+
+
+def _leave(code: int) -> None:
+    """End the process now: threads that compute cannot be stopped, and Python would wait for them."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def _use_cache() -> None:
