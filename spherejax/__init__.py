@@ -131,7 +131,6 @@ from spherejax.studies.accuracy import WorkPrecision, work_precision
 from spherejax.studies.bayes import Posterior, posterior
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
