@@ -10,6 +10,7 @@ import numpy as np
 
 from spherejax.motion.status import Status
 from spherejax.studies.sweep.chunks import ChunkResult
+from spherejax.studies.terminals import console, is_notebook
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def reporting(progress: bool | Report, n_runs: int) -> Iterator[Report]:
     """A function that shows what has been done."""
     if callable(progress):
         yield progress
-    elif progress and _is_notebook():
+    elif progress and is_notebook():
         yield _notebook_display()
     elif progress and sys.stderr.isatty():
         with _terminal_bar(n_runs) as report:
@@ -99,11 +100,10 @@ def reporting(progress: bool | Report, n_runs: int) -> Iterator[Report]:
 
 @contextmanager
 def _terminal_bar(n_runs: int) -> Iterator[Report]:
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("sweep"), BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=console()) as bar:
         task = bar.add_task(f"{n_runs:,} runs", total=n_runs)
         yield lambda seen: bar.update(task, completed=seen.n_done, description=str(seen))
 
@@ -130,8 +130,3 @@ def _shown(text: str, share: float = 0.0) -> dict[str, str]:
 
 def _minutes(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
-
-
-def _is_notebook() -> bool:
-    shell = sys.modules.get("IPython")
-    return shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell"
