@@ -286,10 +286,7 @@ def lost_at(start: Followed) -> str:
     )
 
 
-REMEDY = (
-    "Let the record grow (horizon=sj.GrowingHorizon()), shoot from several instants (horizon=sj.MultipleShooting()), "
-    "shorten the record, or start nearer."
-)
+REMEDY = "Let the record grow (horizon=sj.GrowingHorizon()), shorten the record, or start nearer."
 
 
 def _percent(share: float) -> str:
