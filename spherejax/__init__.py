@@ -128,7 +128,10 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.bayes import Posterior, posterior
+from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
+from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, fit
 from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
@@ -167,6 +170,7 @@ __all__ = [
     "CurveElastomer",
     "Cylindrical",
     "Descent",
+    "Design",
     "Distance",
     "DistanceDriver",
     "Dry",
@@ -204,6 +208,7 @@ __all__ = [
     "Polynomial",
     "PositionDriver",
     "PostStabilization",
+    "Posterior",
     "Prismatic",
     "Projection",
     "RadialElastomer",
@@ -256,6 +261,8 @@ __all__ = [
     "load_scene",
     "load_urdf",
     "open_sweep",
+    "optimize",
+    "posterior",
     "product",
     "random_samples",
     "read_scene_file",
@@ -264,6 +271,7 @@ __all__ = [
     "scalarize",
     "simulate",
     "simulate_many",
+    "smooth_peak",
     "sobol_samples",
     "sweep",
     "view",

@@ -51,7 +51,7 @@ def dataset_in(store: Store) -> "xarray.Dataset":
 def _coordinates(store: Store, dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, tuple]:
     arrays = store.arrays
     coordinates: dict[str, tuple] = {"time": ("time", np.asarray(arrays["time"]), dict(arrays["time"].attrs))}
-    for name in store.group.attrs["coordinates"].split():
+    for name in store.group.attrs["parameters"]:
         values = np.asarray(arrays[name])
         if dims == (RUN,):
             coordinates[name] = (RUN, values)

@@ -29,7 +29,7 @@ from spherejax.studies.sweep.store import stored_chunk_size
 if TYPE_CHECKING:
     import xarray
 
-LARGEST_CHUNK = 64
+LARGEST_CHUNK = 32
 """Runs in a chunk for each lane, at most: what is lost when a sweep is stopped, and what is in memory at a time."""
 
 LARGEST_ON_ACCELERATOR = 4
