@@ -77,7 +77,7 @@ def test_growth_says_how_far_the_gradient_reaches(grown, at_once):
     assert until[0] < 2e-3
     assert until[-1] == BALL_TS[-1]
     assert 1e-5 <= growth.reach <= 1e-3
-    assert growth.factor > 10
+    assert 2 < growth.factor < 6  # by eye, from the picture: the steps between contacts rise threefold
     assert "0.01 percent to the end" in growth.explanation
     assert growth.explanation.endswith("the record had to grow with the fit.")
     assert "GrowingHorizon" in at_once.growth.explanation
