@@ -25,6 +25,7 @@ class Family(NamedTuple):
         rtol: tolerance of the runs.
         agreement: of derivatives with central differences, relative to the largest entry of the row.
         step: shortest of three relative steps of the differences.
+        solver: of the runs; chosen automatically when None.
     """
 
     build: Callable
@@ -33,6 +34,7 @@ class Family(NamedTuple):
     rtol: float
     agreement: float
     step: float
+    solver: diffrax.AbstractSolver | None = None
 
 
 def four_bar(model=None, mass=None, inertia=None, length=None, gravity=None):
@@ -64,6 +66,7 @@ def lubricated(c, radius, viscosity, e_h0, e_h1):
     return four_bar(sj.Lubricated(clearance=c, socket_radius=radius, viscosity=viscosity, e_h0=e_h0, e_h1=e_h1))
 
 
+FILM = {"c": 1e-4, "radius": 0.010, "viscosity": 0.4, "e_h0": 1e-6, "e_h1": 2e-6}
 STEEL = {"modulus": 207e9, "poisson": 0.3}
 # The agreement is that of the differences, which rounding and curvature spoil for numbers with little effect;
 # `test_sensitivities.py` measures the derivatives of impacting motions against a better reference.
@@ -73,25 +76,24 @@ FAMILIES = {
     ),
     "dry": Family(dry, {"c": 1e-4, "radius": 0.010, "c_r": 0.9, **STEEL}, 0.02, 1e-11, 3e-3, 1e-6),
     "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 2e-4, 1e-6),
-    "lubricated": Family(
-        lubricated,
-        {"c": 1e-4, "radius": 0.010, "viscosity": 0.4, "e_h0": 1e-6, "e_h1": 2e-6},
-        0.02,
-        1e-10,
-        2e-3,
-        1e-4,
-    ),
+    "lubricated": Family(lubricated, FILM, 0.02, 1e-10, 2e-3, 1e-4, diffrax.Dopri8()),
+    "lubricated, automatic": Family(lubricated, FILM, 0.02, 1e-10, 2e-3, 1e-4),
     "bushing": Family(
         lambda k, b: four_bar(sj.Bushing(stiffness=k, damping=b)), {"k": 1e6, "b": 1e-4}, 0.02, 1e-10, 3e-4, 1e-4
     ),
 }
 
 
+# The automatic choice is Rodas5P there, whose derivative takes a minute and a half to compile.
+NAMES = [pytest.param(name, marks=pytest.mark.slow) if name == "lubricated, automatic" else name for name in FAMILIES]
+
+
 def outcome(family, x, **options):
     """Final positions and velocities [m, m/s] at values * (1 + x): derivatives by x are comparable."""
     numbers = {name: value * (1 + x[i]) for i, (name, value) in enumerate(family.values.items())}
     scene = family.build(**numbers) if family.build is four_bar else family.build(*numbers.values())
-    run = sj.simulate(scene, cases.times(family.t_end), rtol=family.rtol, atol=family.rtol / 1000, **options)
+    options = {"solver": family.solver, "rtol": family.rtol, "atol": family.rtol / 1000, **options}
+    run = sj.simulate(scene, cases.times(family.t_end), **options)
     return jnp.concatenate([run.position("rocker")[-1], run.velocity("rocker")[-1]])
 
 
@@ -107,7 +109,7 @@ def forward(name):
     return np.asarray(jax.jit(jax.jacfwd(lambda x: outcome(FAMILIES[name], x)))(zero))
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_jit_equals_eager(name):
     family = FAMILIES[name]
     zero = np.zeros(len(family.values))
@@ -116,7 +118,7 @@ def test_jit_equals_eager(name):
     assert np.abs((compiled(name)(zero) - outcome(family, zero)) / scale).max() < 100 * family.rtol
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_vmap_equals_loop(name):
     family = FAMILIES[name]
     lanes = 1e-2 * np.random.default_rng(0).standard_normal((3, len(family.values)))
@@ -127,7 +129,7 @@ def test_vmap_equals_loop(name):
     assert np.abs((np.asarray(batched) - looped) / scale).max() < 100 * family.rtol
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_forward_derivative_meets_finite_differences(name):
     family = FAMILIES[name]
     jacobian = forward(name)
@@ -154,11 +156,7 @@ def _relative(found, expected, pooled=False):
     return np.abs(found - expected).max(0) / scale
 
 
-# Compiling the derivative of Rodas5P takes a minute and a half; in forward mode it is looked at every time.
-REVERSED = [pytest.param(name, marks=pytest.mark.slow) if name == "lubricated" else name for name in FAMILIES]
-
-
-@pytest.mark.parametrize("name", REVERSED)
+@pytest.mark.parametrize("name", NAMES)
 def test_reverse_derivative_equals_forward(name):
     family = FAMILIES[name]
     weights = jnp.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
