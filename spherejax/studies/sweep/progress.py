@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def _notebook_display() -> Report:
     """One output that is replaced: what a saved notebook shows is how the sweep ended, without any widget."""
     from IPython.display import display
 
-    handle = display(_shown("sweep"), raw=True, display_id=True)
+    handle: Any = display(_shown("sweep"), raw=True, display_id=True)
     renewed = [0.0]
 
     def report(seen: Seen) -> None:
