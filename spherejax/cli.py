@@ -70,13 +70,25 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.fit import add_fit
     from spherejax.command_line.run import add_run
+    from spherejax.command_line.sensitivity import add_sensitivity
     from spherejax.command_line.sweep import add_sweep
     from spherejax.command_line.write import add_write
 
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (add_run, add_draw, add_compare, add_effects, add_accuracy, add_sweep, add_fit, add_write, add_list):
+    for add in (
+        add_run,
+        add_draw,
+        add_compare,
+        add_effects,
+        add_accuracy,
+        add_sweep,
+        add_fit,
+        add_sensitivity,
+        add_write,
+        add_list,
+    ):
         add(commands)
     for command in {parser, *commands.choices.values()}:
         # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.

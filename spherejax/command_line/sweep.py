@@ -88,7 +88,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         writable(path, overwrite=options.overwrite)
     names, grid = grid_of(options)
     found = chosen(_with_first_values(options, names, grid))
-    build = _builder(found, options, names)
+    build = builder(found, options, names)
     record = options.record or _default_record(found, build(**{n: v[0] for n, v in grid.values.items()}))
     begin = time.perf_counter()
     result = sj.sweep(
@@ -171,13 +171,13 @@ def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid:
     return argparse.Namespace(**{**vars(options), **first})
 
 
-def _builder(found: Chosen, options: argparse.Namespace, names: dict[str, str]):
+def builder(found: Chosen, options: argparse.Namespace, names: dict[str, str], flag: str = "--vary"):
     """A function from the grid's parameters to the scene."""
     for name in names.values():
         _, dot, number = name.partition(".")
         if name not in USED_BY and not (dot and number in OF_BODIES):
             known = [*USED_BY, *(f"BODY.{number}" for number in OF_BODIES)]
-            raise sj.SceneError(f"--vary {name}: no such number; {one_of(known, name)}")
+            raise sj.SceneError(f"{flag} {name}: no such number; {one_of(known, name)}")
 
     def build(**values) -> sj.Scene:
         of_joint = {key: value for key, value in values.items() if names[key] in USED_BY}
@@ -186,7 +186,7 @@ def _builder(found: Chosen, options: argparse.Namespace, names: dict[str, str]):
             body, dot, number = names[key].partition(".")
             if not dot:
                 continue
-            scene.require_body(body, f"--vary {names[key]}")
+            scene.require_body(body, f"{flag} {names[key]}")
             scene = eqx.tree_at(lambda s, body=body, number=number: getattr(s.bodies[body], number), scene, value)
         return scene
 

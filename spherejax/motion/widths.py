@@ -29,7 +29,7 @@ def block_for(platform: str | None = None) -> Block:
 
 def platform_of_runs() -> str:
     """The platform that runs are made on."""
-    chosen: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - the type does not know its flags
+    chosen: Any = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if chosen is None:
         return jax.default_backend()
     return chosen if isinstance(chosen, str) else chosen.platform

@@ -70,7 +70,7 @@ def _fan(ax: Axes, swept, values) -> None:
 
 
 def _is_whole(runs: np.ndarray) -> np.ndarray:
-    return np.all(np.isfinite(runs), axis=0)
+    return np.asarray(np.isfinite(runs).all(0))
 
 
 def _medians(ax: Axes, swept, values, parameter: str) -> None:

@@ -77,9 +77,9 @@ class Knowledge:
 
     @cached_property
     def unknowns_per_scale(self) -> np.ndarray:
-        """Change of each unknown for a change of its parameter by its scale."""
+        """Change of each unknown for a change of its parameter by its scale; 0 for one that rests on its bound."""
         slopes = np.asarray(jax.jvp(self._flat, (jnp.asarray(self.u),), (jnp.ones(self.u.size),))[1])
-        return self.scales / slopes
+        return np.where(slopes == 0, 0.0, self.scales / np.where(slopes == 0, 1.0, slopes))
 
     @property
     def most_sensitive(self) -> np.ndarray:

@@ -42,9 +42,9 @@ def dataset_in(store: Store) -> "xarray.Dataset":
     attrs, arrays = store.group.attrs, store.arrays
     dims, shape = tuple(attrs["grid_dims"]), tuple(attrs["grid_shape"])
     columns = {name: Column(_own_dims(arrays[name]), dict(arrays[name].attrs)) for name in store.names}
-    lazy: Any = indexing.LazilyIndexedArray
     on_disk: Any = _on_disk()
-    values = {name: indexing.CopyOnWriteArray(lazy(on_disk(arrays[name], shape))) for name in columns}
+    lazy: Any = indexing
+    values = {name: lazy.CopyOnWriteArray(lazy.LazilyIndexedArray(on_disk(arrays[name], shape))) for name in columns}
     account = account_of(*(store.of_all(name) for name in ("n_steps", "seconds", "n_lane_steps")))
     return dataset_of(dims, _coordinates(store, dims, shape), columns, values, {**attrs["facts"], **account})
 
