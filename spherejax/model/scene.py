@@ -64,9 +64,8 @@ class Scene(eqx.Module):
         self.require_body(body, f"point {name!r}")
         places = self.ground_points if body == GROUND else self.bodies[body].points
         if point not in places:
-            raise SceneError(
-                f"body {body!r} has no point {point!r}; it has {_listed(places)}. Add it to the body's points."
-            )
+            remedy = "Give it in ground_points=." if body == GROUND else "Add it to the body's points."
+            raise SceneError(f"body {body!r} has no point {point!r}; it has {_listed(places)}. {remedy}")
         return body, places[point]
 
     def require_body(self, body: str, where: str) -> None:

@@ -227,6 +227,13 @@ def _describe(group: Any, facts: Mapping[str, Any], grid: Grid, ts: np.ndarray) 
     group.attrs.update({"facts": dict(facts)})
 
 
+_DIGESTS = {
+    "grid": "its grid has other parameters or other values",
+    "numbers": "its numbers that are not swept are others, e.g. a mass or a point of the scene",
+}
+"""What differs where only digests are compared."""
+
+
 def _reopened(path: Path, identity) -> Store:
     group = opened(path)
     before = json.loads(group.attrs["identity"])
@@ -234,9 +241,10 @@ def _reopened(path: Path, identity) -> Store:
     different = [key for key in now if before.get(key) != now[key]]
     if different:
         key = different[0]
+        what = _DIGESTS.get(key, f"its {key} is {before.get(key)!r}, not {now[key]!r}")
         raise SceneError(
-            f"{str(path)!r} is the store of another sweep: its {key} is {before.get(key)!r}, not {now[key]!r}. Choose "
-            "another path, or ask for the same sweep to go on with it"
+            f"{str(path)!r} is the store of another sweep: {what}. Choose another path, or ask for the same sweep to go "
+            "on with it"
         )
     return Store(path, group)
 
