@@ -21,8 +21,9 @@ from spherejax.studies.sensitivity.reverse import refusal, reverse
 from spherejax.studies.sensitivity.unknowns import FlatBuild, unknowns_of
 
 REVERSE_FROM = 60
-"""Parameters from which the gradient of one number is computed in reverse where nobody says (measured: see the
-docstring of `reverse`)."""
+"""Parameters from which the gradient of one number is computed in reverse where nobody says. Measured on the four-bar
+with a bushing, 0.1 s, 32 parameters: both take 0.15 s, forward with controlled errors; forward compiles in 34 s,
+reverse in 43 s."""
 
 Wanted = str | Sequence[Any] | Mapping[str, Callable[[Trajectory], Any]]
 
