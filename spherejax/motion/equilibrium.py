@@ -7,6 +7,7 @@ free hinge) are left as they are. Accelerations count as the lengths that they l
 rotations as the lengths that they lead to at its size, so that nothing depends on units.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from spherejax.model.system import Structure, System, compile_scene, flatten_sys
 from spherejax.motion.dynamics import evaluate
 from spherejax.motion.programs import program_for
 from spherejax.motion.tolerances import length_scale, time_scale
+from spherejax.physics.joints import AbstractJoint, Spherical
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, unpack
 
 N_STEPS = 60
@@ -89,7 +91,18 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
         bodies[name] = eqx.tree_at(
             lambda body: (body.position, body.quaternion, body.velocity, body.angular_velocity), bodies[name], rest
         )
-    return Equilibrium(eqx.tree_at(lambda s: s.bodies, scene, bodies), residual)
+    rested = eqx.tree_at(lambda s: (s.bodies, s.joints), scene, (bodies, _joints_as_they_stand(scene)))
+    return Equilibrium(rested, residual)
+
+
+def _joints_as_they_stand(scene: Scene) -> dict[str, AbstractJoint]:
+    """The joints, with bushings that start where the load has pressed them, and not relieved."""
+    return {
+        name: dataclasses.replace(joint, starts_concentric=False)
+        if isinstance(joint, Spherical) and not joint.model.is_ideal
+        else joint
+        for name, joint in scene.joints.items()
+    }
 
 
 def _found(system: System, t: float) -> tuple[Any, Any]:

@@ -19,7 +19,7 @@ from spherejax.output.plot.labels import Label, place_labels
 from spherejax.output.plot.magnified import MagnifiedView, joints_to_magnify
 from spherejax.output.plot.mechanism import Mechanism, Pose
 from spherejax.output.plot.space import SpaceView, Trace, colors_of, drawn_points
-from spherejax.output.plot.style import RESOLUTION
+from spherejax.output.plot.style import RESOLUTION, Picture
 
 SPACE, SHEET_OF_THREE = (7.0, 5.0), (9.0, 7.0)
 """Width and height [inch] of the spatial view alone, and with three projections."""
@@ -148,7 +148,7 @@ def _grid(
     width, height = SHEET_OF_THREE if projections else SPACE
     columns = [width, JOINT_WIDTH] if n_joints else [width]
     rows = [height, key.HEIGHT] if has_key else [height]
-    figure = Figure(figsize=(sum(columns), sum(rows)), dpi=dpi, layout="constrained")
+    figure = Picture(figsize=(sum(columns), sum(rows)), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(len(rows), len(columns), width_ratios=columns, height_ratios=rows)
     if projections:  # third-angle: the top above the front, the side to its right

@@ -1,6 +1,7 @@
 """One look for all figures: colors, lines, labels with units, and axes that a spike does not flatten."""
 
 from collections.abc import Sequence
+from io import BytesIO
 
 import numpy as np
 from matplotlib import colormaps
@@ -35,6 +36,16 @@ LABELS = {
 }
 
 
+class Picture(Figure):
+    """A figure that a notebook shows as it is, also where pyplot was never imported."""
+
+    def _repr_png_(self) -> bytes:
+        """The picture."""
+        file = BytesIO()
+        self.savefig(file, format="png")
+        return file.getvalue()
+
+
 def new_figure(n_rows: int, n_columns: int, width: float, height: float, title: str) -> tuple[Figure, np.ndarray]:
     """An empty figure with a grid of axes.
 
@@ -48,7 +59,7 @@ def new_figure(n_rows: int, n_columns: int, width: float, height: float, title: 
     Returns:
         The figure, and the axes with shape (n_rows, n_columns).
     """
-    figure = Figure(figsize=(width, height), dpi=RESOLUTION, layout="constrained")
+    figure = Picture(figsize=(width, height), dpi=RESOLUTION, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
     axes = figure.subplots(n_rows, n_columns, squeeze=False)
