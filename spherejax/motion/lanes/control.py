@@ -248,7 +248,9 @@ class Landing:
         as_long = jnp.where(has_flown, _LIKE_LAST_FLIGHT * duration, jnp.inf)
         expected = expected.at[0, 0].min(as_long)
         first, second = expected[mode_now, 0], expected[mode_now, 1]
-        following = jnp.where(is_event & (first > 0), first, jnp.where(is_second & ~is_event, jnp.maximum(longer, second), longer))
+        following = jnp.where(
+            is_event & (first > 0), first, jnp.where(is_second & ~is_event, jnp.maximum(longer, second), longer)
+        )
         following = following * self._share_to_release(
             state, end, t - step.t0, following, was_touching & is_touching & ~is_event
         )
