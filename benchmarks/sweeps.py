@@ -1,15 +1,13 @@
 """Sweeps: runs per second on all cores against what else one would do, steps, lane efficiency, cost per job, memory.
 
-    python benchmarks/sweeps.py                 # about 10 minutes
-    python benchmarks/sweeps.py throughput      # one part: throughput, steps, jobs
+    python benchmarks/sweeps.py                 # about 20 minutes
+    python benchmarks/sweeps.py throughput      # one part: throughput, steps, jobs, killed, exudyn, gpu
 
 Throughput: 1,000 four-bars with dry friction, clearances 0.05 to 0.2 mm, 0.2 s. Every method runs at the loosest
 tolerance of its list with which the worst of 1,000 final heights is within 1e-9 m of the hand-written DOP853 at 1e-12.
 The competitor is that DOP853 in one process per core; needs the extra `benchmarks`.
 """
 
-import os
-import resource
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -22,24 +20,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from machine import write
+from sweep_exudyn import exudyn
+from sweep_jobs import jobs, killed
+from sweep_lanes import gpu
+from sweep_scenes import CLEARANCES, DURATION, N_CORES, N_RUNS, dry, model_of
 
 import spherejax as sj
 
-N_RUNS, DURATION, ACCURACY = 1000, 0.2, 1e-9
-CLEARANCES = np.linspace(5e-5, 2e-4, N_RUNS)
+ACCURACY = 1e-9
 TOLERANCES = (1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 1e-9)
 HEIGHT = 16
 REPEATS = 3
-N_CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def model_of(clearance):
-    return sj.Dry(clearance=clearance, friction=sj.Threlfall())
-
-
-def build(clearance):
-    return sj.gallery.four_bar(model_of(clearance))
-
 
 # What else one would do ----------------------------------------------------------------------------------------------
 
@@ -81,7 +72,7 @@ def swept(solver):
 
     def heights(tolerance: float) -> np.ndarray:
         result = sj.sweep(
-            build, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=tolerance,
+            dry, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=tolerance,
             solver=solver, progress=False,
         )  # fmt: skip
         compiled[tolerance] = result
@@ -98,7 +89,7 @@ def mapped(width: int = 64):
     @jax.jit
     def block(tolerance, clearances):
         def height(clearance):
-            run = sj.simulate(build(clearance), jnp.array([0.0, DURATION]), rtol=tolerance)
+            run = sj.simulate(dry(clearance), jnp.array([0.0, DURATION]), rtol=tolerance)
             return run.position("rocker")[-1, 2]
 
         return jax.vmap(height)(clearances)
@@ -172,7 +163,7 @@ def steps() -> None:
         for width in (8, 16, 32, 64, 128):
             block = sj.Block(width, max(width // 4, 1))
             result = sj.sweep(
-                build, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=1e-6,
+                dry, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=1e-6,
                 solver=solver, block=block, workers=1, chunk=N_RUNS // 2, progress=False,
             )  # fmt: skip
             seconds = float(np.min(result.attrs["seconds_of_chunks"]))
@@ -189,39 +180,7 @@ def steps() -> None:
     write("sweep_steps", "python benchmarks/sweeps.py steps", rows)
 
 
-# Jobs --------------------------------------------------------------------------------------------------------------
-
-
-def jobs() -> None:
-    """Cost per job and memory, from 5,000 to 100,000 jobs of the bushing four-bar, 0.02 s each."""
-    rows = []
-
-    def elastic(stiffness):
-        return sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))
-
-    for n in (5_000, 20_000, 100_000):
-        stiffness = np.geomspace(1e5, 1e7, n)
-        begin = time.perf_counter()
-        result = sj.sweep(
-            elastic, {"stiffness": stiffness}, np.linspace(0.0, 0.02, 5), record=["position.rocker"], rtol=1e-6,
-            solver=diffrax.Dopri8(), chunk=2500, progress=False,
-        )  # fmt: skip
-        whole = time.perf_counter() - begin
-        chunks = result.attrs["seconds_of_chunks"]
-        rows.append(
-            {
-                "jobs": n,
-                "cores": N_CORES,
-                "us_per_job_and_core": f"{1e6 * np.sum(chunks) / n:.1f}",
-                "lane_efficiency": f"{result.attrs['lane_efficiency']:.3f}",
-                "whole_call_s": f"{whole:.1f}",
-                "largest_memory_MB": f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f}",
-            }
-        )
-    write("sweep_jobs", "python benchmarks/sweeps.py jobs", rows)
-
-
-PARTS = {"throughput": throughput, "steps": steps, "jobs": jobs}
+PARTS = {"throughput": throughput, "steps": steps, "jobs": jobs, "killed": killed, "exudyn": exudyn, "gpu": gpu}
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or PARTS:

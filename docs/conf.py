@@ -1,15 +1,15 @@
 """Sphinx configuration: `python -m sphinx -W -n -b html docs docs/_build`."""
 
 import sys
+from importlib.metadata import version as installed_version
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 
-
 project = "spherejax"
 author = "the spherejax authors"
-version = release = __import__("importlib.metadata", fromlist=["version"]).version("spherejax")
+version = release = installed_version("spherejax")
 project_copyright = author
 
 extensions = [
@@ -20,17 +20,27 @@ extensions = [
     "mathml",
     "result_tables",
     "scene_gallery",
+    "public_names",
+    "notebooks",
 ]
 exclude_patterns = ["_build", "extensions"]
 source_suffix = {".md": "markdown"}
 nitpicky = True
+NOT_PUBLIC = "physics|motion|model|foundations|studies|output|files"
 nitpick_ignore_regex = [
-    ("py:.*", r"(?!spherejax\.).*"),  # names of other packages: their documentation is not there without a network
-    ("py:.*", r"spherejax\.(physics|motion|model|foundations|studies|output|files)\..*"),  # not public
+    # The documentation of other packages is not there without a network.
+    ("py:.*", r"(?!spherejax\.).*"),
+    ("py:.*", rf"spherejax\.({NOT_PUBLIC})\..*"),
 ]
 suppress_warnings = ["autosummary"]
 
-myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "fieldlist"]
+myst_enable_extensions = [
+    "dollarmath",
+    "amsmath",
+    "colon_fence",
+    "deflist",
+    "fieldlist",
+]
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
@@ -63,4 +73,4 @@ html_theme_options = {
     "back_to_top_button": False,
 }
 html_context = {"default_mode": "auto"}
-html_sidebars = {"index": [], "comparison": [], "gallery": []}
+html_sidebars = {"index": [], "comparison": [], "gallery": [], "notebooks": []}

@@ -26,7 +26,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 HERE = Path(__file__).resolve().parent
-FENCE = re.compile(r"^```(?P<head>\S[^\n]*)\n(?P<body>.*?)^```[ ]*$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(
+    r"^```(?P<head>\S[^\n]*)\n(?P<body>.*?)^```[ ]*$", re.MULTILINE | re.DOTALL
+)
 CAPTION = re.compile(r"^:caption: (.*)$", re.MULTILINE)
 SHOWN_ONLY = ("sh", "none")
 
@@ -57,8 +59,13 @@ def pages() -> list[Path]:
     return [path for path in found if any(True for _ in blocks(path.read_text()))]
 
 
-def blocks(text: str) -> Iterator[Block]:
-    """The blocks of a page that are run, or compared with what is printed."""
+def blocks(text: str, also_shown: tuple[str, ...] = ()) -> Iterator[Block]:
+    """The blocks of a page that are run, or compared with what is printed.
+
+    Args:
+        text: the page.
+        also_shown: further languages whose blocks are not run.
+    """
     for match in FENCE.finditer(text):
         head, body = match["head"].strip(), match["body"]
         line = text.count("\n", 0, match.start("body")) + 1
@@ -67,22 +74,33 @@ def blocks(text: str) -> Iterator[Block]:
         elif head.startswith("{code-block}"):
             caption = CAPTION.search(body)
             if caption is None:
-                raise ExampleError(f"line {line}: a code-block without :caption: is no file; use a plain fence")
+                raise ExampleError(
+                    f"line {line}: a code-block without :caption: is no file; use a plain fence"
+                )
             content = body[caption.end() :].lstrip("\n")
-            yield Block(head.removeprefix("{code-block}").strip(), caption[1].strip(), content, line)
-        elif not head.startswith("{") and head not in SHOWN_ONLY:
-            raise ExampleError(f"line {line}: blocks of {head!r} are not run; see docs/examples.py for those that are")
+            yield Block(
+                head.removeprefix("{code-block}").strip(),
+                caption[1].strip(),
+                content,
+                line,
+            )
+        elif not head.startswith("{") and head not in (*SHOWN_ONLY, *also_shown):
+            raise ExampleError(
+                f"line {line}: blocks of {head!r} are not run; see docs/examples.py for those that are"
+            )
 
 
-def run_page(path: Path, folder: Path, *, show: bool = False) -> None:
-    """Run all blocks of a page, in a folder of its own; `show` prints what they print."""
+def run_page(
+    path: Path, folder: Path, *, show: bool = False, also_shown: tuple[str, ...] = ()
+) -> None:
+    """Run all blocks of a page, in a folder of its own; `show` prints what they print; the rest is as in `blocks`."""
     namespace: dict = {"__name__": "__main__"}
     printed = ""
     with contextlib.chdir(folder):
         sys.path.insert(0, str(folder))
         try:
-            for block in blocks(path.read_text()):
-                where = f"{path.relative_to(HERE)}, line {block.line}"
+            for block in blocks(path.read_text(), also_shown):
+                where = f"{path.relative_to(HERE.parent)}, line {block.line}"
                 if block.file:
                     Path(block.file).write_text(block.code)
                 elif block.language == "text":
@@ -101,7 +119,10 @@ def run_block(block: Block, namespace: dict, where: str) -> str:
     with contextlib.redirect_stdout(output):
         try:
             if block.language == "python":
-                exec(compile("\n" * (block.line - 1) + block.code, where, "exec"), namespace)
+                exec(
+                    compile("\n" * (block.line - 1) + block.code, where, "exec"),
+                    namespace,
+                )
             else:
                 run_commands(block.code)
         except Exception as error:
@@ -118,7 +139,9 @@ def run_commands(lines: str) -> None:
         if not words:
             continue
         if words[0] != "spherejax":
-            raise ExampleError(f"a console block runs spherejax alone, and not {line!r}")
+            raise ExampleError(
+                f"a console block runs spherejax alone, and not {line!r}"
+            )
         code = main(words[1:])
         if code:
             raise ExampleError(f"{line!r} ended with exit code {code}")
@@ -127,8 +150,12 @@ def run_commands(lines: str) -> None:
 def compare(expected: str, printed: str, where: str) -> None:
     """Raise when what was printed is not what the page shows."""
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-    if not doctest.OutputChecker().check_output(expected.strip() + "\n", printed.strip() + "\n", flags):
-        raise ExampleError(f"{where}: the page shows\n{expected}\nand the code prints\n{printed}")
+    if not doctest.OutputChecker().check_output(
+        expected.strip() + "\n", printed.strip() + "\n", flags
+    ):
+        raise ExampleError(
+            f"{where}: the page shows\n{expected}\nand the code prints\n{printed}"
+        )
 
 
 def main(names: list[str]) -> int:
@@ -141,7 +168,10 @@ def main(names: list[str]) -> int:
         with tempfile.TemporaryDirectory() as folder:
             try:
                 run_page(path, Path(folder), show=show)
-                print(f"{path.relative_to(HERE)}: {time.process_time() - started:.1f} s of processor time", flush=True)
+                print(
+                    f"{path.relative_to(HERE)}: {time.process_time() - started:.1f} s of processor time",
+                    flush=True,
+                )
             except ExampleError as error:
                 failed += 1
                 print(error, file=sys.stderr)

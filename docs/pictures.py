@@ -31,20 +31,26 @@ LINES = ("black", "#0a7d91", "#8f1f7e", "#c8791a", "#4a7c2a")
 
 def four_bar() -> Figure:
     """The four-bar with its dry joint magnified."""
-    run = sj.simulate(sj.gallery.four_bar(MODELS["dry, friction"]), jnp.linspace(0.0, 0.2, 2001))
+    run = sj.simulate(
+        sj.gallery.four_bar(MODELS["dry, friction"]), jnp.linspace(0.0, 0.2, 2001)
+    )
     return sj.draw(run, t=0.15)
 
 
 def accelerations() -> Figure:
     """What the joint's model does to the acceleration of the rocker."""
     ts = jnp.linspace(0.0, 0.2, 4001)
-    figure, panels = plt.subplots(len(MODELS), 1, figsize=(7, 7), sharex=True, layout="constrained")
+    figure, panels = plt.subplots(
+        len(MODELS), 1, figsize=(7, 7), sharex=True, layout="constrained"
+    )
     for panel, (name, model), color in zip(panels, MODELS.items(), LINES, strict=True):
         run = sj.simulate(sj.gallery.four_bar(model), ts, rtol=1e-7)
-        panel.plot(1e3 * ts, run.acceleration("rocker")[:, 2], color=color, linewidth=0.8)
+        panel.plot(
+            1e3 * ts, run.acceleration("rocker")[:, 2], color=color, linewidth=0.8
+        )
         panel.set_title(name, loc="left", fontsize=9)
         panel.margins(x=0)
-    panels[len(panels) // 2].set_ylabel("vertical acceleration of the rocker [m/s$^2$]")
+    figure.supylabel("vertical acceleration of the rocker [m/s$^2$]", fontsize=10)
     panels[-1].set_xlabel("t [ms]")
     return figure
 
@@ -53,13 +59,19 @@ def orbits() -> Figure:
     """The ball's path in its clearance."""
     ts = jnp.linspace(0.0, 0.2, 4001)
     names = ("dry", "dry, friction", "lubricated")
-    figure, panels = plt.subplots(1, 3, figsize=(8.4, 3.2), layout="constrained", sharey=True)
+    figure, panels = plt.subplots(
+        1, 3, figsize=(8.4, 3.2), layout="constrained", sharey=True
+    )
     angle = np.linspace(0, 2 * np.pi, 300)
     for panel, name in zip(panels, names, strict=True):
         run = sj.simulate(sj.gallery.four_bar(MODELS[name]), ts, rtol=1e-7)
         e = 1e6 * np.asarray(run.eccentricity("coupler_rocker"))
-        panel.plot(100 * np.cos(angle), 100 * np.sin(angle), color="black", linewidth=1.2)
-        panel.plot(e[:, 0], e[:, 2], color=LINES[list(MODELS).index(name)], linewidth=0.7)
+        panel.plot(
+            100 * np.cos(angle), 100 * np.sin(angle), color="black", linewidth=1.2
+        )
+        panel.plot(
+            e[:, 0], e[:, 2], color=LINES[list(MODELS).index(name)], linewidth=0.7
+        )
         panel.set(aspect="equal", title=name, xlabel="e$_x$ [µm]")
     panels[0].set_ylabel("e$_z$ [µm]")
     return figure
@@ -69,28 +81,72 @@ def restitution() -> Figure:
     """Restitution that a law realizes in a free impact, against the one that it is given."""
     figure, panel = plt.subplots(figsize=(5.4, 3.6), layout="constrained")
     given = np.linspace(0.1, 0.999, 120)
-    laws = (sj.ExactRestitution, sj.HuntCrossley, sj.LankaraniNikravesh, sj.Gonthier, sj.Flores)
-    for law, color, dashes in zip(laws, LINES, ((), (4, 1), (1, 1), (6, 1, 1, 1), (2, 1)), strict=True):
-        realized = [_realized(float(law(restitution=c).hysteresis_factor())) for c in given]
-        panel.plot(given, realized, color=color, dashes=dashes or (None, None), label=law.__name__)
-    panel.set(xlabel="restitution that is given", ylabel="restitution of a free impact", xlim=(0, 1), ylim=(0, 1))
+    laws = (
+        sj.ExactRestitution,
+        sj.HuntCrossley,
+        sj.LankaraniNikravesh,
+        sj.Gonthier,
+        sj.Flores,
+    )
+    for law, color, dashes in zip(
+        laws, LINES, ((), (4, 1), (1, 1), (6, 1, 1, 1), (2, 1)), strict=True
+    ):
+        realized = [
+            _realized(float(law(restitution=c).hysteresis_factor())) for c in given
+        ]
+        panel.plot(
+            given,
+            realized,
+            color=color,
+            dashes=dashes or (None, None),
+            label=law.__name__,
+        )
+    panel.set(
+        xlabel="restitution that is given",
+        ylabel="restitution of a free impact",
+        xlim=(0, 1),
+        ylim=(0, 1),
+    )
     panel.legend(fontsize=8)
     return figure
 
 
 def _realized(chi: float) -> float:
-    return brentq(lambda e: chi * (1 + e) - np.log((1 + chi) / (1 - chi * e)), 1e-9, min(1.0, 1 / chi) - 1e-12)
+    return brentq(
+        lambda e: chi * (1 + e) - np.log((1 + chi) / (1 - chi * e)),
+        1e-9,
+        min(1.0, 1 / chi) - 1e-12,
+    )
 
 
 def friction() -> Figure:
     """Friction coefficients against sliding speed."""
     figure, panel = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
     speeds = np.linspace(0.0, 4e-3, 400)
-    laws = (sj.Threlfall(), sj.BengisuAkay(), sj.Ambrosio(), sj.BrownMcPhee(), sj.LuGre())
-    for law, color, dashes in zip(laws, LINES, ((), (4, 1), (1, 1), (6, 1, 1, 1), (2, 1)), strict=True):
+    laws = (
+        sj.Threlfall(),
+        sj.BengisuAkay(),
+        sj.Ambrosio(),
+        sj.BrownMcPhee(),
+        sj.LuGre(),
+    )
+    for law, color, dashes in zip(
+        laws, LINES, ((), (4, 1), (1, 1), (6, 1, 1, 1), (2, 1)), strict=True
+    ):
         mu = [float(law.coefficient(v)) for v in speeds]
-        panel.plot(1e3 * speeds, mu, color=color, dashes=dashes or (None, None), label=type(law).__name__)
-    panel.set(xlabel="sliding speed [mm/s]", ylabel="friction coefficient", xlim=(0, 4), ylim=(0, None))
+        panel.plot(
+            1e3 * speeds,
+            mu,
+            color=color,
+            dashes=dashes or (None, None),
+            label=type(law).__name__,
+        )
+    panel.set(
+        xlabel="sliding speed [mm/s]",
+        ylabel="friction coefficient",
+        xlim=(0, 4),
+        ylim=(0, None),
+    )
     panel.legend(fontsize=8)
     return figure
 
@@ -100,8 +156,14 @@ def suspension() -> Figure:
     ts = jnp.linspace(2.9, 4.4, 1501)
     ts = jnp.concatenate([jnp.zeros(1), ts])
     run = sj.simulate(sj.gallery.suspension(sj.Ideal()), ts)
-    figure, panels = plt.subplots(2, 1, figsize=(6.4, 4.2), sharex=True, layout="constrained")
-    panels[0].plot(ts[1:], 1e3 * (run.position("wheel")[1:, 2] - run.position("wheel")[1, 2]), color=LINES[1])
+    figure, panels = plt.subplots(
+        2, 1, figsize=(6.4, 4.2), sharex=True, layout="constrained"
+    )
+    panels[0].plot(
+        ts[1:],
+        1e3 * (run.position("wheel")[1:, 2] - run.position("wheel")[1, 2]),
+        color=LINES[1],
+    )
     panels[0].set_ylabel("travel of the wheel [mm]")
     force = jnp.linalg.norm(run.reaction("wheel_a_arm"), axis=1)
     panels[1].plot(ts[1:], 1e-3 * force[1:], color=LINES[2])
@@ -131,7 +193,9 @@ def save(name: str, figure: Figure) -> None:
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=110, facecolor="white")
     plt.close(figure)
-    Image.open(buffer).convert("RGB").quantize(96).save(FOLDER / f"{name}.png", optimize=True)
+    Image.open(buffer).convert("RGB").quantize(96).save(
+        FOLDER / f"{name}.png", optimize=True
+    )
 
 
 def main(names: list[str]) -> None:

@@ -128,10 +128,12 @@ from spherejax.physics.laws import (
     VectorElastomer,
 )
 from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.bayes import Posterior, posterior
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Descent, Fit, LevenbergMarquardt, Measured, Parameter, fit
-from spherejax.studies.sweep import Grid, open_sweep, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.sensitivity import Sensitivities, sensitivity
+from spherejax.studies.sweep import Grid, Sensitivity, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
 __all__ = [
     "AbstractCurve",
@@ -179,6 +181,7 @@ __all__ = [
     "Flores",
     "Gonthier",
     "Grid",
+    "GrowingHorizon",
     "Guembel",
     "Hertz",
     "HingeElastomer",
@@ -205,6 +208,7 @@ __all__ = [
     "Polynomial",
     "PositionDriver",
     "PostStabilization",
+    "Posterior",
     "Prismatic",
     "Projection",
     "RadialElastomer",
@@ -220,6 +224,8 @@ __all__ = [
     "Scene",
     "SceneError",
     "SceneFile",
+    "Sensitivities",
+    "Sensitivity",
     "ShockAbsorber",
     "SimulationError",
     "SimulationSettings",
@@ -258,12 +264,14 @@ __all__ = [
     "load_urdf",
     "open_sweep",
     "optimize",
+    "posterior",
     "product",
     "random_samples",
     "read_scene_file",
     "runtime",
     "save_scene",
     "scalarize",
+    "sensitivity",
     "simulate",
     "simulate_many",
     "smooth_peak",

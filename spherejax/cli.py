@@ -1,4 +1,4 @@
-"""The command line: `spherejax run | draw | compare | effects | accuracy | sweep | write | list`."""
+"""The command line: `spherejax run | draw | compare | effects | accuracy | sweep | fit | write | list`."""
 
 import argparse
 import os
@@ -54,8 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except sj.SimulationError as error:
         print(f"spherejax: the run failed: {_one_line(error)}", file=sys.stderr)
         return FAILED_RUN
-    except KeyboardInterrupt:
-        print("spherejax: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print("\n".join(["spherejax: interrupted", *getattr(interrupt, "__notes__", ())]), file=sys.stderr)
+        if argv is None:
+            _leave(INTERRUPTED)
         return INTERRUPTED
 
 
@@ -66,19 +68,39 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.compare import add_compare
     from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
+    from spherejax.command_line.fit import add_fit
     from spherejax.command_line.run import add_run
+    from spherejax.command_line.sensitivity import add_sensitivity
     from spherejax.command_line.sweep import add_sweep
     from spherejax.command_line.write import add_write
 
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (add_run, add_draw, add_compare, add_effects, add_accuracy, add_sweep, add_write, add_list):
+    for add in (
+        add_run,
+        add_draw,
+        add_compare,
+        add_effects,
+        add_accuracy,
+        add_sweep,
+        add_fit,
+        add_sensitivity,
+        add_write,
+        add_list,
+    ):
         add(commands)
     for command in {parser, *commands.choices.values()}:
         # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.
         command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     return parser
+
+
+def _leave(code: int) -> None:
+    """End the process now: threads that compute cannot be stopped, and Python would wait for them."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def _use_cache() -> None:

@@ -163,9 +163,9 @@ def test_grazing_onset_has_finite_derivatives(gap, sample_times):
     assert np.all([np.isfinite(push(e)).all() for e in jnp.eye(len(VALUES))])
 
 
-def test_explicit_methods_control_the_sensitivities():
+def test_explicit_and_rosenbrock_methods_control_the_sensitivities():
     assert has_controlled_sensitivities(diffrax.Dopri8())
-    assert not has_controlled_sensitivities(sj.Rodas5P())
+    assert has_controlled_sensitivities(sj.Rodas5P())
     assert not has_controlled_sensitivities(diffrax.Kvaerno5())
 
 
@@ -220,6 +220,22 @@ def test_own_solver_and_controller_control_the_sensitivities_too(reference_slope
     slopes = np.stack([push(e) for e in jnp.eye(len(VALUES))], -1)[1:, :5]
     for found, expected in zip(slopes, reference_slopes.states, strict=True):
         assert relative(found, expected).max() < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()])
+def test_stiff_methods_control_the_sensitivities(solver):
+    """Of a film, against differences of tight runs by another method."""
+    ts, h = jnp.array([0.0, 2e-3, 4e-3]), 1e-4
+
+    def eccentricities(viscosity, rtol=1e-7, solver=solver):
+        scene = sj.gallery.four_bar(sj.Lubricated(clearance=1e-4, viscosity=viscosity))
+        return sj.simulate(scene, ts, rtol=rtol, solver=solver).eccentricity("coupler_rocker")
+
+    slopes = jax.jacfwd(eccentricities)(0.4)
+    low, high = (eccentricities(0.4 * (1 + s), 1e-10, sj.Rodas5P()) for s in (-h, h))
+    differences = (high - low) / (2 * h * 0.4)
+    np.testing.assert_allclose(slopes, differences, atol=1e-3 * np.abs(differences).max())
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Sweeps: lanes that never idle, grids, records, stores that are gone on with, executors."""
 
-import json
 import os
+import shutil
 import subprocess
 import sys
 from concurrent.futures import Future
@@ -12,14 +12,18 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+import xarray
+import zarr
 from sweeping import elastic, hanging, pendulum
 
 import spherejax as sj
 from spherejax.motion.lanes import Block
 from spherejax.motion.many import simulate_many
 from spherejax.motion.status import Status
+from spherejax.output.io import load, save
 from spherejax.studies.sweep.grids import product, random_samples, sobol_samples, zipped
 
+TESTS = str(Path(__file__).parent)
 TS = np.linspace(0.0, 0.5, 6)
 GRID = {"gravity": np.linspace(1.0, 20.0, 7), "tilt": np.linspace(0.2, 1.2, 5)}
 RECORD = ["position.bob", "final kinetic_energy", "peak reaction.pivot"]
@@ -286,15 +290,70 @@ def test_the_store_of_another_sweep_is_refused(tmp_path):
         swept(store=tmp_path / "notes")
 
 
+def test_a_store_is_read_where_it_is_looked_at(result, tmp_path, monkeypatch):
+    found = swept(store=tmp_path / "sweep.zarr")
+    n_read = []
+    array = type(zarr.open_group(tmp_path / "sweep.zarr", mode="r")["status"])
+    get = array.__getitem__
+    monkeypatch.setattr(array, "__getitem__", lambda self, key: n_read.append(self.name) or get(self, key))
+    later = sj.open_sweep(tmp_path / "sweep.zarr")
+    n_read.clear()
+    some = later["position.bob"].isel(gravity=slice(2, 4), axis=2, time=-1)
+    assert n_read == []
+    np.testing.assert_array_equal(some, result["position.bob"].values[2:4, :, -1, 2])
+    assert n_read == ["/position.bob"]
+    for key in ({"gravity": [5, 1], "tilt": 3}, {"gravity": -1, "tilt": slice(None, None, -2)}, {"tilt": []}):
+        np.testing.assert_array_equal(later["position.bob"].isel(key), result["position.bob"].isel(key))
+    assert later.equals(found)
+    assert later.attrs["method"] == result.attrs["method"]
+    assert later["final_kinetic_energy"].attrs == result["final_kinetic_energy"].attrs
+    # Any reader of Zarr finds names, units and parameters.
+    plain = xarray.open_zarr(tmp_path / "sweep.zarr", consolidated=False, chunks=None)
+    assert plain["position.bob"].dims == ("run", "time", "axis")
+    np.testing.assert_array_equal(plain["tilt"][:5], GRID["tilt"])
+    assert set(plain.coords) == {"time", "gravity", "tilt"}
+
+
+def test_a_sweep_survives_netcdf(result, tmp_path):
+    for found, name in ((result, "memory.nc"), (swept(store=tmp_path / "sweep.zarr"), "store.nc")):
+        again = load(save(found, tmp_path / name))
+        assert again.identical(found.assign_attrs(again.attrs))
+        for key, value in found.attrs.items():
+            np.testing.assert_array_equal(again.attrs[key], value)
+
+
+def test_what_is_no_folder_is_no_store(tmp_path):
+    with pytest.raises(sj.SceneError, match=r"result.to_netcdf\('sweep.nc'\)"):
+        swept(store=tmp_path / "sweep.nc")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(sj.SceneError, match="there is no store"):
+        sj.open_sweep(tmp_path / "sweep.zarr")
+
+
+def test_a_parameter_with_the_name_of_a_result():
+    with pytest.raises(sj.SceneError, match="a parameter is called 'time'"):
+        sj.sweep(lambda time: pendulum(time), {"time": [1.0]}, TS, record=RECORD)
+
+
 def test_a_damaged_store_is_refused(tmp_path):
-    path = tmp_path / "sweep.zarr"
-    swept(store=path)
-    victim = next(file for file in (path / "position.bob").rglob("*") if file.is_file() and file.name != "zarr.json")
-    content = bytearray(victim.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    victim.write_bytes(bytes(content))
-    with pytest.raises(sj.SceneError, match="is damaged"):
-        swept(store=path)
+    whole = tmp_path / "sweep.zarr"
+    swept(store=whole)
+    for folder, name, word in (
+        ("position.bob", "c", "chunk"),
+        ("digest", "c", "digest"),
+        ("status", "zarr.json", "array"),
+    ):
+        path = tmp_path / f"{folder}.zarr"
+        shutil.copytree(whole, path)
+        victim = next(file for file in (path / folder / name, *(path / folder).rglob(f"{name}/**/*")) if file.is_file())
+        content = bytearray(victim.read_bytes())
+        content[len(content) // 2] ^= 0xFF
+        victim.write_bytes(bytes(content))
+        with pytest.raises(sj.SceneError, match=f"is damaged: .*{word}"):
+            swept(store=path)
+    shutil.rmtree(whole / "n_steps")
+    with pytest.raises(sj.SceneError, match="is damaged: an array"):
+        swept(store=whole)
 
 
 # Elsewhere ---------------------------------------------------------------------------------------------------------
@@ -324,34 +383,33 @@ def test_a_lost_chunk_runs_again(result):
         np.testing.assert_array_equal(found[name], result[name])
 
 
-TWO_DEVICES = """
-import json, sys
+FOUR_DEVICES = """
+import sys
 sys.path.insert(0, {tests!r})
-import numpy as np, jax
-import spherejax as sj
-from sweeping import pendulum
-assert jax.local_device_count() == 2
-found = sj.sweep(pendulum, {{"gravity": np.linspace(1.0, 20.0, 8)}}, [0.0, 0.5], record=["final position.bob"],
-                 progress=False)
-print(json.dumps(found["final_position.bob"].values.tolist()))
+import jax
+import test_sweep as t
+jax.config.update("jax_compilation_cache_dir", {cache!r})
+assert jax.local_device_count() == 4
+t.swept(store={path!r}, workers=None)
+try:
+    t.swept(store={path!r} + ".stopped", workers=None, progress=t._stop)
+except t.StopError:
+    pass
 """
 
 
-def test_several_devices():
-    tests = str(Path(__file__).parent)
-    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
-    environment = {**os.environ, "XLA_FLAGS": flags}
-    done = subprocess.run(
-        [sys.executable, "-c", TWO_DEVICES.format(tests=tests)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    here = sj.sweep(
-        pendulum, {"gravity": np.linspace(1.0, 20.0, 8)}, [0.0, 0.5], record=["final position.bob"], progress=False
-    )
-    np.testing.assert_allclose(json.loads(done.stdout.splitlines()[-1]), here["final_position.bob"], atol=1e-10)
+def test_several_devices_share_the_chunks_to_the_last_bit(result, tmp_path):
+    path = str(tmp_path / "sharded.zarr")
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=4"
+    code = FOUR_DEVICES.format(tests=TESTS, path=path, cache=jax.config.jax_compilation_cache_dir)
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, "XLA_FLAGS": flags}, check=True)
+    found, stopped = sj.open_sweep(path), sj.open_sweep(path + ".stopped")
+    # Six chunks: four devices, then two of them; the other sweep was stopped after the four.
+    assert int(np.sum(stopped["status"] == 0)) == 24
+    gone_on = swept(store=path + ".stopped")
+    for name in result.data_vars:
+        np.testing.assert_array_equal(found[name], result[name])
+        np.testing.assert_array_equal(gone_on[name], result[name])
 
 
 def test_what_cannot_be_sent_is_named():

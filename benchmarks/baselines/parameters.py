@@ -56,7 +56,8 @@ def problem(model) -> Problem:
     p[GRAVITY : GRAVITY + 3] = system.gravity
     for at, name in ((CRANK_PIVOT, "crank_pivot"), (ROCKER_PIVOT, "rocker_pivot")):
         pivot = system.joints[name]
-        p[at : at + 15] = np.concatenate([*pivot.places, *pivot.perpendiculars, pivot.axis])
+        across = [on_first for on_first, _ in pivot.right_angles]
+        p[at : at + 15] = np.concatenate([*pivot.places, *across, pivot.axes[0]])
     for at, name in ((CRANK_PIN, "crank_coupler"), (COUPLER_ROCKER_END, "coupler_rocker")):
         joint = system.spherical(name)
         p[at : at + 6] = np.concatenate([joint.socket_place, joint.ball_place])

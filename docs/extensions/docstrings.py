@@ -21,7 +21,10 @@ SPECIAL = re.compile(r"([\\*|_])")
 def text(line: str) -> str:
     """A line of prose, with code marked and everything else escaped."""
     parts = CODE.split(line)
-    return "".join(code(part) if i % 2 else SPECIAL.sub(r"\\\1", part) for i, part in enumerate(parts))
+    return "".join(
+        code(part) if i % 2 else SPECIAL.sub(r"\\\1", part)
+        for i, part in enumerate(parts)
+    )
 
 
 def code(content: str) -> str:
@@ -29,9 +32,11 @@ def code(content: str) -> str:
     name = content.removeprefix("spherejax.").removeprefix("sj.").removesuffix("()")
     owner, _, member = name.partition(".")
     # Escaped spaces let plurals and brackets stand beside.
-    if owner in sj.__all__ and (not member or hasattr(getattr(sj, owner), member)):
-        if owner not in ("gallery", "runtime"):
-            return rf"\ :py:obj:`{content} <spherejax.{name}>`\ "
+    is_public = owner in sj.__all__ and (
+        not member or hasattr(getattr(sj, owner), member)
+    )
+    if is_public and owner not in ("gallery", "runtime"):
+        return rf"\ :py:obj:`{content} <spherejax.{name}>`\ "
     return rf"\ ``{content}``\ "
 
 
@@ -40,7 +45,11 @@ def rst(lines: list[str]) -> list[str]:
     written: list[str] = []
     for title, block in sections(lines):
         if title == "Returns:":
-            written += [":returns: " + " ".join(text(line.strip()) for line in block if line.strip()), ""]
+            written += [
+                ":returns: "
+                + " ".join(text(line.strip()) for line in block if line.strip()),
+                "",
+            ]
         elif title:
             written += entries(title, block)
         else:
@@ -91,9 +100,17 @@ def prose(block: list[str]) -> list[str]:
     written: list[str] = []
     for paragraph in paragraphs(block):
         if paragraph[0].startswith("    "):
-            written += [".. code-block:: none", "", *("    " + line for line in paragraph), ""]
+            written += [
+                ".. code-block:: none",
+                "",
+                *("    " + line for line in paragraph),
+                "",
+            ]
         elif paragraph[0].startswith("* "):
-            written += [("* " if line.startswith("* ") else "  ") + text(line[2:]) for line in paragraph] + [""]
+            written += [
+                ("* " if line.startswith("* ") else "  ") + text(line[2:])
+                for line in paragraph
+            ] + [""]
         else:
             said = [text(line) for line in paragraph]
             said[0] = re.sub(r"^(Limits|Source|Sources|Defaults):", r"**\1.**", said[0])
@@ -112,7 +129,9 @@ def paragraphs(block: list[str]) -> Iterator[list[str]]:
             current = []
 
 
-def process(app: Sphinx, what: str, name: str, thing, options, lines: list[str]) -> None:
+def process(
+    app: Sphinx, what: str, name: str, thing, options, lines: list[str]
+) -> None:
     """Rewrite a docstring in place."""
     lines[:] = rst(lines)
 

@@ -29,12 +29,22 @@ class ResultTable(Directive):
         self.state.document.settings.record_dependencies.add(str(path))
         comments, rows = read(path)
         rows = chosen(rows, self.options.get("where", ""), path)
-        columns = [name.strip() for name in self.options["columns"].split(",")] if "columns" in self.options else None
+        columns = (
+            [name.strip() for name in self.options["columns"].split(",")]
+            if "columns" in self.options
+            else None
+        )
         columns = columns or list(rows[0])
         unknown = [name for name in columns if name not in rows[0]]
         if unknown:
-            raise SphinxError(f"{path.name} has no column {unknown[0]!r}; it has {', '.join(rows[0])}")
-        return [command_of(comments), scrolled(table_of(columns, rows)), made_with(comments)]
+            raise SphinxError(
+                f"{path.name} has no column {unknown[0]!r}; it has {', '.join(rows[0])}"
+            )
+        return [
+            command_of(comments),
+            scrolled(table_of(columns, rows)),
+            made_with(comments),
+        ]
 
 
 def read(path: Path) -> tuple[list[str], list[dict[str, str]]]:
@@ -79,7 +89,9 @@ def table_of(columns: list[str], rows: list[dict[str, str]]) -> nodes.table:
 
 def row_of(cells: list[str]) -> nodes.row:
     """One row."""
-    return nodes.row("", *(nodes.entry("", nodes.paragraph(cell, cell)) for cell in cells))
+    return nodes.row(
+        "", *(nodes.entry("", nodes.paragraph(cell, cell)) for cell in cells)
+    )
 
 
 def scrolled(table: nodes.table) -> nodes.container:

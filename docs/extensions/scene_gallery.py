@@ -19,7 +19,9 @@ class SceneGallery(Directive):
 
     def run(self) -> list[nodes.Node]:
         """Make the cards."""
-        return [nodes.container("", *map(self.card, sj.gallery.__all__), classes=["scenes"])]
+        return [
+            nodes.container("", *map(self.card, sj.gallery.__all__), classes=["scenes"])
+        ]
 
     def card(self, name: str) -> nodes.container:
         """Picture, link and first sentence."""
@@ -27,7 +29,11 @@ class SceneGallery(Directive):
             raise SphinxError(
                 f"the gallery's scene {name!r} has no picture: run `python docs/pictures.py scene_{name}`"
             )
-        sentence = (inspect.getdoc(getattr(sj.gallery, name)) or "").split("\n\n")[0].replace("\n", " ")
+        sentence = (
+            (inspect.getdoc(getattr(sj.gallery, name)) or "")
+            .split("\n\n")[0]
+            .replace("\n", " ")
+        )
         card = nodes.container(classes=["scene"])
         text = StringList(
             [

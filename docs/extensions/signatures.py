@@ -27,10 +27,18 @@ OF_THE_PROGRAM = {
     "requirements",
     "surfaces",
 }
-"""Members that a class has for the compiler of scenes; they are shown once, with the abstract class that asks for them."""
+"""Members for the compiler of scenes; they are shown once, with the abstract class that asks for them."""
 
 
-def shorter(app: Sphinx, what: str, name: str, thing, options, signature: str | None, returned: str | None):
+def shorter(
+    app: Sphinx,
+    what: str,
+    name: str,
+    thing,
+    options,
+    signature: str | None,
+    returned: str | None,
+):
     """Replace what type aliases stand for by the aliases."""
     return tuple(text and _replaced(text) for text in (signature, returned))
 
@@ -41,7 +49,9 @@ def _replaced(text: str) -> str:
     return text
 
 
-def is_skipped(app: Sphinx, what: str, name: str, thing, skip: bool, options) -> bool | None:
+def is_skipped(
+    app: Sphinx, what: str, name: str, thing, skip: bool, options
+) -> bool | None:
     """Leave out what belongs to the program, but where it is asked for."""
     function = thing.fget if isinstance(thing, property) else thing
     owner = getattr(function, "__qualname__", "").partition(".")[0]

@@ -42,8 +42,8 @@ class Chosen(NamedTuple):
         return self.build(None if options.joint is None else model_from(options))
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """The mechanism, and which of its joints is studied."""
+def add_scene(parser: argparse.ArgumentParser, joint: str = "--of") -> None:
+    """The mechanism, and which of its joints is studied: the option `joint`."""
     parser.add_argument(
         "scene",
         type=_scene_name,
@@ -51,7 +51,8 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         help=f"a scene of the gallery ({', '.join(SCENES)}), a scene file (.toml), or a robot description (.urdf)",
     )
     parser.add_argument(
-        "--of",
+        joint,
+        dest="of",
         metavar="NAME",
         help="the joint that --joint is the model of (default: the studied joint of the scene or file)",
     )

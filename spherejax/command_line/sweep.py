@@ -13,6 +13,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.files.place import one_of
+from spherejax.motion.status import REMEDIES, Status
 
 DESCRIPTION = """\
 Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied
@@ -67,6 +68,7 @@ def add_sweep(commands) -> None:
     how.add_argument("--rtol", type=float, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
     how.add_argument("--max-steps", type=int, default=1_000_000, metavar="N", help="give a run up beyond")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    how.add_argument("--chunk", type=int, metavar="N", help="runs that are handed out, and stored, at a time")
     how.add_argument("--workers", type=int, metavar="N", help="chunks at the same time (default: all cores)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc)")
@@ -86,7 +88,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         writable(path, overwrite=options.overwrite)
     names, grid = grid_of(options)
     found = chosen(_with_first_values(options, names, grid))
-    build = _builder(found, options, names)
+    build = builder(found, options, names)
     record = options.record or _default_record(found, build(**{n: v[0] for n, v in grid.values.items()}))
     begin = time.perf_counter()
     result = sj.sweep(
@@ -98,6 +100,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         max_steps=options.max_steps,
         solver=SOLVERS[options.solver][0]() if options.solver else None,
         workers=options.workers,
+        chunk=options.chunk,
         store=path if path.suffix == ".zarr" else None,
     )
     seconds = time.perf_counter() - begin
@@ -168,13 +171,13 @@ def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid:
     return argparse.Namespace(**{**vars(options), **first})
 
 
-def _builder(found: Chosen, options: argparse.Namespace, names: dict[str, str]):
+def builder(found: Chosen, options: argparse.Namespace, names: dict[str, str], flag: str = "--vary"):
     """A function from the grid's parameters to the scene."""
     for name in names.values():
         _, dot, number = name.partition(".")
         if name not in USED_BY and not (dot and number in OF_BODIES):
             known = [*USED_BY, *(f"BODY.{number}" for number in OF_BODIES)]
-            raise sj.SceneError(f"--vary {name}: no such number; {one_of(known, name)}")
+            raise sj.SceneError(f"{flag} {name}: no such number; {one_of(known, name)}")
 
     def build(**values) -> sj.Scene:
         of_joint = {key: value for key, value in values.items() if names[key] in USED_BY}
@@ -183,7 +186,7 @@ def _builder(found: Chosen, options: argparse.Namespace, names: dict[str, str]):
             body, dot, number = names[key].partition(".")
             if not dot:
                 continue
-            scene.require_body(body, f"--vary {names[key]}")
+            scene.require_body(body, f"{flag} {names[key]}")
             scene = eqx.tree_at(lambda s, body=body, number=number: getattr(s.bodies[body], number), scene, value)
         return scene
 
@@ -213,8 +216,29 @@ def _print(found: Chosen, options: argparse.Namespace, result, seconds: float) -
         if name not in ("status", "t_reached", "n_steps", "n_rejected") and np.isfinite(values).any():
             rows.append((f"{name} [{result[name].attrs.get('units', '')}]", _range(values)))
     print_table(f"{found.title or found.name}: {', '.join(options.vary)}", ("quantity", "value"), rows)
-    if facts["failures"]:
-        print(facts["failures"])
+    _print_failures(result)
+
+
+def _print_failures(result) -> None:
+    """Why runs failed, for which values, and what to do."""
+    status = result["status"]
+    rows, remedies = [], []
+    for kind in Status:
+        is_so = np.asarray(status == kind)
+        if kind == Status.SUCCEEDED or not is_so.any():
+            continue
+        words = kind.name.lower().replace("_", " ")
+        where = [
+            f"{name} {_range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so])}"
+            for name in map(str, status.coords)
+            if name != "run"
+        ]
+        reached = _range(np.asarray(result["t_reached"])[is_so])
+        rows.append((words, f"{int(is_so.sum()):,}", "; ".join(where), reached))
+        remedies.append(f"{words}: {REMEDIES[kind]}.")
+    if rows:
+        print_table("failed runs", ("why", "runs", "where", "time reached [s]"), rows)
+        print("\n".join(remedies))
 
 
 def _range(values: np.ndarray) -> str:

@@ -25,9 +25,11 @@ from spherejax.motion.implicit import with_structure
 from spherejax.motion.integrate import Plan, beginning, contacts_of, correction_for, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.longest_step import longest_step
+from spherejax.motion.many_sensitivities import RunSlopes, problem_of_rows, slopes_of, start_of_rows
 from spherejax.motion.paths import path_of
 from spherejax.motion.programs import program_for
 from spherejax.motion.quantities import magnitudes
+from spherejax.motion.sensitivities import has_controlled_sensitivities
 from spherejax.motion.simulate import check_tolerances, checked_times, choice_for, split, start_now, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.status import Status
@@ -47,12 +49,14 @@ class Runs(NamedTuple):
         time_in_contact: of each contact joint [s], shape (n_runs, n_contacts).
         peaks: largest magnitudes of the watched quantities at the ends of all steps, shape (n_runs, n_watched).
         n_lane_steps: steps that the lanes made, those of idle ones included.
+        slopes: derivatives by the parameters that were asked for; None without.
     """
 
     trajectories: Trajectory
     time_in_contact: Float[Array, "n_runs n_contacts"]
     peaks: Float[Array, "n_runs n_watched"]
     n_lane_steps: Int[Array, ""]
+    slopes: RunSlopes | None = None
 
     @property
     def lane_efficiency(self) -> Float[Array, ""]:
@@ -71,6 +75,7 @@ class Method(NamedTuple):
         track_work: whether the work of each joint is integrated.
         block: how wide the block of lanes is.
         watch: names of quantities whose largest magnitudes are kept.
+        by: names of the parameters whose sensitivities are integrated as well.
     """
 
     choice: Choice
@@ -80,6 +85,7 @@ class Method(NamedTuple):
     track_work: bool
     block: Block
     watch: tuple[str, ...] = ()
+    by: tuple[str, ...] = ()
 
 
 class Numbers(eqx.Module):
@@ -107,6 +113,7 @@ def simulate_many(
     max_steps: int = 20_000_000,
     track_work: bool = False,
     watch: tuple[str, ...] = (),
+    by: tuple[str, ...] = (),
     block: Block | None = None,
 ) -> Runs:
     """Simulate many scenes of one structure.
@@ -121,6 +128,9 @@ def simulate_many(
             runs in between; the stiffest of them decides.
         watch: names of quantities (e.g. `"acceleration.rocker"`) whose largest magnitudes at the ends of all steps are
             kept: unlike a largest sample they miss no impact.
+        by: names of parameters (entries of a mapping, one number for each run) whose sensitivities are integrated
+            beside the states, with the errors of both controlled: `runs.slopes`. They need an explicit method, or a
+            Rosenbrock one.
         block: how wide the block of lanes is; by default by the kind of device (`motion.widths`).
 
     Returns:
@@ -134,7 +144,7 @@ def simulate_many(
     check_tolerances(rtol, atol)
     n_runs = count_of_runs(parameters)
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
-    method = method._replace(watch=tuple(watch))
+    method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)
     return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
 
 
@@ -172,6 +182,29 @@ def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, blo
     return Method((stiff or choices)[0], rtol, atol, max_steps, track_work, block)
 
 
+def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> Method:
+    """The method with sensitivities by some of the parameters.
+
+    Raises:
+        SceneError: for a name that is no parameter, or a method that cannot integrate them.
+    """
+    if not by:
+        return method
+    names = list(parameters) if isinstance(parameters, dict) else []
+    for name in by:
+        if name not in names:
+            known = ", ".join(map(repr, names)) or "none (they must be a mapping)"
+            raise SceneError(f"sensitivities by {name!r}: no such parameter; there are {known}")
+        if np.ndim(parameters[name]) != 1:
+            raise SceneError(f"sensitivities by {name!r}: it must be one number for each run")
+    if not has_controlled_sensitivities(method.choice.solver):
+        raise SceneError(
+            f"sensitivities in lanes need an explicit or a Rosenbrock method, and these runs have another one "
+            f"({method.choice.reason}); pass solver=diffrax.Dopri8() or solver=sj.Ros34PW2()"
+        )
+    return method._replace(by=by)
+
+
 def built(build: Build, parameters: Any) -> Scene:
     """The scene of one run."""
     scene = build(**parameters) if isinstance(parameters, dict) else build(parameters)
@@ -185,18 +218,15 @@ def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     prepared = _Prepared(build, method, ts)
     with without_host_checks():
-        starts = jax.vmap(prepared.start)(parameters)
-        outcome = run_in_lanes(
-            prepared.problem(),
-            starts.numbers,
-            starts.y0,
-            ts,
-            starts.may_run & is_wanted,
-            starts.status,
-            method.block,
-        )
+        starts: Any = jax.vmap(prepared.start)(parameters)
+        may_run = starts.may_run & is_wanted
+        outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
+    slopes = slopes_of(starts.numbers, outcome.ys) if method.by else None
+    if method.by:
+        starts = starts._replace(numbers=starts.numbers.value)
+        outcome = outcome._replace(ys=outcome.ys[:, :, 0], y_reached=outcome.y_reached[:, 0])
     runs = jax.vmap(prepared.trajectory)(starts, outcome._replace(n_lane_steps=jnp.zeros(is_wanted.shape)))
-    return Runs(runs, outcome.touching, outcome.peaks, outcome.n_lane_steps)
+    return Runs(runs, outcome.touching, outcome.peaks, outcome.n_lane_steps, slopes)
 
 
 def watching(structure: Structure, names: tuple[str, ...]) -> Callable | None:
@@ -244,6 +274,17 @@ class _Prepared:
         self.shared_tolerances: Any = None
 
     def start(self, parameters) -> Start:
+        """The start of one run, with its sensitivities as rows below the state where they are asked for."""
+        by = self.method.by
+        if not by:
+            return self.start_of_state(parameters)
+
+        def of_values(values):
+            return self.start_of_state({**parameters, **dict(zip(by, values, strict=True))})
+
+        return start_of_rows(of_values, jnp.stack([parameters[name] for name in by]))
+
+    def start_of_state(self, parameters) -> Start:
         """Build the scene of one run and assemble its start."""
         method = self.method
         compiled = compile_scene(built(self.build, parameters), track_work=method.track_work)
@@ -275,7 +316,7 @@ class _Prepared:
             limits = self.shared_tolerances if numbers.tolerances is None else numbers.tolerances
             return diffrax.PIDController(rtol=jnp.asarray(limits[0]), atol=jnp.asarray(limits[1]))
 
-        return LaneProblem(
+        problem = LaneProblem(
             with_structure(method.choice.solver, plan.structure),
             controller_of,
             lambda t, y, numbers: rate.inside(numbers.theta, numbers.ahead, t, y),
@@ -285,6 +326,7 @@ class _Prepared:
             watching(plan.structure, method.watch),
             longest_step(plan.structure, self.ts),
         )
+        return problem_of_rows(problem, plan.structure, rate) if method.by else problem
 
     def trajectory(self, start: Start, outcome: LaneOutcome) -> Trajectory:
         """One run as a trajectory."""

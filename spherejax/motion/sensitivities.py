@@ -1,24 +1,7 @@
-"""Derivatives of runs by the numbers that the caller traces.
-
-Sensitivities Y_k = s_k dy/dp_k are integrated together with the state (s_k = |p_k|, or 1 where p_k is 0, so that all
-are in the units of the state),
-
-    y_rate = f(y, p),    Y_k_rate = df/dy Y_k + s_k df/dp_k,
-
-as rows of one matrix: y first, then one Y_k for each number. The step-size controller judges every row. That is
-needed behind a contact onset, where df/dy grows like the root of time: steps that are right for the motion, whose
-force grows like the power 3/2, are too long for its sensitivities.
-
-At a contact onset the instant tau moves with the numbers. A step lands just behind it, and there
-
-    Y_k := Y_k + (f_flight - f_contact) s_k dtau/dp_k,
-
-while the memory's part jumps as `contacts.memory_after_step` says. The force of the landing window is below a
-micronewton, and yet without this term each impact would add a relative error of 1e-7: contact stiffens from zero with
-an infinite slope. Bristles, which begin to move at the onset, need the term in full.
+"""Derivatives of runs by the numbers that the caller traces: rows of sensitivities beside the state, integrated under
+error control; see `sensitivity_rows` for their equations.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
@@ -31,8 +14,8 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.callbacks import without_host_checks
-from spherejax.motion.contacts import GRAZING_RATE
 from spherejax.motion.dynamics import state_rate
+from spherejax.motion.implicit_rows import solver_of_rows
 from spherejax.motion.integrate import (
     Options,
     Outcome,
@@ -46,8 +29,16 @@ from spherejax.motion.integrate import (
     samples,
     wrapped,
 )
-from spherejax.motion.programs import Program, program_for
-from spherejax.motion.solvers.landing import Contacts
+from spherejax.motion.programs import program_for
+from spherejax.motion.sensitivity_rows import (
+    correcting_rows,
+    judging_rows,
+    linearized,
+    rows_rate,
+    scales_of,
+    with_rows,
+)
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.status import status_of
 
 
@@ -85,10 +76,11 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
 def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
     """Whether a run with this solver integrates its sensitivities under error control.
 
-    An implicit method would need the Jacobian of the state and all sensitivities together, with second derivatives of
-    the right-hand side in it. Its runs are differentiated step by step instead.
+    Explicit Runge-Kutta methods and Rosenbrock methods do; see `implicit_rows` for these. diffrax's implicit methods
+    would need the Jacobian of the state and all sensitivities together, with second derivatives of the right-hand side
+    in it. Their runs are differentiated step by step instead.
     """
-    return isinstance(solver, diffrax.AbstractERK)
+    return isinstance(solver, diffrax.AbstractERK | AbstractRosenbrock)
 
 
 class Slopes(NamedTuple):
@@ -141,7 +133,7 @@ def integrate_along(
         plan, options, values, known, ts, start, values_are_legal: as for `integrate`.
         directions: of length |p| or so, for all sensitivities to be in the units of the state.
 
-    With an explicit Runge-Kutta method the errors of the sensitivities are controlled as the state's; any other
+    The errors of the sensitivities are controlled as the state's, where `has_controlled_sensitivities`; otherwise the
     method's steps are differentiated.
     """
     if has_controlled_sensitivities(options.solver):
@@ -174,7 +166,7 @@ def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
 @eqx.filter_jit
 def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
-    scale = jnp.where(values == 0, 1.0, jnp.abs(values))
+    scale = scales_of(values)
     found = _controlled(plan, options, values, jnp.diag(scale), *rest)
     assembly = jax.tree.map(lambda x: _numbers_last(x, scale), found.assembly_slopes)
     return Slopes(_numbers_last(found.slopes, scale), assembly)
@@ -201,23 +193,23 @@ def _controlled(
     def beginning_of(values):
         return beginning(plan, plan.theta(values, known), ts[0], start)
 
-    (assembly, y0), (assembly_slopes, Y0) = _linearized(beginning_of, values, directions)
+    (assembly, y0), (assembly_slopes, Y0) = linearized(beginning_of, values, directions)
     is_closed = assembly.residual_after < CLOSING_TOLERANCE
     may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
     t1 = jnp.where(may_run, ts[-1], ts[0])
-    contacts = None if contacts is None else _with_rows(contacts, rate)
-    correct = _correcting_rows(correction_for(plan))
+    contacts = None if contacts is None else with_rows(contacts, rate)
+    correct = correcting_rows(correction_for(plan))
     with without_host_checks():
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, rows, args: _rows_rate(rate, args, t, rows)),
-            wrapped(options.solver, correct, contacts),
+            diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
+            wrapped(solver_of_rows(options.solver, plan.structure, rate), correct, contacts),
             t0=ts[0],
             t1=t1,
             dt0=None,
             y0=jnp.concatenate([y0[None], Y0]),
-            args=_linearized(parameters_of, values, directions),
+            args=linearized(parameters_of, values, directions),
             saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
-            stepsize_controller=landing_controller(_judging_rows(options.controller), contacts, plan, ts),
+            stepsize_controller=landing_controller(judging_rows(options.controller), contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,
@@ -234,107 +226,3 @@ def _controlled(
 
 def _numbers_last(scaled: Float[Array, "p ..."], scale: Float[Array, " p"]) -> Array:
     return jnp.moveaxis(scaled, 0, -1) / scale
-
-
-class Linearized(NamedTuple):
-    """Something that follows from the traced numbers, and its derivatives along directions in them.
-
-    Attributes:
-        value: the value.
-        slopes: the derivatives, with a leading axis of directions; None for what is not a float.
-    """
-
-    value: Any
-    slopes: Any
-
-
-def _linearized(function, values: Float[Array, " p"], directions: Float[Array, "k p"]) -> Linearized:
-    """The value of a function of the traced numbers, and its derivatives."""
-
-    def floats(values):
-        return eqx.partition(function(values), lambda leaf: jnp.issubdtype(jnp.result_type(leaf), jnp.floating))
-
-    def along(direction):
-        return jax.jvp(floats, (values,), (direction,), has_aux=True)
-
-    value, slopes, others = jax.vmap(along, out_axes=(None, 0, None))(directions)
-    return Linearized(eqx.combine(value, others), slopes)
-
-
-def _rows_rate(rate: Program, parameters: Linearized, t, rows: Float[Array, "rows size"]) -> Float[Array, "rows size"]:
-    """The right-hand side for the state and its sensitivities."""
-
-    def state_rate(numbers, y):
-        return rate.inside(numbers.theta, numbers.ahead, t, y)
-
-    return _rows_of(state_rate, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))
-
-
-def _rows_of(function, primals, slopes) -> Float[Array, "rows size"]:
-    """A function's value as first row, its derivatives below."""
-
-    def along(tangents):
-        return eqx.filter_jvp(function, primals, tangents)
-
-    value, tangents = eqx.filter_vmap(along, out_axes=(None, 0))(slopes)
-    return jnp.concatenate([value[None], tangents])
-
-
-def _correcting_rows(correct: Callable | None) -> Callable | None:
-    """The drift control's correction of the state and of its sensitivities."""
-    if correct is None:
-        return None
-
-    def correct_rows(parameters, t, rows):
-        def corrected(numbers, y):
-            return correct(numbers, t, y)
-
-        return _rows_of(corrected, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))
-
-    return correct_rows
-
-
-def _with_rows(contacts: Contacts, rate: Program) -> Contacts:
-    """Contacts of the state in the first row; at an onset the sensitivities below it jump."""
-
-    def crossings(parameters, t, rows):
-        return contacts.crossings(parameters.value, t, rows[0])
-
-    def update(parameters, t, start, end):
-        def updated(numbers, y_start, y_end):
-            return contacts.update(numbers, t, y_start, y_end)
-
-        values = (parameters.value, start[0], end[0])
-        rows = _rows_of(updated, values, (parameters.slopes, start[1:], end[1:]))
-        began = ~contacts.is_touching(start[0]) & contacts.is_touching(rows[0])
-        delays = _onset_delays(contacts, parameters, t, end, began, rows[0])
-        flight, contact = jax.vmap(
-            lambda y: rate.inside(parameters.value.theta, parameters.value.ahead, jnp.asarray(t), y)
-        )(jnp.stack([end[0], rows[0]]))
-        return rows.at[1:].add(delays[:, None] * (flight - contact))
-
-    return Contacts(crossings, update, tuple((0, entry) for entry in contacts.onset_entries))
-
-
-def _onset_delays(contacts: Contacts, parameters: Linearized, t, rows, began, updated) -> Float[Array, " p"]:
-    """How much later the onset at the end of a step comes with each number (scaled) [s]; 0 without an onset.
-
-    Limits: 0 for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
-    """
-
-    def value(numbers, y):
-        return contacts.crossings(numbers, t, y).value
-
-    slopes = _rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
-    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
-    counts = began & (onset_rate > GRAZING_RATE)
-    rates = jnp.where(counts, contacts.crossings(parameters.value, t, rows[0]).rate, 1.0)
-    return -jnp.sum(jnp.where(counts, slopes / rates, 0.0), 1) / jnp.maximum(jnp.sum(counts), 1)
-
-
-def _judging_rows(controller):
-    """The controller with the norm of the worst row, so that many numbers do not dilute the error of one."""
-    if not isinstance(controller, diffrax.PIDController):
-        return controller
-    norm = controller.norm
-    return eqx.tree_at(lambda c: c.norm, controller, lambda errors: jnp.max(jax.vmap(norm)(errors)))

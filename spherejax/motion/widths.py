@@ -5,6 +5,8 @@ cache. On an accelerator a step costs its kernels' launches (some hundred, of a 
 arithmetic units are busy, so that all runs side by side, up to very many, take no longer than a few.
 """
 
+from typing import Any
+
 import jax
 
 from spherejax.motion.lanes import Block
@@ -27,7 +29,7 @@ def block_for(platform: str | None = None) -> Block:
 
 def platform_of_runs() -> str:
     """The platform that runs are made on."""
-    chosen = jax.config.jax_default_device
+    chosen: Any = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if chosen is None:
         return jax.default_backend()
     return chosen if isinstance(chosen, str) else chosen.platform

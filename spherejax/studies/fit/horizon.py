@@ -21,6 +21,9 @@ from spherejax.studies.fit.methods import Course, Ending, Method
 from spherejax.studies.fit.problem import Problem
 from spherejax.studies.fit.record import Held, Watching, of_the_whole
 
+SMALLEST_SIZE = 1e-6
+"""Residuals below this share of what was measured are errors of the runs: measurements without noise have no less."""
+
 
 @dataclass(frozen=True)
 class GrowingHorizon:
@@ -78,13 +81,11 @@ class _Part(NamedTuple):
 
     Attributes:
         course: where it went.
-        n: how many instants the part has.
         size: root mean square of its residuals.
         newest: of those behind the part before.
     """
 
     course: Course
-    n: int
     size: float
     newest: float
 
@@ -96,7 +97,7 @@ class _Growth:
         self, horizon: GrowingHorizon, problem: Problem, method: Method, fitted: Callable, u, noise_is_known: bool
     ):
         self.horizon, self.problem, self.method, self.fitted = horizon, problem, method, fitted
-        self.start, self.smallest = u, 1.0 if noise_is_known else 0.0
+        self.start, self.size = u, 1.0 if noise_is_known else 0.0
         self.instants = np.unique(np.concatenate([instants_of(each) for each in problem.experiments]))
         self.random = np.random.default_rng(horizon.seed)
         self.gone: Course | None = None
@@ -113,18 +114,20 @@ class _Growth:
             return of_the_whole([self.gone], self.problem)[0]
 
     def _grown(self) -> np.ndarray:
-        """Estimates from the longest part before the whole."""
-        n, u, size = self.instants.size, self.start, 0.0
+        """Estimates from rough fits of longer and longer parts, the last of them the whole."""
+        n, u = self.instants.size, self.start
         reached, step = 0, self._first()
-        while reached + step < n:
+        while reached < n:
+            step = min(step, n - reached)
             found = self._part(u, reached, step)
-            if not self._is_explained(found, size):
-                if step > 1:
+            if self.size == 0 or not self._is_explained(found):
+                if step > 1 and self.size > 0:
                     step = max(1, step // 4)
                     continue
-                found = self._from_elsewhere(found, u, reached, size)
-            self._go(found)
-            u, size = (found.course.u, max(size, found.size)) if found.course.us else (u, size)
+                found = self._from_elsewhere(found, u, reached, step)
+            if found.course.us:
+                self.gone = found.course.after(self.gone, float(self.instants[reached + step - 1]))
+                u, self.size = found.course.u, max(self.size, found.size, SMALLEST_SIZE)
             reached, step = reached + step, 2 * step
         return u
 
@@ -136,35 +139,35 @@ class _Growth:
 
     def _part(self, u: np.ndarray, reached: int, step: int) -> _Part:
         """A rough fit of the first instants, `step` more than before."""
-        problem = self.problem.until(float(self.instants[reached + step - 1]))
+        end = float(self.instants[reached + step - 1])
+        problem = self.problem.until(end)
         course = self.fitted(Held(problem, self.start[None], self.horizon.held), u, self.method.roughly())
         if course.ending is Ending.INTERRUPTED:
+            self.gone = course.after(None, end) if self.gone is None else self.gone
             raise KeyboardInterrupt
         if not course.us:
-            return _Part(course, reached + step, np.inf, np.inf)
+            return _Part(course, np.inf, np.inf)
         residuals = course.residuals[: problem.n_residuals]
         is_new = np.concatenate([instants_of(each) for each in problem.experiments]) >= self.instants[reached]
-        return _Part(course, reached + step, _root_mean_square(residuals), _root_mean_square(residuals[is_new]))
+        return _Part(course, _root_mean_square(residuals), _root_mean_square(residuals[is_new]))
 
-    def _is_explained(self, found: _Part, size: float) -> bool:
-        """Whether the residuals of what is new are like those before; the first part sets the size of unknown noise."""
-        allowed = max(size, self.smallest) or found.size
-        return max(found.newest, found.size) <= self.horizon.explained * allowed
+    def _is_explained(self, found: _Part) -> bool:
+        """Whether the residuals, and those of what is new among them, are like those before."""
+        return max(found.newest, found.size) <= self.horizon.explained * self.size
 
-    def _from_elsewhere(self, found: _Part, u: np.ndarray, reached: int, size: float) -> _Part:
-        """One instant more, tried from other parameters; the best fit."""
+    def _from_elsewhere(self, found: _Part, u: np.ndarray, reached: int, step: int) -> _Part:
+        """A part tried from other parameters; the best fit.
+
+        Where the size of the noise is not known yet, all of them are tried: this part will be the measure of it.
+        """
         for _ in range(self.horizon.restarts):
             away = self.random.uniform(-self.horizon.spread, self.horizon.spread, u.size)
-            other = self._part(u + away, reached, 1)
+            other = self._part(u + away, reached, step)
             if other.size < found.size:
                 found = other
-            if self._is_explained(found, size):
+            if self.size > 0 and self._is_explained(found):
                 break
         return found
-
-    def _go(self, found: _Part) -> None:
-        if found.course.us:
-            self.gone = found.course.after(self.gone, float(self.instants[found.n - 1]))
 
 
 def instants_of(experiment) -> np.ndarray:

@@ -9,6 +9,9 @@ from spherejax.studies.fit.statistics import white
 UNLIKELY = 1e-3
 """Residuals that white noise shows more rarely than this are not taken for white."""
 
+RUNAWAY = 1e4
+"""A positive parameter that changes by a larger factor, and is not determined there, has run away."""
+
 FEWEST = 20
 """Fewer residuals than this say nothing about their colour."""
 
@@ -51,7 +54,7 @@ def _starts(fit) -> list[str]:
     ended = [course for course in fit.courses if course.ending is not None and course.ending.succeeded]
     failed = sum(course.ending is Ending.FAILED_START for course in fit.courses)
     found = [f"{failed} of {len(fit.courses)} starts failed: their runs did not reach their ends"] if failed else []
-    deviations = np.sqrt(np.diagonal(fit.knowledge.scaled_covariance))
+    deviations = fit.knowledge.scaled_deviations
     best, scales = fit.knowledge.values, fit.knowledge.scales
     variance = fit.knowledge.variance
     higher, elsewhere = 0, 0
@@ -105,20 +108,28 @@ def _lost(fit) -> list[str]:
 
 
 def _bounds(fit) -> list[str]:
-    """Estimates that rest on their bounds."""
+    """Estimates that rest on their bounds, and positive ones that have gone to zero or without end."""
     unknowns, found = fit.problem.unknowns, []
-    for name, value, lower, upper in zip(
-        unknowns.names, fit.knowledge.values, unknowns.each("lower"), unknowns.each("upper"), strict=True
+    starts = unknowns.flat_values_of(fit.problem.u0)
+    bounds = zip(unknowns.each("lower"), unknowns.each("upper"), strict=True)
+    known = fit.knowledge
+    for name, value, start, deviation, (lower, upper) in zip(
+        unknowns.names, known.values, starts, known.scaled_deviations, bounds, strict=True
     ):
-        for bound, side, other in ((lower, "lower", upper), (upper, "upper", lower)):
-            width = abs(other - bound) if np.isfinite(other) else max(abs(bound), abs(value))
-            if np.isfinite(bound) and (bound != 0 or np.isfinite(other)) and abs(value - bound) < 1e-3 * width:
-                if bound == 0 and side == "lower" and unknowns.each("is_relative").any():
-                    continue  # a positive number far below its upper bound is not at zero
+        width = upper - lower if np.isfinite(upper - lower) else max(abs(value), abs(start))
+        for bound, side in ((lower, "lower"), (upper, "upper")):
+            # Zero below a positive number is no bound to rest on: it is far away in the logarithm.
+            if np.isfinite(bound) and not bound == lower == 0 and abs(value - bound) < 1e-3 * width:
                 found.append(
                     f"{name} = {value:.6g} rests on its {side} bound {bound:.6g}: the data want it beyond, and its "
                     "interval is cut off there"
                 )
+        if lower == 0 and deviation > 0.5 and not start / RUNAWAY < value < start * RUNAWAY:
+            where = "fallen" if value < start else "risen"
+            found.append(
+                f"{name} has {where} from {start:.6g} to {value:.6g}: the data want none of it, they want it without "
+                "end, or this is not the smallest minimum; give it bounds, or leave it out"
+            )
     return found
 
 

@@ -3,7 +3,7 @@
 import enum
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -80,17 +80,26 @@ class Course:
         self.residuals, self.jacobian = np.array(residuals), np.array(jacobian)
 
     def after(self, earlier: "Course | None", end: float) -> "Course":
-        """This course as the continuation of an earlier one, with a record that ends at `end` [s]."""
+        """This course as the continuation of an earlier one, with a record that ends at `end` [s].
+
+        Of one whose start failed nothing but its failure goes on.
+        """
         self.ends = [end] * len(self.us)
         if earlier is None:
             return self
-        whole = earlier if self.ending is Ending.FAILED_START else self
+        if not self.us:
+            return replace(
+                earlier,
+                n_iterations=earlier.n_iterations + self.n_iterations,
+                n_failed=earlier.n_failed + self.n_failed,
+                diagnosis=self.diagnosis,
+            )
         return Course(
             earlier.us + self.us,
             earlier.costs + self.costs,
             earlier.ends + self.ends,
-            whole.residuals,
-            whole.jacobian,
+            self.residuals,
+            self.jacobian,
             self.ending,
             earlier.n_iterations + self.n_iterations,
             earlier.n_failed + self.n_failed,

@@ -296,6 +296,7 @@ def _scales(experiment: Experiment) -> np.ndarray:
     """Weights before the noise has been estimated: how much each observable varies."""
     columns = []
     for values in experiment.measured.values.values():
-        size = np.nanstd(values) or np.sqrt(np.nanmean(values**2)) or 1.0
+        there = values[~np.isnan(values)]
+        size = (np.std(there) or np.max(np.abs(there)) or 1.0) if there.size else 1.0
         columns.append(np.full(values.shape, size).reshape(values.shape[0], -1))
     return np.concatenate(columns, 1)

@@ -28,9 +28,9 @@ def reporting(progress: bool | Report, problem: Problem, n_iterations: int) -> I
 
 
 def described(seen: Seen, names: list[str]) -> str:
-    """Where a fit is, in one line."""
+    """Where a fit is, in one line; the residual is a root mean square over the noise."""
     values = ", ".join(f"{name} {value:.4g}" for name, value in zip(names[:4], seen.values[:4], strict=True))
     more = f", ... ({len(names)} numbers)" if len(names) > 4 else ""
     going = f", {seen.n_going} starts going" if seen.n_going > 1 else ""
     root = (2 * seen.cost / max(seen.n_residuals, 1)) ** 0.5
-    return f"iteration {seen.iteration}, residuals {root:.3g} of the noise, {values}{more}{going}"
+    return f"residual {root:.3g}, {values}{more}, step {seen.iteration}{going}"

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from spherejax.studies.fit.methods import Course, Ending, Method
+from spherejax.studies.fit.methods import Course, Ending, Method, cost_of
 from spherejax.studies.fit.problem import Evaluation, Problem
 
 Watching = Callable[[list[Course]], None]
@@ -55,26 +55,30 @@ class Grown:
         self, problem: Problem, method: Method, us: np.ndarray, *, noise_is_known: bool, watch: Watching
     ) -> list[Course]:
         """Minimise from one or more starts."""
+        first, us = np.array(us), np.array(us)
         courses: list[Course | None] = [None] * len(us)
-        us = np.array(us)
         for end in self._ends(problem):
-            part = problem if np.isinf(end) else Held(problem.until(end), us.copy(), self.held)
-            stage = method if np.isinf(end) else method.roughly()
-            found = stage.minimize(part, us, noise_is_known=noise_is_known, watch=watch)
+            part = Held(problem.until(end), us.copy(), self.held)
+            found = method.roughly().minimize(part, us, noise_is_known=noise_is_known, watch=watch)
             courses = [new.after(old, end) for new, old in zip(found, courses, strict=True)]
-            for lane, new in enumerate(found):
-                us[lane] = new.u if new.us else us[lane]
+            # Where a longer part cannot be run, what the shorter one has found is of no use.
+            us = np.stack([new.u if new.us else start for new, start in zip(found, first, strict=True)])
             if any(course.ending is Ending.INTERRUPTED for course in found):
-                break
-        done = [course for course in courses if course is not None]
-        return done if np.isinf(done[0].ends[-1] if done[0].ends else np.inf) else of_the_whole(done, problem)
+                return of_the_whole([course for course in courses if course is not None], problem)
+        found = method.minimize(problem, us, noise_is_known=noise_is_known, watch=watch)
+        lost = [not new.us and not np.array_equal(u, start) for new, u, start in zip(found, us, first, strict=True)]
+        if any(lost):
+            again = np.where(np.array(lost)[:, None], first, us)
+            second = method.minimize(problem, again, noise_is_known=noise_is_known, watch=watch)
+            found = [new if was_lost else old for new, old, was_lost in zip(second, found, lost, strict=True)]
+        return [new.after(old, np.inf) if new.us else new for new, old in zip(found, courses, strict=True)]
 
     def _ends(self, problem: Problem) -> list[float]:
-        """Ends of the parts that show enough for a fit [s], and infinity for the whole."""
+        """Ends of the parts that show enough for a fit [s]."""
         begin = min(each.measured.t0 for each in problem.experiments)
         end = max(float(each.measured.ts[-1]) for each in problem.experiments)
         ends = [begin + (end - begin) / 2**i for i in range(self.doublings, 0, -1)]
-        return [each for each in ends if _shows_enough(problem, each)] + [np.inf]
+        return [each for each in ends if _shows_enough(problem, each)]
 
 
 def _shows_enough(problem: Problem, end: float) -> bool:
@@ -87,6 +91,14 @@ class Held:
 
     def __init__(self, problem: Problem, us: np.ndarray, deviation: float):
         self.problem, self.us, self.deviation = problem, us, deviation
+        self.n_residuals = problem.n_residuals + us.shape[1]
+
+    def cost_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
+        """Half the sum of squares and its gradient in reverse mode, for the only start or the nearest one."""
+        cost, gradient = self.problem.cost_and_gradient(u)
+        nearest = self.us[np.argmin(np.sum((self.us - u) ** 2, 1))]
+        away = (u - nearest) / self.deviation
+        return cost + cost_of(away), gradient + away / self.deviation
 
     def evaluate(self, us: np.ndarray) -> Evaluation:
         """Residuals with those of what is known beforehand."""
@@ -101,9 +113,11 @@ class Held:
 
 def of_the_whole(courses: list[Course], problem: Problem) -> list[Course]:
     """Courses that were interrupted while the record grew, with residuals of the whole."""
-    found = problem.evaluate(np.stack([course.u for course in courses]))
+    found = problem.evaluate(np.stack([course.u if course.us else problem.u0 for course in courses]))
     for lane, course in enumerate(courses):
         course.ending = course.ending or Ending.INTERRUPTED
-        if not found.failed[lane]:
+        if not course.us or found.failed[lane]:
+            courses[lane] = Course(ending=Ending.FAILED_START, diagnosis=course.diagnosis or found.diagnoses[lane])
+        else:
             course.accept(course.u, found.residuals[lane], found.jacobians[lane])
     return courses

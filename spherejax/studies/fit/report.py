@@ -8,7 +8,7 @@ def report(fit) -> str:
     lines = [_headline(fit)]
     if fit.best.us:
         lines += ["", *_table(fit)]
-    if fit.undetermined:
+    if fit.best.us and fit.undetermined:
         lines += ["", "What the data do not determine:", *(f"  - {each.explanation}" for each in fit.undetermined)]
     if fit.warnings:
         lines += ["", "Warnings:", *(f"  - {warning}" for warning in fit.warnings)]
@@ -47,8 +47,9 @@ def _table(fit) -> list[str]:
     for name, value, deviation, (low, high) in zip(
         fit.names, fit.knowledge.values, fit.knowledge.standard_deviations, intervals, strict=True
     ):
-        share = f"{100 * deviation / abs(value):.2g}" if value else "-"
-        rows.append([name, f"{value:.6g}", f"{deviation:.2g}", share, f"{low:.6g} to {high:.6g}"])
+        share = f"{100 * deviation / abs(value):.2g}" if value and np.isfinite(deviation) else "-"
+        size = f"{deviation:.2g}" if np.isfinite(deviation) else "unknown"
+        rows.append([name, f"{value:.6g}", size, share, f"{low:.6g} to {high:.6g}"])
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     return [
         "  ".join(

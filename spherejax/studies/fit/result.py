@@ -1,7 +1,7 @@
 """The result of a fit."""
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.simulate import simulate
+from spherejax.motion.status import SimulationError
 from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.fit.columns import columns_of, tables_of
 from spherejax.studies.fit.growth import Growth, growth_of
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """Estimated parameters, and how far they can be trusted; prints as a report.
 
@@ -40,11 +41,11 @@ class Fit:
     """
 
     problem: Problem
-    courses: list[Course] = field(repr=False)
+    courses: list[Course]
     level: float
     determined_within: float
     seconds: float
-    build: Any = field(repr=False)
+    build: Any
     notes: tuple[str, ...] = ()
 
     # The estimates ------------------------------------------------------------------------------------------------
@@ -80,8 +81,7 @@ class Fit:
 
         Where the noise was not stated, for that which was estimated.
         """
-        known = Knowledge(self.problem.unknowns, self.u, self.best.jacobian, self._stated_variance, np.inf)
-        return self._by_name(known.standard_deviations)
+        return self._by_name(replace(self.knowledge, degrees_of_freedom=np.inf).standard_deviations)
 
     def interval(self, level: float = 0.95) -> dict[str, Any]:
         """Confidence intervals by name: (low, high) of numbers, arrays (..., 2) of arrays.
@@ -117,7 +117,13 @@ class Fit:
 
     @cached_property
     def knowledge(self) -> Knowledge:
-        """What the data say about the parameters near the estimates."""
+        """What the data say about the parameters near the estimates.
+
+        Raises:
+            SimulationError: for a fit whose start failed.
+        """
+        if not self.best.us:
+            raise SimulationError(f"nothing was estimated: {self.diagnosis}")
         freedom = np.inf if self.problem.noise_is_known else max(self.degrees_of_freedom, 1)
         return Knowledge(self.problem.unknowns, self.u, self.best.jacobian, self._stated_variance, freedom)
 
@@ -248,6 +254,13 @@ class Fit:
         return found
 
     # Out --------------------------------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        if not self.best.us:
+            return f"Fit({self.status})"
+        pairs = zip(self.names, self.knowledge.values, self.knowledge.standard_deviations, strict=True)
+        estimates = ", ".join(f"{name} = {value:.6g} +- {deviation:.2g}" for name, value, deviation in pairs)
+        return f"Fit({estimates}; {self.status})"
 
     def __str__(self) -> str:
         from spherejax.studies.fit.report import report

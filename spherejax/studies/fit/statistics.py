@@ -24,6 +24,10 @@ SMALLEST_SHARE = 0.1
 """A parameter belongs to a direction in words if its part of it is at least this share of the largest."""
 
 
+UNKNOWN = 1e150
+"""Stands for an infinite standard deviation, in units of scales."""
+
+
 class Undetermined(NamedTuple):
     """A direction among the parameters that the data do not determine.
 
@@ -73,9 +77,9 @@ class Knowledge:
 
     @cached_property
     def unknowns_per_scale(self) -> np.ndarray:
-        """Change of each unknown for a change of its parameter by its scale."""
+        """Change of each unknown for a change of its parameter by its scale; 0 for one that rests on its bound."""
         slopes = np.asarray(jax.jvp(self._flat, (jnp.asarray(self.u),), (jnp.ones(self.u.size),))[1])
-        return self.scales / slopes
+        return np.where(slopes == 0, 0.0, self.scales / np.where(slopes == 0, 1.0, slopes))
 
     @property
     def most_sensitive(self) -> np.ndarray:
@@ -86,10 +90,15 @@ class Knowledge:
         return jnp.concatenate([jnp.ravel(value) for value in self.unknowns.values_of(u).values()])
 
     @cached_property
-    def _decomposition(self):
+    def _decomposition(self) -> tuple[np.ndarray, np.ndarray]:
+        """Singular values, falling, and directions in rows; those without any trace in the data have the value 0."""
         n, k = self.scaled_jacobian.shape
         _, singular, right = np.linalg.svd(self.scaled_jacobian, full_matrices=n < k)
-        return np.concatenate([singular, np.zeros(k - singular.size)]), right
+        singular = np.concatenate([singular, np.zeros(k - singular.size)])
+        without_trace = singular <= (singular[0] if k else 0.0) * max(n, k) * np.finfo(float).eps
+        # Parts that are rounding would make everything look undetermined.
+        rounding = without_trace[:, None] & (np.abs(right) < 1e-8)
+        return np.where(without_trace, 0.0, singular), np.where(rounding, 0.0, right)
 
     @property
     def singular_values(self) -> np.ndarray:
@@ -98,23 +107,29 @@ class Knowledge:
 
     @cached_property
     def scaled_covariance(self) -> np.ndarray:
-        """Of the parameters in units of their scales; infinite along directions that leave no trace in the data."""
+        """Of the parameters in units of their scales; of size 1e200 and more where the data have no trace of them."""
         singular, right = self._decomposition
-        deviations = np.where(
-            singular > _rounding(singular, self.jacobian.shape), 1 / np.maximum(singular, 1e-300), 1e150
-        )
-        factor = right.T * np.sqrt(self.variance) * np.minimum(deviations, 1e150)
+        deviations = np.sqrt(self.variance) / np.where(singular > 0, singular, 1.0)
+        factor = right.T * np.where(singular > 0, deviations, UNKNOWN)
         return factor @ factor.T
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the parameters, in their units."""
-        return self.scaled_covariance * np.outer(self.scales, self.scales)
+        """Of the parameters, in their units; infinite where the data have no trace of them."""
+        scaled = self.scaled_covariance
+        infinite = np.copysign(np.inf, scaled)
+        return np.where(np.abs(scaled) >= UNKNOWN, infinite, scaled * np.outer(self.scales, self.scales))
 
     @property
     def standard_deviations(self) -> np.ndarray:
-        """Of the parameters, in their units."""
+        """Of the parameters, in their units; infinite where the data have no trace of them."""
         return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def scaled_deviations(self) -> np.ndarray:
+        """Standard deviations in units of the scales."""
+        deviations = np.sqrt(np.diagonal(self.scaled_covariance))
+        return np.where(deviations >= np.sqrt(UNKNOWN), np.inf, deviations)
 
     @property
     def correlation(self) -> np.ndarray:
@@ -125,9 +140,9 @@ class Knowledge:
     def intervals(self, level: float) -> np.ndarray:
         """Confidence intervals within the bounds, shape (k, 2): of positive parameters symmetric in the logarithm."""
         quantile = float(stats.t.ppf((1 + level) / 2, self.degrees_of_freedom))
-        reach = quantile * np.sqrt(np.diagonal(self.scaled_covariance))
+        reach = quantile * self.scaled_deviations
         relative = self.unknowns.each("is_relative") & (self.values > 0)
-        factor = np.exp(np.minimum(reach, 700.0))
+        factor = np.where(reach > 700.0, np.inf, np.exp(np.minimum(reach, 700.0)))
         low = np.where(relative, self.values / factor, self.values - reach * self.scales)
         high = np.where(relative, self.values * factor, self.values + reach * self.scales)
         lower, upper = self.unknowns.each("lower"), self.unknowns.each("upper")
@@ -136,17 +151,13 @@ class Knowledge:
     def undetermined(self, within: float) -> list[Undetermined]:
         """Directions along which the data leave a larger standard deviation than `within`, the worst first."""
         singular, right = self._decomposition
-        deviations = np.sqrt(self.variance) / np.maximum(singular, 1e-300)
+        deviations = np.where(singular > 0, np.sqrt(self.variance) / np.where(singular > 0, singular, 1.0), np.inf)
         found = [
             _described(self.unknowns, right[i], float(singular[i]), float(deviations[i]), within)
             for i in range(singular.size)
             if deviations[i] > within
         ]
         return found[::-1]
-
-
-def _rounding(singular: np.ndarray, shape: tuple[int, ...]) -> float:
-    return float(singular[0] * max(shape) * np.finfo(float).eps) if singular.size else 0.0
 
 
 def _described(unknowns: Unknowns, direction: np.ndarray, singular: float, deviation: float, within: float):
@@ -167,7 +178,7 @@ def _described(unknowns: Unknowns, direction: np.ndarray, singular: float, devia
 
 
 def _how_open(deviation: float, is_relative: bool, name: str) -> str:
-    if deviation > 1e6:
+    if np.isinf(deviation):
         return f"not determined at all: changing {name} leaves no trace in what was measured"
     if is_relative and deviation > 0.5:
         return f"not determined: a factor of {np.exp(min(deviation, 700.0)):.2g} in it is within one standard deviation"

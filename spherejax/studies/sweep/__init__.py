@@ -2,6 +2,7 @@
 
 from spherejax.studies.sweep.grids import Grid, product, random_samples, sobol_samples, zipped
 from spherejax.studies.sweep.reading import open_sweep
+from spherejax.studies.sweep.records import Sensitivity
 from spherejax.studies.sweep.run import sweep
 
-__all__ = ["Grid", "open_sweep", "product", "random_samples", "sobol_samples", "sweep", "zipped"]
+__all__ = ["Grid", "Sensitivity", "open_sweep", "product", "random_samples", "sobol_samples", "sweep", "zipped"]

@@ -87,16 +87,16 @@ def work_off(results: Results, crew: Crew, report: Report) -> None:
                 for future in under_way:
                     future.cancel()
     except KeyboardInterrupt as interrupt:
-        interrupt.add_note(_where_it_stands(results, seen))
+        interrupt.add_note(_where_it_stands(results))
         raise
 
 
-def _where_it_stands(results: Results, seen: Seen) -> str:
+def _where_it_stands(results: Results) -> str:
     if results.store is None:
         return "sweep: stopped; nothing is kept, for the sweep has no store (store=)"
     return (
-        f"sweep: stopped; {seen.n_done:,} of {seen.n_runs:,} runs are in {str(results.store.path)!r}, and the same "
-        "call goes on from there"
+        f"sweep: stopped; {results.store.n_stored:,} of {results.grid.n_runs:,} runs are in "
+        f"{str(results.store.path)!r}, and the same call goes on from there"
     )
 
 
@@ -145,11 +145,11 @@ def _devices(results: Results, devices: Sequence[Any]) -> Crew:
 
 
 class _Threads:
-    """Threads that nobody waits for: who interrupts a sweep, or ends the process, need not wait for a chunk's end."""
+    """Threads that an interrupted sweep does not wait for; they end with the chunk that they are at."""
 
     def __init__(self, n: int):
         self.jobs: SimpleQueue = SimpleQueue()
-        self.threads = [Thread(target=self._work, daemon=True) for _ in range(n)]
+        self.threads = [Thread(target=self._work) for _ in range(n)]
 
     def __enter__(self) -> "_Threads":
         for thread in self.threads:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from spherejax.motion.dataset import AXES, COMPONENTS
 from spherejax.motion.status import REMEDIES, Status
 from spherejax.studies.sweep.grids import Grid
-from spherejax.studies.sweep.records import Record
+from spherejax.studies.sweep.records import PARAMETER, Record
 
 if TYPE_CHECKING:
     import xarray
@@ -49,7 +49,8 @@ def columns_of(record: Record, n_dims: Mapping[str, int]) -> dict[str, Column]:
     for kept in record.kept:
         own = kept.dims
         if own is None:
-            own = tuple(f"{kept.name}_{axis}" for axis in range(n_dims[kept.name]))
+            last = (PARAMETER,) if kept.by else ()
+            own = (*(f"{kept.name}_{axis}" for axis in range(n_dims[kept.name] - len(last))), *last)
         columns[kept.name] = Column(own, dict(kept.attributes))
     for name, (unit, long_name) in COUNTED.items():
         attributes: dict[str, Any] = {"units": unit, "long_name": long_name}
@@ -88,7 +89,8 @@ def dataset_of(
 
     variables = {name: ((*dims, *own), values[name], attributes) for name, (own, attributes) in columns.items()}
     dataset = xarray.Dataset(variables, coordinates)
-    extra = {"axis": list(AXES), "component": list(COMPONENTS)}
+    by = next((attributes["by"] for own, attributes in columns.values() if PARAMETER in own), "")
+    extra = {"axis": list(AXES), "component": list(COMPONENTS), PARAMETER: by.split()}
     dataset = dataset.assign_coords({name: labels for name, labels in extra.items() if name in dataset.dims})
     return dataset.assign_attrs({**facts, "failures": failures_of(dataset["status"].values)})
 

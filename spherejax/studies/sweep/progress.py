@@ -5,11 +5,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from spherejax.motion.status import Status
 from spherejax.studies.sweep.chunks import ChunkResult
+from spherejax.studies.terminals import console, is_notebook
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,8 @@ class Seen:
 
     def __str__(self) -> str:
         if self.n_done == self.n_done_before:
-            return (
-                f"{self.n_done:,} of {self.n_runs:,} runs, {'all done' if self.n_done == self.n_runs else 'compiling'}"
-            )
+            doing = "all done before" if self.n_done == self.n_runs else "first chunk, with compilation"
+            return f"{self.n_done:,} of {self.n_runs:,} runs, {doing}"
         failed = f", {self.n_failed} failed" if self.n_failed else ""
         return (
             f"{self.n_done:,} of {self.n_runs:,} runs, {self.runs_per_second:,.0f} per second, "
@@ -80,24 +81,53 @@ class Seen:
 Report = Callable[[Seen], None]
 
 
+SECONDS_BETWEEN = 0.2
+"""A notebook's display is not renewed more often."""
+
+
 @contextmanager
 def reporting(progress: bool | Report, n_runs: int) -> Iterator[Report]:
     """A function that shows what has been done."""
     if callable(progress):
         yield progress
-        return
-    if not progress or not (sys.stderr.isatty() or _is_notebook()):
+    elif progress and is_notebook():
+        yield _notebook_display()
+    elif progress and sys.stderr.isatty():
+        with _terminal_bar(n_runs) as report:
+            yield report
+    else:
         yield lambda seen: None
-        return
-    from rich.console import Console
+
+
+@contextmanager
+def _terminal_bar(n_runs: int) -> Iterator[Report]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("sweep"), BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=not _is_notebook())) as bar:
-        task = bar.add_task("compiling", total=n_runs)
+    with Progress(*columns, console=console()) as bar:
+        task = bar.add_task(f"{n_runs:,} runs", total=n_runs)
         yield lambda seen: bar.update(task, completed=seen.n_done, description=str(seen))
 
 
-def _is_notebook() -> bool:
-    shell = sys.modules.get("IPython")
-    return shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell"
+def _notebook_display() -> Report:
+    """One output that is replaced: what a saved notebook shows is how the sweep ended, without any widget."""
+    from IPython.display import display
+
+    handle: Any = display(_shown("sweep"), raw=True, display_id=True)
+    renewed = [0.0]
+
+    def report(seen: Seen) -> None:
+        if seen.n_done == seen.n_runs or time.monotonic() - renewed[0] > SECONDS_BETWEEN:
+            renewed[0] = time.monotonic()
+            left = "" if seen.n_done in (seen.n_runs, seen.n_done_before) else f", {_minutes(seen.seconds_left)} left"
+            handle.update(_shown(f"sweep: {seen}{left}", seen.n_done / seen.n_runs), raw=True)
+
+    return report
+
+
+def _shown(text: str, share: float = 0.0) -> dict[str, str]:
+    return {"text/plain": text, "text/html": f'<progress value="{share:.4f}"></progress> {text}'}
+
+
+def _minutes(seconds: float) -> str:
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

@@ -48,7 +48,7 @@ def provenance(scene: Scene, grid: Grid, method: Method, ts: np.ndarray, wanted:
         "structure": _digest(described),
         "numbers": _digest(np.asarray(theta).tobytes().hex()),
         "grid_kind": grid.kind,
-        "record": [f"{kept.kind}: {kept.name}" for kept in wanted.kept],
+        "record": wanted.described,
         "times": _digest(ts.tobytes().hex()),
         "rtol": float(method.rtol),
         "atol": "by component" if method.atol is None else float(method.atol),

@@ -37,13 +37,14 @@ def open_sweep(path: str | os.PathLike) -> "xarray.Dataset":
 
 def dataset_in(store: Store) -> "xarray.Dataset":
     """What a store holds."""
-    from xarray.core.indexing import CopyOnWriteArray, LazilyIndexedArray
+    from xarray.core import indexing
 
     attrs, arrays = store.group.attrs, store.arrays
     dims, shape = tuple(attrs["grid_dims"]), tuple(attrs["grid_shape"])
     columns = {name: Column(_own_dims(arrays[name]), dict(arrays[name].attrs)) for name in store.names}
     on_disk: Any = _on_disk()
-    values = {name: CopyOnWriteArray(LazilyIndexedArray(on_disk(arrays[name], shape))) for name in columns}
+    lazy: Any = indexing
+    values = {name: lazy.CopyOnWriteArray(lazy.LazilyIndexedArray(on_disk(arrays[name], shape))) for name in columns}
     account = account_of(*(store.of_all(name) for name in ("n_steps", "seconds", "n_lane_steps")))
     return dataset_of(dims, _coordinates(store, dims, shape), columns, values, {**attrs["facts"], **account})
 
@@ -51,7 +52,7 @@ def dataset_in(store: Store) -> "xarray.Dataset":
 def _coordinates(store: Store, dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, tuple]:
     arrays = store.arrays
     coordinates: dict[str, tuple] = {"time": ("time", np.asarray(arrays["time"]), dict(arrays["time"].attrs))}
-    for name in store.group.attrs["coordinates"].split():
+    for name in store.group.attrs["parameters"]:
         values = np.asarray(arrays[name])
         if dims == (RUN,):
             coordinates[name] = (RUN, values)

@@ -5,12 +5,14 @@
     "peak acceleration.rocker"         largest magnitude at the samples and the ends of all steps: misses no impact
     "onsets.coupler_rocker"            number of contact onsets
     "time_in_contact.coupler_rocker"   [s]
+    "sensitivity final position.rocker"   derivatives by all parameters of the sweep; also of samples
 
-and functions from a `Trajectory` to an array, by name.
+and functions from a `Trajectory` to an array, by name. `sj.Sensitivity(...)` asks for derivatives by some of the
+parameters, or of functions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import jax
@@ -20,15 +22,38 @@ from jaxtyping import Array
 from spherejax.foundations.checks import SceneError
 from spherejax.model.system import System
 from spherejax.motion.many import Runs
+from spherejax.motion.many_sensitivities import RunSlopes
 from spherejax.motion.quantities import Quantity, quantity
 from spherejax.motion.trajectory import Trajectory
 
-Kind = Literal["samples", "final", "peak", "onsets", "time_in_contact", "function"]
-Wanted = Sequence[str] | Mapping[str, Callable[[Trajectory], Any]] | Sequence[Any]
+Kind = Literal["samples", "final", "peak", "onsets", "time_in_contact", "function", "sensitivity"]
+Wanted = Sequence[str] | Mapping[str, Any] | Sequence[Any]
 """Names, or functions by name, or a list of both."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Derivatives of what a sweep keeps by its parameters.
+
+    They are forward sensitivities, integrated in the lanes beside the states with the errors of both controlled,
+    through contact onsets too. They need an explicit method, or a Rosenbrock one.
+
+    Attributes:
+        of: a name such as `"final position.rocker"` or `"position.rocker"`, or a function from a `Trajectory` to an
+            array.
+        by: names of parameters of the sweep; all of them when None. What one sweep keeps is differentiated by the same
+            parameters: all that are named.
+    """
+
+    of: str | Callable[[Trajectory], Any]
+    by: tuple[str, ...] | None = None
+
 
 TAKEN = ("status", "t_reached", "n_steps", "n_rejected", "digest", "seconds", "n_lane_steps", "time", "run")
 """Names that results and stores of sweeps use themselves."""
+
+PARAMETER = "parameter"
+"""The dimension of derivatives by several parameters."""
 
 OBSERVED_AT_ONCE = 64
 """Runs whose observables are evaluated together: as wide as a block of lanes."""
@@ -43,18 +68,24 @@ class Kept:
         kind: how it is found.
         quantity: of what.
         function: a function from a run to an array, where it is one.
+        inner: what the derivatives are of, where it is a sensitivity.
+        by: names of the parameters of the derivatives.
     """
 
     name: str
     kind: Kind
     quantity: Quantity | None = None
     function: Callable | None = None
+    inner: "Kept | None" = None
+    by: tuple[str, ...] = ()
 
     @property
     def dims(self) -> tuple[str, ...] | None:
         """Dimensions behind the run's; None where only the values tell."""
         if self.kind == "function":
             return None
+        if self.inner is not None:
+            return None if self.inner.dims is None else (*self.inner.dims, PARAMETER)
         own = self.quantity.dims if self.quantity is not None else ()
         return {"samples": ("time", *own), "final": own}.get(self.kind, ())
 
@@ -63,6 +94,11 @@ class Kept:
         """Unit and long name."""
         if self.kind == "function":
             return {"long_name": self.name}
+        if self.inner is not None:
+            inner = self.inner.attributes
+            units = f"{inner.get('units', '1')} per unit of the parameter"
+            long_name = f"derivative of {inner['long_name']} by each parameter"
+            return {"units": units, "long_name": long_name, "by": " ".join(self.by)}
         unit = {"onsets": "1", "time_in_contact": "s"}.get(self.kind)
         return {"units": unit or (self.quantity.unit if self.quantity else "1"), "long_name": _LONG[self.kind](self)}
 
@@ -72,6 +108,8 @@ class Kept:
             assert self.quantity is not None
             at_steps = runs.peaks[:, watched.index(self.quantity.name)]
             return jnp.maximum(at_steps, jax.lax.map(self._peak_of, runs.trajectories, batch_size=OBSERVED_AT_ONCE))
+        if self.inner is not None:
+            return jax.lax.map(self._slopes_of, (runs.trajectories, runs.slopes), batch_size=OBSERVED_AT_ONCE)
         if self.kind in ("onsets", "time_in_contact"):
             joints = runs.trajectories.system.contact_joints
             source = runs.trajectories.stats.n_onsets if self.kind == "onsets" else runs.time_in_contact
@@ -84,6 +122,11 @@ class Kept:
         assert self.quantity is not None
         values = self.quantity.of(run).reshape(len(run.ts), -1)
         return jnp.sqrt(jnp.nanmax(jnp.sum(values * values, 1)))
+
+    def _slopes_of(self, run_and_slopes: tuple[Trajectory, RunSlopes]) -> Array:
+        assert self.inner is not None
+        run, slopes = run_and_slopes
+        return slopes.of(self.inner._of_one, run)
 
     def _of_one(self, run: Trajectory) -> Array:
         if self.function is not None:
@@ -113,6 +156,11 @@ class Record:
     kept: tuple[Kept, ...]
 
     @property
+    def by(self) -> tuple[str, ...]:
+        """Names of the parameters by which derivatives are kept; all are by the same."""
+        return next((k.by for k in self.kept if k.by), ())
+
+    @property
     def watched(self) -> tuple[str, ...]:
         """Names of the quantities whose peaks are kept."""
         return tuple(k.quantity.name for k in self.kept if k.kind == "peak" and k.quantity is not None)
@@ -120,22 +168,28 @@ class Record:
     @property
     def needs_work(self) -> bool:
         """Whether the runs must integrate the work of their joints."""
-        return any(k.quantity is not None and k.quantity.needs_work() for k in self.kept)
+        quantities = [(k.inner or k).quantity for k in self.kept]
+        return any(each is not None and each.needs_work() for each in quantities)
+
+    @property
+    def described(self) -> list[str]:
+        """One text for each, which is another one for another record."""
+        return [f"{k.kind}: {k.name}" + (f" by {', '.join(k.by)}" if k.by else "") for k in self.kept]
 
     def of(self, runs: Runs) -> dict[str, Array]:
         """Everything that is kept, by name."""
         return {kept.name: kept.of(runs, self.watched) for kept in self.kept}
 
 
-def record_of(wanted: Wanted, system: System) -> Record:
-    """What is asked for, checked against a system.
+def record_of(wanted: Wanted, system: System, parameters: Sequence[str] = ()) -> Record:
+    """What is asked for, checked against a system and the names of the parameters.
 
     Raises:
         SceneError: for a name that means nothing, or one that is asked for twice.
     """
     if isinstance(wanted, str):
         wanted = [wanted]
-    items = wanted.items() if isinstance(wanted, Mapping) else [(item, item) for item in wanted]
+    items = list(wanted.items()) if isinstance(wanted, Mapping) else [(item, item) for item in wanted]
     kept = tuple(_kept(name, item, system) for name, item in items)
     names = [each.name for each in kept]
     if not names:
@@ -146,10 +200,41 @@ def record_of(wanted: Wanted, system: System) -> Record:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise SceneError(f"record= asks for {twice!r} twice")
-    return Record(kept)
+    by = _parameters_of(items, parameters)
+    return Record(tuple(each if each.inner is None else replace(each, by=by) for each in kept))
+
+
+def _parameters_of(items, parameters: Sequence[str]) -> tuple[str, ...]:
+    """The parameters by which derivatives are asked for, in the order of the sweep."""
+    asked = [_sensitivity_in(item) for _, item in items]
+    by = {name for each in asked if each is not None for name in (parameters if each.by is None else each.by)}
+    unknown = sorted(by - set(parameters))
+    if unknown:
+        raise SceneError(
+            f"sensitivities by {unknown[0]!r}: no such parameter; the sweep has {', '.join(map(repr, parameters))}"
+        )
+    return tuple(name for name in parameters if name in by)
+
+
+def _sensitivity_in(item) -> Sensitivity | None:
+    """The request for derivatives in an item of the record."""
+    if isinstance(item, Sensitivity):
+        return Sensitivity(item.of, (item.by,) if isinstance(item.by, str) else item.by)
+    first, _, rest = item.partition(" ") if isinstance(item, str) else ("", "", "")
+    return Sensitivity(rest.strip()) if first == "sensitivity" and rest.strip() else None
 
 
 def _kept(name, item, system: System) -> Kept:
+    sensitivity = _sensitivity_in(item)
+    if sensitivity is not None:
+        inner = _kept(sensitivity.of, sensitivity.of, system)
+        if inner.kind not in ("samples", "final", "function"):
+            raise SceneError(
+                f"sensitivity of {sensitivity.of!r}: derivatives are kept of samples, final values and functions of a "
+                "run alone"
+            )
+        named = isinstance(name, str) and not isinstance(item, str)
+        return Kept(name if named else f"sensitivity_{inner.name}", "sensitivity", inner=inner)
     if callable(item):
         return Kept(name if isinstance(name, str) else getattr(item, "__name__", "function"), "function", None, item)
     if not isinstance(item, str):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import SceneError
 from spherejax.model.system import compile_scene
 from spherejax.motion.lanes import Block
-from spherejax.motion.many import Build, method_for
+from spherejax.motion.many import Build, method_for, with_sensitivities
 from spherejax.motion.simulate import check_tolerances, checked_times
 from spherejax.motion.widths import ON_CPU, block_for
 from spherejax.runtime import require_float64
@@ -29,7 +29,7 @@ from spherejax.studies.sweep.store import stored_chunk_size
 if TYPE_CHECKING:
     import xarray
 
-LARGEST_CHUNK = 64
+LARGEST_CHUNK = 32
 """Runs in a chunk for each lane, at most: what is lost when a sweep is stopped, and what is in memory at a time."""
 
 LARGEST_ON_ACCELERATOR = 4
@@ -65,6 +65,7 @@ def sweep(
         ts: sample times [s], increasing; every run goes from the first to the last.
         record: what is kept of each run: names such as `"final position.rocker"`, `"peak acceleration.rocker"`,
             `"onsets.coupler_rocker"`, or functions from a `Trajectory` to an array; see `studies.sweep.records`.
+            Derivatives by the parameters: `"sensitivity final position.rocker"`, or `sj.Sensitivity`.
 
     Other args:
         rtol, atol, solver, max_steps: as in `simulate`.
@@ -95,11 +96,11 @@ def sweep(
     stored = None if path is None else stored_chunk_size(path)
     example = example_of(build, grid)
     system = compile_scene(example, track_work=True).system
-    wanted = record_of(record, system)
+    wanted = record_of(record, system, tuple(grid.values))
     _check_names(grid, wanted)
     lanes = block or block_for()
     method = method_for(build, dict(grid.values), rtol, atol, solver, max_steps, wanted.needs_work, lanes)
-    method = method._replace(watch=wanted.watched)
+    method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, dict(grid.values))
     workers = workers or default_workers()
     size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
     work = Work(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
@@ -125,7 +126,7 @@ def _chunk_size(n_runs: int, workers: int, block: Block, n_samples: int) -> int:
 
 
 def _check_names(grid: Grid, wanted: Record) -> None:
-    taken = {*TAKEN, "axis", "component", "chunk", *(kept.name for kept in wanted.kept)}
+    taken = {*TAKEN, "axis", "component", "parameter", "chunk", *(kept.name for kept in wanted.kept)}
     name = next((name for name in grid.values if name in taken), None)
     if name is not None:
         raise SceneError(f"a parameter is called {name!r}, as something in the result is; choose another name")

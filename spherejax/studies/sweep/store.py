@@ -47,7 +47,10 @@ class Store:
         self.n_runs = int(np.prod(group.attrs["grid_shape"]))
         self.n_chunks = -(-self.n_runs // self.chunk_size)
         # A look-up in a group reads and parses a file: once for each array, not once for each chunk.
-        self.arrays: dict[str, Any] = dict(group.arrays())
+        try:
+            self.arrays: dict[str, Any] = {name: group[name] for name in (*self.names, *OF_CHUNKS, *self.parameters)}
+        except Exception as error:
+            raise _damaged(path, f"an array cannot be opened ({error})") from error
 
     def runs_of(self, chunk: int) -> slice:
         """Indices of a chunk's runs."""
@@ -58,6 +61,11 @@ class Store:
         """What is stored of every run as its result."""
         return self.group.attrs["columns"]
 
+    @property
+    def parameters(self) -> list[str]:
+        """Times, and what was swept."""
+        return ["time", *self.group.attrs["parameters"]]
+
     def put(self, chunk: int, result: ChunkResult) -> None:
         """Store a chunk; its digest comes last."""
         runs, values = self.runs_of(chunk), _by_name(result)
@@ -67,13 +75,19 @@ class Store:
         self.arrays["n_lane_steps"][chunk] = result.n_lane_steps
         self.arrays["digest"][chunk] = _digest(values)
 
+    @property
+    def n_stored(self) -> int:
+        """Number of runs in stored chunks."""
+        stored = np.flatnonzero(self.of_all("digest"))
+        return sum(self.runs_of(int(chunk)).stop - self.runs_of(int(chunk)).start for chunk in stored)
+
     def missing(self) -> list[int]:
         """Chunks that are not stored yet.
 
         Raises:
             SceneError: when a stored chunk is not what was written.
         """
-        digests = np.asarray(self.arrays["digest"])
+        digests = self.of_all("digest")
         return [chunk for chunk in range(self.n_chunks) if not self._is_stored(chunk, int(digests[chunk]))]
 
     def _is_stored(self, chunk: int, digest: int) -> bool:
@@ -89,7 +103,10 @@ class Store:
 
     def of_all(self, name: str) -> np.ndarray:
         """Something of every run (e.g. `n_steps`) or of every chunk (`seconds`, `n_lane_steps`), read now."""
-        return np.asarray(self.arrays[name])
+        try:
+            return np.asarray(self.arrays[name])
+        except Exception as error:
+            raise _damaged(self.path, f"{name!r} cannot be read ({error})") from error
 
 
 def open_store(
@@ -118,7 +135,7 @@ def open_store(
         SceneError: for the store of another sweep, a damaged one, or a folder that is none.
     """
     if path.exists():
-        return _reopened(path, identity, columns)
+        return _reopened(path, identity)
     return _made(path, identity, facts, shapes, columns, grid, ts, chunk_size)
 
 
@@ -193,6 +210,8 @@ def _made(path: Path, identity, facts, shapes, columns, grid: Grid, ts, chunk_si
             "columns": list(columns),
             "grid_dims": list(grid.dims),
             "grid_shape": list(grid.shape),
+            "parameters": list(grid.values),
+            # What readers of Zarr take for coordinates.
             "coordinates": " ".join(grid.values),
         }
     )
@@ -208,7 +227,7 @@ def _describe(group: Any, facts: Mapping[str, Any], grid: Grid, ts: np.ndarray) 
     group.attrs.update({"facts": dict(facts)})
 
 
-def _reopened(path: Path, identity, columns) -> Store:
+def _reopened(path: Path, identity) -> Store:
     group = opened(path)
     before = json.loads(group.attrs["identity"])
     now = json.loads(json.dumps(identity))
@@ -219,9 +238,6 @@ def _reopened(path: Path, identity, columns) -> Store:
             f"{str(path)!r} is the store of another sweep: its {key} is {before.get(key)!r}, not {now[key]!r}. Choose "
             "another path, or ask for the same sweep to go on with it"
         )
-    missing = [name for name in (*columns, *OF_CHUNKS) if name not in group]
-    if missing:
-        raise _damaged(path, f"{missing[0]!r} is not there")
     return Store(path, group)
 
 

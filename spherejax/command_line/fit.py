@@ -1,0 +1,243 @@
+"""`spherejax fit`: parameters of a mechanism from measurements of its motion."""
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import spherejax as sj
+from spherejax.command_line.catalog import SOLVERS
+from spherejax.command_line.models import USED_BY, add_joint_options
+from spherejax.command_line.printing import print_table
+from spherejax.command_line.scene_numbers import number_at, with_number
+from spherejax.command_line.scenes import Chosen, add_scene, chosen
+
+DESCRIPTION = """\
+Estimate numbers of a mechanism from measurements of its motion, by Levenberg-Marquardt on
+forward sensitivities. Measurements come in a table (CSV) whose first row names the columns,
+    time,position.rocker.z
+    0.001,0.032606
+or in a netCDF file. Columns may have units, position.rocker.z [mm], and empty cells. What is fitted is
+an option of the studied joint (stiffness, clearance, mu, ...) or a number of the scene
+(bodies.rocker.mass, forces.shock.stiffness). Written are the estimates with standard deviations and
+intervals (estimates.csv), the report, everything else (fit.nc), and pictures.
+"""
+
+EPILOG = """examples:
+  spherejax fit four-bar --joint bushing --measured rocker.csv --start stiffness=1e4 --start damping=1e-2 \\
+      --noise 1e-6 --out fit/
+  spherejax fit scene.toml --measured drop.csv --start joints.elbow.model.clearance=1e-4:1e-5:1e-3 --out fit/
+"""
+
+FILES = ("estimates.csv", "report.txt", "fit.nc")
+
+
+def add_fit(commands) -> None:
+    """The command `fit`."""
+    parser = commands.add_parser(
+        "fit",
+        help="estimate parameters from measurements",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_scene(parser)
+    add_joint_options(parser)
+    given = parser.add_argument_group("what was measured")
+    given.add_argument(
+        "--measured",
+        action="append",
+        required=True,
+        metavar="FILE",
+        help="table (.csv) or netCDF file (.nc); may be repeated: several experiments with the same mechanism",
+    )
+    given.add_argument(
+        "--noise",
+        action="append",
+        metavar="[NAME=]SIGMA",
+        help="standard deviation of the errors in SI units, of all columns or of one (default: from the residuals)",
+    )
+    given.add_argument("--t0", type=float, metavar="S", help="when the motion starts [s] (default: 0)")
+    wanted = parser.add_argument_group("what is fitted")
+    wanted.add_argument(
+        "--start",
+        action="append",
+        required=True,
+        metavar="NAME=VALUE[:LOW:HIGH]",
+        help="where to begin, and bounds; once for each parameter. VALUE may be left out (NAME alone): the scene's own",
+    )
+    wanted.add_argument("--starts", type=int, default=1, metavar="N", help="further starts around it (default: 1)")
+    how = parser.add_argument_group("how")
+    how.add_argument("--whole", action="store_true", help="begin with the whole record, not with its first parts")
+    how.add_argument("--max-iterations", type=int, default=100, metavar="N", help="steps (default: 100)")
+    how.add_argument("--level", type=float, default=0.95, help="of the confidence intervals (default: 0.95)")
+    how.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
+    how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    files = parser.add_argument_group("files")
+    files.add_argument("--out", metavar="FOLDER", help=f"write {', '.join(FILES)} and pictures to this folder")
+    files.add_argument("--overwrite", action="store_true", help="replace the files of an earlier fit")
+    files.add_argument("--no-pictures", action="store_true", help="write no pictures")
+    parser.set_defaults(action=fit_scene)
+
+
+def fit_scene(options: argparse.Namespace) -> int:
+    """Fit, print the report, write everything."""
+    from spherejax.output.io import make_folder, require_free
+    from spherejax.studies.fit import Ending, Whole
+
+    folder = None if options.out is None else Path(options.out).expanduser()
+    if folder is not None:
+        require_free(folder / FILES[0], overwrite=options.overwrite)
+    start = _starts(options)
+    found = chosen(_with_starts(options, start))
+    start = _filled(found.scene(_with_starts(options, start)), start)
+    measured = [_measured(path, options) for path in options.measured]
+    if folder is not None:
+        make_folder(folder)
+    fitted = sj.fit(
+        _builder(found, options),
+        start,
+        measured,
+        noise=_noise(options),
+        method=sj.LevenbergMarquardt(max_iterations=options.max_iterations),
+        starts=options.starts,
+        horizon=Whole() if options.whole else None,
+        rtol=options.rtol,
+        solver=SOLVERS[options.solver][0]() if options.solver else None,
+        level=options.level,
+    )
+    _print(fitted)
+    if folder is not None and fitted.best.us:
+        names = _write(fitted, folder, found.title or found.name, pictures=not options.no_pictures)
+        print(f"wrote {', '.join(names)} to {folder}")
+    if fitted.best.ending is Ending.INTERRUPTED:
+        raise KeyboardInterrupt
+    if not fitted.succeeded:
+        raise sj.SimulationError(fitted.diagnosis)
+    return 0
+
+
+def _starts(options: argparse.Namespace) -> dict[str, Any]:
+    """Parameters by name; None where the scene's own number is meant."""
+    start = {}
+    for text in options.start:
+        name, equals, given = text.partition("=")
+        if name in start:
+            raise sj.SceneError(f"--start {name} is given twice")
+        if not equals:
+            start[name] = None
+            continue
+        parts = given.split(":")
+        if not name or len(parts) not in (1, 3):
+            raise sj.SceneError(f"--start {text}: write NAME=VALUE or NAME=VALUE:LOW:HIGH, e.g. stiffness=1e4:1e3:1e7")
+        numbers = [_number("--start", text, part) for part in parts]
+        bounds = dict(zip(("lower", "upper"), numbers[1:], strict=False))
+        start[name] = sj.Parameter(numbers[0], **bounds)
+    return start
+
+
+def _with_starts(options: argparse.Namespace, start: dict[str, Any]) -> argparse.Namespace:
+    """Options of the studied joint with the starts in their place."""
+    of_joint = {}
+    for name, parameter in start.items():
+        key = name.replace("-", "_")
+        if key not in USED_BY:
+            continue
+        if getattr(options, key) is not None:
+            raise sj.SceneError(f"--{name} is given, and fitted as well; leave one out")
+        if parameter is None:
+            raise sj.SceneError(f"--start {name}: write {name}=VALUE")
+        of_joint[key] = parameter.start
+    return argparse.Namespace(**{**vars(options), **of_joint})
+
+
+def _filled(scene: sj.Scene, start: dict[str, Any]) -> dict[str, Any]:
+    """Starts with the scene's own numbers where none is given; a wrong path is refused."""
+    filled = {}
+    for name, parameter in start.items():
+        if name.replace("-", "_") in USED_BY:
+            filled[name] = parameter
+            continue
+        own = number_at(scene, name)
+        filled[name] = sj.Parameter(own) if parameter is None else parameter
+        if parameter is not None and own.ndim:
+            raise sj.SceneError(f"--start {name}: it is an array of shape {own.shape}; give the name alone")
+    return filled
+
+
+def _builder(found: Chosen, options: argparse.Namespace):
+    """A function from the parameters to the scene."""
+
+    def build(**values) -> sj.Scene:
+        of_joint = {name.replace("-", "_"): v for name, v in values.items() if name.replace("-", "_") in USED_BY}
+        scene = found.scene(argparse.Namespace(**{**vars(options), **of_joint}))
+        for name, value in values.items():
+            if name.replace("-", "_") not in of_joint:
+                scene = with_number(scene, name, value)
+        return scene
+
+    return build
+
+
+def _measured(path: str, options: argparse.Namespace) -> sj.Measured:
+    from spherejax.studies.fit.reading import from_file
+
+    read = from_file(Path(path).expanduser())
+    return read if options.t0 is None else sj.Measured(read.ts, read.values, name=read.name, t0=options.t0)
+
+
+def _noise(options: argparse.Namespace) -> Any:
+    if options.noise is None:
+        return None
+    if len(options.noise) == 1 and "=" not in options.noise[0]:
+        return _number("--noise", options.noise[0], options.noise[0])
+    noise = {}
+    for text in options.noise:
+        name, equals, given = text.partition("=")
+        if not equals:
+            raise sj.SceneError(f"--noise {text}: give one number for all columns, or NAME=SIGMA for each")
+        noise[name] = _number("--noise", text, given)
+    return noise
+
+
+def _number(flag: str, text: str, part: str) -> float:
+    try:
+        return float(part)
+    except ValueError as error:
+        raise sj.SceneError(f"{flag} {text}: {part!r} is no number") from error
+
+
+def _print(fitted: sj.Fit) -> None:
+    print(str(fitted))
+    if len(fitted.courses) > 1:
+        rows = [
+            (*(f"{v:.5g}" for v in (each["end"] or dict.fromkeys(fitted.names, np.nan)).values()),
+             f"{each['cost']:.6g}", each["status"])
+            for each in fitted.starts
+        ]  # fmt: skip
+        print_table("starts", (*fitted.names, "cost", "status"), rows)
+
+
+def _write(fitted: sj.Fit, folder: Path, title: str, *, pictures: bool) -> list[str]:
+    """Table, report, data set and figures; returns their names."""
+    _write_estimates(fitted, folder / FILES[0])
+    (folder / FILES[1]).write_text(f"{fitted}\n", encoding="utf-8")
+    fitted.save(folder / FILES[2], overwrite=True)
+    names: list[str] = [*FILES]
+    for name, figure in fitted.figures(title).items() if pictures else ():
+        figure.savefig(folder / f"{name}.png")
+        names.append(f"{name}.png")
+    return names
+
+
+def _write_estimates(fitted: sj.Fit, path: Path) -> None:
+    known = fitted.knowledge
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["parameter", "estimate", "standard_deviation", "low", "high", "level"])
+        for name, value, deviation, (low, high) in zip(
+            fitted.names, known.values, known.standard_deviations, known.intervals(fitted.level), strict=True
+        ):
+            writer.writerow([name, *(repr(float(v)) for v in (value, deviation, low, high)), fitted.level])

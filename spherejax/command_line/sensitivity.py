@@ -1,0 +1,150 @@
+"""`spherejax sensitivity`: which parameter of a scene matters when, as table and pictures."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import spherejax as sj
+from spherejax.command_line.catalog import SOLVERS
+from spherejax.command_line.models import USED_BY, add_joint_options
+from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.sweep import builder
+
+DESCRIPTION = """\
+Derivatives of what is observed of a motion by parameters, along time. A parameter is a number of the
+studied joint (clearance, mu, restitution, stiffness, ...) or of a body (rocker.mass). The derivatives
+are integrated beside the motion with their errors controlled, through contact onsets too. The table
+on the terminal ranks the parameters by what 1 % of each changes.
+"""
+
+EPILOG = """examples:
+  spherejax sensitivity four-bar --joint bushing --by stiffness --by damping --of position.rocker --out sensitivities/
+  spherejax sensitivity four-bar --joint friction --by clearance --by mu --by rocker.mass --of velocity.rocker.z
+"""
+
+MARKERS = (1.234567e-3, 0.31234567, 0.71234567)
+"""Values that no scene has, by which a parameter is found among its numbers; one of them is legal for each."""
+
+FILES = ("sensitivities.csv", "sensitivities.nc")
+
+
+def add_sensitivity(commands) -> None:
+    """The command `sensitivity`."""
+    parser = commands.add_parser(
+        "sensitivity",
+        help="which parameter matters when: derivatives of observables along time",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_scene(parser, joint="--studied")
+    add_joint_options(parser)
+    what = parser.add_argument_group("what is asked")
+    what.add_argument(
+        "--by",
+        action="append",
+        required=True,
+        metavar="NAME[=VALUE]",
+        help="a parameter, e.g. stiffness, mu=0.2, rocker.mass; may be repeated",
+    )
+    what.add_argument(
+        "--of",
+        dest="observables",
+        action="append",
+        required=True,
+        metavar="QUANTITY",
+        help='e.g. "position.rocker", "position.rocker.z", "reaction.coupler_rocker", "mechanical_energy"; may be '
+        "repeated",
+    )
+    what.add_argument("--samples", type=int, default=201, metavar="N", help="sample times (default: 201)")
+    how = parser.add_argument_group("time, accuracy")
+    how.add_argument("--t1", type=float, default=0.5, metavar="S", help="length of the motion [s] (default: 0.5)")
+    how.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
+    how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
+    files = parser.add_argument_group("files")
+    files.add_argument("--out", metavar="FOLDER", help=f"write {', '.join(FILES)} and pictures to this folder")
+    files.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    parser.set_defaults(action=find_sensitivities)
+
+
+def find_sensitivities(options: argparse.Namespace) -> int:
+    """Compute, print the ranking, write everything."""
+    from spherejax.output.io import make_folder, require_free
+
+    folder = None if options.out is None else Path(options.out).expanduser()
+    if folder is not None:
+        for name in FILES:
+            require_free(folder / name, overwrite=options.overwrite)
+    parameters, options = _parameters(options)
+    found = chosen(options)
+    names = {name.replace(".", "_"): name for name in parameters}
+    build = builder(found, options, names, "--by")
+    values = {key: _value(found, options, build, names, key, parameters[name]) for key, name in names.items()}
+    result = sj.sensitivity(
+        build,
+        values,
+        np.linspace(0.0, options.t1, options.samples),
+        observables=options.observables,
+        rtol=options.rtol,
+        solver=SOLVERS[options.solver][0]() if options.solver else None,
+    )
+    print(result)
+    if folder is not None:
+        make_folder(folder)
+        _write(result, folder, options.overwrite)
+    return 0
+
+
+def _parameters(options: argparse.Namespace) -> tuple[dict[str, float | None], argparse.Namespace]:
+    """The parameters of `--by` with their values where given, and the options with these values in them."""
+    parameters: dict[str, float | None] = {}
+    given = dict(vars(options))
+    for text in options.by:
+        name, equals, number = text.partition("=")
+        if name in parameters:
+            raise sj.SceneError(f"--by {name} is given twice")
+        try:
+            parameters[name] = float(number) if equals else None
+        except ValueError as error:
+            raise sj.SceneError(f"--by {text}: {number!r} is no number") from error
+        if name in USED_BY and parameters[name] is not None:
+            given[name] = parameters[name]
+    return parameters, argparse.Namespace(**given)
+
+
+def _value(found: Chosen, options: argparse.Namespace, build: Callable, names, key: str, given: float | None) -> float:
+    """The value of a parameter where the derivatives are taken: as given, or as the scene has it."""
+    name = names[key]
+    if given is not None:
+        return given
+    own = getattr(options, name, None)
+    if own is not None:
+        return float(own)
+    scene = found.scene(options)
+    body, dot, number = name.partition(".")
+    if dot:
+        scene.require_body(body, f"--by {name}")
+        return float(getattr(scene.bodies[body], number))
+    numbers = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(scene)])
+    for marker in MARKERS:
+        try:
+            marked = found.scene(argparse.Namespace(**{**vars(options), name: marker}))
+        except sj.SceneError:
+            continue
+        leaves = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(marked)])
+        places = np.flatnonzero(leaves == marker)
+        if leaves.shape == numbers.shape and places.size:
+            return float(numbers[places[0]])
+    raise sj.SceneError(f"--by {name}: the scene does not show its value; write --by {name}=VALUE")
+
+
+def _write(result: sj.Sensitivities, folder: Path, overwrite: bool) -> None:
+    written = [result.save(folder / name, overwrite=overwrite) for name in FILES]
+    for name, figure in result.figures().items():
+        path = folder / f"{name.replace('.', '_')}.png"
+        figure.savefig(path)
+        written.append(path)
+    print(f"wrote {', '.join(str(path) for path in written)}")

@@ -1,0 +1,141 @@
+"""A state and its sensitivities as rows of one matrix, and what happens to them: rates, corrections, contact onsets.
+
+Sensitivities Y_k = s_k dy/dp_k are integrated together with the state (s_k = |p_k|, or 1 where p_k is 0, so that all
+are in the units of the state),
+
+    y_rate = f(y, p),    Y_k_rate = df/dy Y_k + s_k df/dp_k,
+
+as rows of one matrix: y first, then one Y_k for each number. The step-size controller judges every row. That is
+needed behind a contact onset, where df/dy grows like the root of time: steps that are right for the motion, whose
+force grows like the power 3/2, are too long for its sensitivities.
+
+At a contact onset the instant tau moves with the numbers. A step lands just behind it, and there
+
+    Y_k := Y_k + (f_flight - f_contact) s_k dtau/dp_k,
+
+while the memory's part jumps as `contacts.memory_after_step` says. The force of the landing window is below a
+micronewton, and yet without this term each impact would add a relative error of 1e-7: contact stiffens from zero with
+an infinite slope. Bristles, which begin to move at the onset, need the term in full.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.motion.contacts import GRAZING_RATE
+from spherejax.motion.programs import Program
+from spherejax.motion.solvers.landing import Contacts
+
+
+def scales_of(values: Float[Array, " p"]) -> Float[Array, " p"]:
+    """s_k of each number: its size, or 1 where it is 0."""
+    return jnp.where(values == 0, 1.0, jnp.abs(values))
+
+
+class Linearized(NamedTuple):
+    """Something that follows from the traced numbers, and its derivatives along directions in them.
+
+    Attributes:
+        value: the value.
+        slopes: the derivatives, with a leading axis of directions; None for what is not a float.
+    """
+
+    value: Any
+    slopes: Any
+
+
+def linearized(function, values: Float[Array, " p"], directions: Float[Array, "k p"]) -> Linearized:
+    """The value of a function of the traced numbers, and its derivatives."""
+
+    def floats(values):
+        return eqx.partition(function(values), lambda leaf: jnp.issubdtype(jnp.result_type(leaf), jnp.floating))
+
+    def along(direction):
+        return jax.jvp(floats, (values,), (direction,), has_aux=True)
+
+    value, slopes, others = jax.vmap(along, out_axes=(None, 0, None))(directions)
+    return Linearized(eqx.combine(value, others), slopes)
+
+
+def rows_rate(rate: Program, parameters: Linearized, t, rows: Float[Array, "rows size"]) -> Float[Array, "rows size"]:
+    """The right-hand side for the state and its sensitivities."""
+
+    def state_rate(numbers, y):
+        return rate.inside(numbers.theta, numbers.ahead, t, y)
+
+    return rows_of(state_rate, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))
+
+
+def rows_of(function, primals, slopes) -> Float[Array, "rows size"]:
+    """A function's value as first row, its derivatives below."""
+
+    def along(tangents):
+        return eqx.filter_jvp(function, primals, tangents)
+
+    value, tangents = eqx.filter_vmap(along, out_axes=(None, 0))(slopes)
+    return jnp.concatenate([value[None], tangents])
+
+
+def correcting_rows(correct: Callable | None) -> Callable | None:
+    """The drift control's correction of the state and of its sensitivities."""
+    if correct is None:
+        return None
+
+    def correct_rows(parameters, t, rows):
+        def corrected(numbers, y):
+            return correct(numbers, t, y)
+
+        return rows_of(corrected, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))
+
+    return correct_rows
+
+
+def with_rows(contacts: Contacts, rate: Program) -> Contacts:
+    """Contacts of the state in the first row; at an onset the sensitivities below it jump."""
+
+    def crossings(parameters, t, rows):
+        return contacts.crossings(parameters.value, t, rows[0])
+
+    def update(parameters, t, start, end):
+        def updated(numbers, y_start, y_end):
+            return contacts.update(numbers, t, y_start, y_end)
+
+        values = (parameters.value, start[0], end[0])
+        rows = rows_of(updated, values, (parameters.slopes, start[1:], end[1:]))
+        began = ~contacts.is_touching(start[0]) & contacts.is_touching(rows[0])
+        delays = _onset_delays(contacts, parameters, t, end, began, rows[0])
+        flight, contact = jax.vmap(
+            lambda y: rate.inside(parameters.value.theta, parameters.value.ahead, jnp.asarray(t), y)
+        )(jnp.stack([end[0], rows[0]]))
+        return rows.at[1:].add(delays[:, None] * (flight - contact))
+
+    return Contacts(crossings, update, tuple((0, entry) for entry in contacts.onset_entries))
+
+
+def _onset_delays(contacts: Contacts, parameters: Linearized, t, rows, began, updated) -> Float[Array, " p"]:
+    """How much later the onset at the end of a step comes with each number (scaled) [s]; 0 without an onset.
+
+    Limits: 0 for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
+    """
+
+    def value(numbers, y):
+        return contacts.crossings(numbers, t, y).value
+
+    slopes = rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
+    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
+    counts = began & (onset_rate > GRAZING_RATE)
+    rates = jnp.where(counts, contacts.crossings(parameters.value, t, rows[0]).rate, 1.0)
+    return -jnp.sum(jnp.where(counts, slopes / rates, 0.0), 1) / jnp.maximum(jnp.sum(counts), 1)
+
+
+def judging_rows(controller):
+    """The controller with the norm of the worst row, so that many numbers do not dilute the error of one."""
+    if not isinstance(controller, diffrax.PIDController):
+        return controller
+    norm = controller.norm
+    return eqx.tree_at(lambda c: c.norm, controller, lambda errors: jnp.max(jax.vmap(norm)(errors)))

@@ -1,0 +1,192 @@
+"""Derivatives of observables along time by every parameter: one integration of the run and its sensitivities."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import SceneError
+from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.motion.assembly import Assembly
+from spherejax.motion.integrate import Options, Plan
+from spherejax.motion.many import built
+from spherejax.motion.paths import path_of
+from spherejax.motion.sensitivities import has_controlled_sensitivities, integrate_along
+from spherejax.motion.sensitivity_rows import scales_of
+from spherejax.motion.simulate import check_tolerances, choice_for, split, start_now, tolerances_of
+from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.trajectory import Statistics, Trajectory
+from spherejax.studies.sensitivity.unknowns import FlatBuild
+
+
+class Method(NamedTuple):
+    """How a run is integrated.
+
+    Attributes:
+        rtol, atol, solver, max_steps: as in `simulate`.
+        track_work: whether the work of the joints is integrated.
+    """
+
+    rtol: float
+    atol: float | None
+    solver: diffrax.AbstractSolver | None
+    max_steps: int
+    track_work: bool
+
+
+class Found(NamedTuple):
+    """A run, what was observed of it, and the derivatives.
+
+    Attributes:
+        run: the run.
+        observed: values (n, components) and derivatives (n, components, p) of each observable.
+        errors: how the errors of the derivatives are controlled, in words.
+    """
+
+    run: Trajectory
+    observed: list[tuple[np.ndarray, np.ndarray]]
+    errors: str
+
+
+def system_at(flat: FlatBuild, numbers: Any, track_work: bool) -> System:
+    """The compiled scene for some numbers."""
+    scene = built(flat, dict(zip(flat.unknowns.names, numbers, strict=True)))
+    return compile_scene(scene, track_work=track_work).system
+
+
+def choice_at(flat: FlatBuild, numbers: Any, method: Method) -> Choice:
+    """The method for a run, chosen by the numbers themselves: they are known here, if traced later on."""
+    system = system_at(flat, numbers, method.track_work)
+    is_large = path_of(flatten_system(system)[0]).scalar is False
+    return choice_for(system, method.rtol, method.solver, explicit_only=is_large and method.solver is None)
+
+
+class Prepared(eqx.Module):
+    """A run that can be made.
+
+    Attributes:
+        plan: what it is compiled for (static).
+        choice: which method is used, and why (static).
+        options: how to integrate.
+        known: numbers of the system that do not depend on the parameters, with zeros elsewhere.
+        ts: sample times [s].
+        start: the consistent start, where it does not depend on the parameters.
+    """
+
+    plan: Plan = eqx.field(static=True)
+    choice: Choice = eqx.field(static=True)
+    options: Options
+    known: Float[Array, " n_numbers"]
+    ts: Float[Array, " n"]
+    start: Assembly | None
+
+
+def prepare(flat: FlatBuild, numbers, times, method: Method) -> Prepared:
+    """Choose the method by the numbers, and find what of the system depends on the parameters."""
+    check_tolerances(method.rtol, method.atol)
+    choice = choice_at(flat, numbers, method)
+    limits = tolerances_of(system_at(flat, numbers, method.track_work), choice.solver, method.rtol, method.atol)
+    controller = diffrax.PIDController(rtol=jnp.asarray(limits.rtol), atol=jnp.asarray(limits.atol))
+    solver = with_converging_root_finder(choice.solver, method.rtol)
+    options = Options(solver, controller, diffrax.ForwardMode(), method.max_steps)
+    found = []
+
+    def traced(numbers):
+        # Not staged: what does not depend on the parameters stays known.
+        system = system_at(flat, numbers, method.track_work)
+        structure, _ = flatten_system(system)
+        known, unknown = split(system)
+        plan = Plan(structure, unknown, path_of(structure).scalar)
+        found.append((plan, jnp.asarray(known), start_now(system, times)))
+        return numbers
+
+    jax.jvp(traced, (jnp.asarray(numbers),), (jnp.ones(len(numbers)),))
+    plan, known, start = found[0]
+    if not plan.unknown:
+        raise SceneError(f"the scene does not depend on {', '.join(map(repr, flat.unknowns.names))}")
+    return Prepared(plan, choice, options, known, jnp.asarray(times), start)
+
+
+def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool):
+    """What of the system follows from the parameters, its derivatives (scaled), and whether it is legal."""
+
+    def values_of(numbers):
+        scene = built(flat, dict(zip(flat.unknowns.names, numbers, strict=True)))
+        compiled = compile_scene(scene, track_work=track_work)
+        values = jnp.asarray(flatten_system(compiled.system)[1])[np.array(plan.unknown, int)]
+        return values, (values, jnp.all(jnp.stack([jnp.array(True), *compiled.conditions])))
+
+    slopes, (values, are_legal) = jax.jacfwd(values_of, has_aux=True)(numbers)
+    return values, slopes.T * scale[:, None], are_legal
+
+
+def forward(flat: FlatBuild, numbers, times, wanted: tuple[Callable, ...], method: Method) -> Found:
+    """The run with its sensitivities.
+
+    Args:
+        flat: the builder.
+        numbers: where the derivatives are taken, shape (p,).
+        times: sample times [s].
+        wanted: functions from a `Trajectory` to arrays of shape (n, components).
+        method: how to integrate.
+    """
+    prepared = prepare(flat, numbers, times, method)
+    numbers = jnp.asarray(numbers)
+    scale = scales_of(numbers)
+    values, directions, are_legal = traced_numbers(flat, prepared.plan, numbers, scale, method.track_work)
+    found = _integrated(
+        prepared.plan, prepared.options, values, directions, prepared.known, prepared.ts, prepared.start, are_legal
+    )
+    observed = _observed(prepared, wanted, values, directions, found.ys, found.slopes)
+    run = observable_run(prepared, prepared.plan.theta(values, prepared.known), found.ys)
+    stats = replace(run.stats, n_steps=found.n_steps)
+    run = replace(run, stats=stats, status=found.status, t_reached=found.t_reached)
+    errors = (
+        "the errors of the derivatives are controlled"
+        if has_controlled_sensitivities(prepared.options.solver)
+        else "the steps are differentiated, nobody controls the errors of the derivatives"
+    )
+    return Found(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
+
+
+_integrated = eqx.filter_jit(integrate_along)
+
+
+@eqx.filter_jit
+def _observed(prepared: Prepared, wanted: tuple[Callable, ...], values, directions, ys, slopes):
+    """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
+
+    def observed(values, ys):
+        run = observable_run(prepared, prepared.plan.theta(values, prepared.known), ys)
+        return [function(run) for function in wanted]
+
+    def along(direction, slope):
+        return jax.jvp(observed, (values, ys), (direction, slope))
+
+    results, derivatives = jax.vmap(along, out_axes=(None, -1))(directions, slopes)
+    return list(zip(results, derivatives, strict=True))
+
+
+def observable_run(prepared: Prepared, theta: Float[Array, " n_numbers"], ys: Float[Array, "n size"]) -> Trajectory:
+    """A run as observables see it."""
+    nothing, ts = jnp.zeros((), jnp.int64), prepared.ts
+    none = jnp.zeros(0)
+    return Trajectory(
+        ts=ts,
+        ys=ys,
+        system=prepared.plan.structure.system(theta),
+        stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64)),
+        status=nothing,
+        t_reached=ts[-1],
+        y_reached=ys[-1],
+        assembly=Assembly(ys[0], nothing, nothing, none, none, none),
+        choice=prepared.choice.reason,
+        scalar=prepared.plan.scalar,
+    )

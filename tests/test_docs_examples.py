@@ -1,0 +1,84 @@
+"""Every example of the documentation and of the README runs, and prints what the page shows."""
+
+import re
+import shlex
+
+import pytest
+from documentation import DOCS, README, program
+
+from spherejax import cli
+
+examples = program("examples")
+
+
+@pytest.mark.parametrize("page", examples.pages(), ids=lambda page: str(page.relative_to(DOCS)))
+def test_examples_run(page, tmp_path):
+    examples.run_page(page, tmp_path)
+
+
+def test_readme_runs(tmp_path):
+    examples.run_page(README, tmp_path, also_shown=("toml",))
+
+
+COMMAND = re.compile(r"^(?:    )?(?:\.venv/bin/)?(spherejax .*)$")
+
+
+def shown_commands():
+    """Commands that are shown, and not run, on any page."""
+    for page in (README, *sorted(DOCS.rglob("*.md"))):
+        for line in page.read_text().replace("\\\n", " ").splitlines():
+            if (found := COMMAND.match(line)) and "[" not in line:
+                yield pytest.param(found[1], id=f"{page.name}: {found[1][:50]}")
+
+
+@pytest.mark.parametrize("command", shown_commands())
+def test_shown_commands_exist_with_their_options(command):
+    words = shlex.split(command, comments=True)
+    assert callable(cli.parser().parse_args(words[1:]).action)
+
+
+PAGE = """
+```python
+x = 2
+print("x is", x)
+```
+
+```text
+x is {shown}
+```
+
+```{{code-block}} toml
+:caption: it.toml
+
+mass = 1
+```
+
+```python
+assert open("it.toml").read() == "mass = 1\\n"
+```
+"""
+
+
+def test_a_page_is_run_from_top_to_bottom(tmp_path, monkeypatch):
+    monkeypatch.setattr(examples, "HERE", tmp_path / "docs")
+    (tmp_path / "page.md").write_text(PAGE.format(shown="..."))
+    examples.run_page(tmp_path / "page.md", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (PAGE.format(shown="3"), "line 8: the page shows"),
+        ("```python\n1 / 0\n```\n", "ZeroDivisionError"),
+        ("```console\nspherejax run no-such-scene\n```\n", "exit code 2"),
+        ("```console\nls\n```\n", "runs spherejax alone"),
+        ("```ruby\nputs 1\n```\n", "'ruby' are not run"),
+        ("```{code-block} toml\nmass = 1\n```\n", "without :caption:"),
+    ],
+    ids=["other output", "error", "failed command", "other command", "other language", "no file"],
+)
+def test_a_failing_example_is_reported(text, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(examples, "HERE", tmp_path / "docs")
+    (tmp_path / "page.md").write_text(text)
+    with pytest.raises(examples.ExampleError, match=message):
+        examples.run_page(tmp_path / "page.md", tmp_path)

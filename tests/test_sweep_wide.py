@@ -1,0 +1,75 @@
+"""Wide blocks of lanes, as accelerators need them: on the CPU, which can run them as well."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sweeping import pendulum
+
+import spherejax as sj
+from spherejax.motion import widths
+from spherejax.motion.lanes import Block
+from spherejax.motion.many import many, method_for, simulate_many
+from spherejax.motion.status import Status
+from spherejax.studies.sweep.run import LARGEST_SAMPLES, _chunk_size
+
+TS = np.array([0.0, 0.5])
+
+
+def test_the_block_is_as_wide_as_the_platform_asks_for():
+    assert widths.platform_of_runs() == "cpu"
+    assert widths.block_for() == widths.block_for("cpu") == Block()
+    assert widths.block_for("gpu").width > 100 * widths.block_for("cpu").width
+    with jax.default_device(jax.devices("cpu")[0]):
+        assert widths.platform_of_runs() == "cpu"
+
+
+def test_a_sweep_takes_the_block_of_its_platform(monkeypatch):
+    monkeypatch.setattr(widths, "platform_of_runs", lambda: "gpu")
+    grid = {"gravity": np.linspace(1.0, 20.0, 40)}
+    found = sj.sweep(pendulum, grid, TS, record=["final position.bob"], workers=1, progress=False)
+    assert found.attrs["lanes"].startswith("65536,")
+    assert np.all(found["status"] == 0)
+    # Let go at rest: never higher than at the start.
+    heights = found["final_position.bob"].sel(axis="z")
+    assert heights.max() < -np.cos(1.0) + 1e-6
+    assert np.unique(heights).size == 40
+
+
+@pytest.mark.parametrize("block", [Block(), widths.ON_ACCELERATOR])
+def test_chunks_are_equal_and_memory_is_bounded(block):
+    for n_runs in (1, 999, 100_000, 10_000_000):
+        size = _chunk_size(n_runs, 2, block, 5 * 3)
+        n_chunks = -(-n_runs // size)
+        assert n_chunks * size - n_runs < n_chunks
+        assert n_chunks >= min(2, n_runs)
+    # Many samples make chunks short, but not shorter than the block is wide.
+    n_samples = 3 * 2000
+    size = _chunk_size(10_000_000, 2, block, n_samples)
+    assert size <= max(LARGEST_SAMPLES / (n_samples * 13 * 8), block.width)
+
+
+def compiled(width: int, n_runs: int):
+    rows = {"gravity": jnp.linspace(1.0, 20.0, n_runs)}
+    method = method_for(pendulum, rows, 1e-8, None, diffrax.Dopri8(), 10_000, False, Block(width, width // 8))
+
+    def ends(rows, is_wanted):
+        runs = many(pendulum, method, rows, jnp.asarray(TS), is_wanted)
+        return runs.trajectories.ys[:, -1], runs.trajectories.status, runs.lane_efficiency
+
+    arguments = rows, jnp.ones(n_runs, bool)
+    return jax.jit(ends).lower(*arguments).compile(), arguments
+
+
+def test_ten_thousand_lanes_run_in_bounded_memory():
+    width, n_runs = 10_000, 20_000
+    program, arguments = compiled(width, n_runs)
+    ys, status, efficiency = program(*arguments)
+    assert np.all(status == Status.SUCCEEDED)
+    assert efficiency > 0.5
+    some = np.array([0, 9_999, 10_000, 19_999])
+    alone = simulate_many(pendulum, {"gravity": arguments[0]["gravity"][some]}, TS, solver=diffrax.Dopri8())
+    np.testing.assert_allclose(ys[some, :13], alone.trajectories.ys[:, -1, :13], rtol=0, atol=1e-9)
+    # A state of 13 numbers, 14 stages of it, what the lane knows, and the results of two runs: 5 kB.
+    assert program.memory_analysis().temp_size_in_bytes / width < 15_000
