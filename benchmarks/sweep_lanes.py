@@ -33,9 +33,11 @@ def gpu(widths=WIDTHS, on_cpu: bool = False) -> None:
         print("no accelerator: lanes are left out (on the CPU: python benchmarks/sweep_lanes.py --cpu 64 256)")
         return
     rows = [measured(width, jax.devices()[0]) for width in widths]
-    if not on_cpu:
-        rows.append(measured(block_for("cpu").width, jax.devices("cpu")[0], 16))
-    write("sweep_lanes_on_cpu" if on_cpu else "sweep_lanes", "python benchmarks/sweep_lanes.py", rows)
+    if on_cpu:
+        print(*rows, sep="\n")
+        return
+    rows.append(measured(block_for("cpu").width, jax.devices("cpu")[0], 16))
+    write("sweep_lanes", "python benchmarks/sweep_lanes.py", rows)
 
 
 def measured(width: int, device, n_blocks: int = 1) -> dict:

@@ -16,6 +16,7 @@ def test_examples_run(page, tmp_path):
     examples.run_page(page, tmp_path)
 
 
+@pytest.mark.slow  # a minute and a half of compiling
 def test_readme_runs(tmp_path):
     examples.run_page(README, tmp_path, also_shown=("toml",))
 

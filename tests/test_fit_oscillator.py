@@ -250,6 +250,27 @@ def test_descent_finds_the_same(fitted):
         assert abs(found.estimates[name] - fitted.estimates[name]) < 0.2 * fitted.standard_deviations[name]
 
 
+def test_starts_side_by_side_are_those_one_by_one(problem):
+    us = problem.u0 + np.array([[0.0, 0.0], [0.3, -0.2], [0.1, 0.5]])
+    together = problem.evaluate(us)
+    assert not together.failed.any()
+    for u, residuals, jacobian in zip(us, together.residuals, together.jacobians, strict=True):
+        alone, slopes = problem.residuals_and_jacobian(u)
+        np.testing.assert_array_equal(residuals, alone)
+        np.testing.assert_array_equal(jacobian, slopes)
+
+
+@pytest.mark.slow
+def test_lanes_of_an_accelerator_are_the_same(problem):
+    us = problem.u0 + np.array([[0.0, 0.0], [0.3, -0.2]])
+    (experiment,) = problem.experiments
+    lanes = experiment.predict_lanes(jnp.asarray(us))
+    for lane, u in enumerate(us):
+        alone = experiment.predict(jnp.asarray(u))
+        np.testing.assert_allclose(lanes.values[lane], alone.values, rtol=1e-8)
+        np.testing.assert_allclose(lanes.slopes[lane], alone.slopes, rtol=1e-5, atol=1e-8)
+
+
 @pytest.mark.slow
 def test_gradient_in_reverse_is_that_of_forward_sensitivities(problem):
     cost, gradient = problem.cost_and_gradient(problem.u0)

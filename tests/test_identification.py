@@ -77,7 +77,7 @@ def test_growth_says_how_far_the_gradient_reaches(grown, at_once):
     assert until[0] < 2e-3
     assert until[-1] == BALL_TS[-1]
     assert 1e-5 <= growth.reach <= 1e-3
-    assert growth.factor > 10
+    assert 2 < growth.factor < 6  # by eye, from the picture: the steps between contacts rise threefold
     assert "0.01 percent to the end" in growth.explanation
     assert growth.explanation.endswith("the record had to grow with the fit.")
     assert "GrowingHorizon" in at_once.growth.explanation
@@ -143,7 +143,7 @@ DRY_TS = np.arange(1, 81) * 5e-4  # [s]; the eleventh onset comes later
 @pytest.fixture(scope="module")
 def dry():
     run = sj.simulate(cases.dry_four_bar(**DRY), np.concatenate([[0.0], DRY_TS]), solver=DOPRI8)
-    assert run.stats.n_onsets == [10]
+    assert int(run.stats.n_onsets[0]) == 10
     return cases.measured(cases.dry_four_bar(**DRY), "rocker", DRY_TS, cases.MOTION_NOISE, solver=DOPRI8)
 
 
@@ -169,7 +169,7 @@ def test_jacobian_of_the_dry_joint_is_that_of_finite_differences(dry):
     start = {name: DRY[name] for name in ("clearance", "mu")}
     start["restitution"] = sj.Parameter(DRY["restitution"], lower=0.0, upper=1.0)
     problem = problem_of(cases.dry_four_bar, start, [dry], solver=DOPRI8, rtol=1e-11)
-    u, step = problem.u0, 1e-6
+    u, step = problem.u0, 1e-5  # shorter ones drown in the errors of the runs, longer ones in the curvature
     jacobian = np.asarray(problem.jacobian(u))
     for k in range(u.size):
         ahead, behind = (problem.residuals(u + sign * step * np.eye(u.size)[k]) for sign in (1, -1))

@@ -72,7 +72,7 @@ class Descent:
         gradients = _in_reverse if reverse and hasattr(problem, "cost_and_gradient") else _forward
         try:
             while going := [descent for descent in descents if descent.course.ending is None]:
-                for descent, found in zip(going, gradients(problem, [each.u for each in going], us), strict=True):
+                for descent, found in zip(going, gradients(problem, [each.u for each in going]), strict=True):
                     descent.take(found)
                 watch(courses)
         except KeyboardInterrupt:
@@ -94,18 +94,16 @@ class _Gradient:
     diagnosis: str = ""
 
 
-def _forward(problem: Residuals, us: list[np.ndarray], all_us: np.ndarray) -> list[_Gradient]:
-    """From forward sensitivities, with as many lanes as ever, for one compiled program."""
-    padded = np.concatenate([us, all_us[len(us) :]])
-    found = problem.evaluate(padded)
+def _forward(problem: Residuals, us: list[np.ndarray]) -> list[_Gradient]:
+    """From forward sensitivities."""
+    found = problem.evaluate(np.stack(us))
     return [
         _Gradient(cost_of(r) if not failed else np.nan, j.T @ r, r.size, why)
         for r, j, failed, why in zip(found.residuals, found.jacobians, found.failed, found.diagnoses, strict=True)
-    ][: len(us)]
+    ]
 
 
-def _in_reverse(problem: Any, us: list[np.ndarray], all_us: np.ndarray) -> list[_Gradient]:
-    del all_us
+def _in_reverse(problem: Any, us: list[np.ndarray]) -> list[_Gradient]:
     found = [problem.cost_and_gradient(u) for u in us]
     return [_Gradient(cost, gradient, problem.n_residuals, "its run failed") for cost, gradient in found]
 

@@ -60,8 +60,8 @@ def fit(
         noise: standard deviation of the errors of measurement, in the units of what was measured: a number, or numbers
             by observable. With None it is estimated from the residuals, for each observable of each experiment.
         method: `sj.LevenbergMarquardt()`, the default, or `sj.Descent(optax_optimiser)` for many parameters.
-        starts: how many starts, all at once. The first is `start`; the others lie around it, up to a factor of ten
-            away (positive parameters) or `log(10)` scales (others), within the bounds.
+        starts: how many starts, side by side on all cores. The first is `start`; the others lie around it, up to a
+            factor of ten away (positive parameters) or `log(10)` scales (others), within the bounds.
         horizon: how much of the record is looked at. With None the record grows: rough fits of its first parts, each
             twice as long, lead into the whole; a start whose vibration is out of step with the measured one would
             otherwise end in a wrong minimum. `sj.studies.fit.Whole()` begins with all of it.

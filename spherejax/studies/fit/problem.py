@@ -19,9 +19,10 @@ from spherejax.motion.many import Build
 from spherejax.motion.simulate import check_tolerances
 from spherejax.motion.status import Status, diagnosis
 from spherejax.runtime import require_float64
-from spherejax.studies.fit.experiment import Experiment, Integration, experiment_of
+from spherejax.studies.fit.experiment import Experiment, Integration, Prediction, experiment_of
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.parameters import Unknowns, unknowns_from
+from spherejax.studies.fit.side_by_side import in_threads, on_accelerator, padded
 
 MAX_STEPS = 1_000_000
 """Steps after which a run of a fit is given up: an iterate may be far stiffer than the solution."""
@@ -68,6 +69,7 @@ class Problem:
         self.unknowns, self.start = unknowns, start
         self.experiments, self.noise = tuple(experiments), tuple(noise)
         self.noise_is_known = noise_is_known
+        self._remembered: dict[bytes, _Lane] = {}
 
     @property
     def u0(self) -> np.ndarray:
@@ -150,24 +152,41 @@ class Problem:
     # On the host -------------------------------------------------------------------------------------------------
 
     def evaluate(self, us: Float[np.ndarray, "lanes k"]) -> Evaluation:
-        """Residuals and Jacobians of many sets of unknowns, computed now."""
+        """Residuals and Jacobians of many sets of unknowns, computed now; those of the last call are remembered."""
         us = np.asarray(us, np.float64)
-        residuals, jacobians, n_steps = [], [], np.zeros(len(us), int)
-        said: list[list[str]] = [[] for _ in us]
-        for i, experiment in enumerate(self.experiments):
-            prediction = self._predicted(experiment, us)
-            r, j = (np.asarray(part) for part in self._weighted(i, prediction))
-            residuals.append(r)
-            jacobians.append(j)
-            n_steps += np.asarray(prediction.n_steps)
-            for lane, why in enumerate(_reasons(experiment, prediction)):
-                if why:
-                    said[lane].append(f"{experiment.measured.name}: {why}" if len(self.experiments) > 1 else why)
-        r, j = np.concatenate(residuals, 1), np.concatenate(jacobians, 1)
-        failed = ~(np.all(np.isfinite(r), 1) & np.all(np.isfinite(j), (1, 2)))
-        for lane in np.nonzero(failed)[0]:
-            said[lane] = said[lane] or ["the residuals or their derivatives are not finite"]
-        return Evaluation(r, j, failed, ["; ".join(lane) for lane in said], n_steps)
+        new = {u.tobytes(): u for u in us if u.tobytes() not in self._remembered}
+        known = {**self._remembered, **dict(zip(new, self._evaluated(list(new.values())), strict=True))}
+        lanes = [known[u.tobytes()] for u in us]
+        self._remembered = {u.tobytes(): lane for u, lane in zip(us, lanes, strict=True)}
+        return Evaluation(
+            np.stack([lane.residuals for lane in lanes]),
+            np.stack([lane.jacobian for lane in lanes]),
+            np.array([lane.failed for lane in lanes]),
+            [lane.diagnosis for lane in lanes],
+            np.array([lane.n_steps for lane in lanes]),
+        )
+
+    def _evaluated(self, us: list[np.ndarray]) -> list["_Lane"]:
+        if len(us) > 1 and on_accelerator():
+            predictions = [experiment.predict_lanes(jnp.asarray(padded(us))) for experiment in self.experiments]
+            return [self._lane(jax.tree.map(lambda x, i=i: x[i], predictions)) for i in range(len(us))]
+        return in_threads(lambda u: self._lane([each.predict(jnp.asarray(u)) for each in self.experiments]), us)
+
+    def _lane(self, predictions: list[Prediction]) -> "_Lane":
+        """What the predictions of all experiments come to."""
+        weighted = [self._weighted(i, prediction) for i, prediction in enumerate(predictions)]
+        residuals = np.concatenate([np.asarray(r) for r, _ in weighted])
+        jacobian = np.concatenate([np.asarray(j) for _, j in weighted])
+        said = []
+        for experiment, prediction in zip(self.experiments, predictions, strict=True):
+            why = diagnosis(prediction.status, prediction.t_reached, float(experiment.setting.ts[-1]))
+            if why:
+                said.append(f"{experiment.measured.name}: {why}" if len(self.experiments) > 1 else why)
+        failed = not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian)))
+        if failed and not said:
+            said = ["the residuals or their derivatives are not finite"]
+        n_steps = sum(int(prediction.n_steps) for prediction in predictions)
+        return _Lane(residuals, jacobian, failed, "; ".join(said), n_steps)
 
     def cost_and_gradient(self, u: Float[np.ndarray, " k"]) -> tuple[float, np.ndarray]:
         """Half the sum of squares and its gradient in reverse mode, for many unknowns.
@@ -180,11 +199,6 @@ class Problem:
             part, slope = experiment.cost_and_gradient(jnp.asarray(u), weights)
             cost, gradient = cost + float(part), gradient + np.asarray(slope)
         return cost, gradient
-
-    def _predicted(self, experiment: Experiment, us: np.ndarray):
-        if len(us) > 1:
-            return experiment.predict_lanes(jnp.asarray(us))
-        return jax.tree.map(lambda x: np.asarray(x)[None], experiment.predict(jnp.asarray(us[0])))
 
     def until(self, t: float) -> "Problem":
         """The problem with what was measured up to t [s]; nothing is compiled for it.
@@ -216,11 +230,14 @@ class Problem:
         return Problem(self.unknowns, self.start, experiments, self.noise, self.noise_is_known)
 
 
-def _reasons(experiment: Experiment, prediction) -> list[str]:
-    """Why each lane failed, or nothing."""
-    end = float(experiment.setting.ts[-1])
-    lanes = zip(np.asarray(prediction.status), np.asarray(prediction.t_reached), strict=True)
-    return [diagnosis(status, reached, end) for status, reached in lanes]
+class _Lane(NamedTuple):
+    """One set of unknowns of an `Evaluation`."""
+
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    failed: bool
+    diagnosis: str
+    n_steps: int
 
 
 def problem_of(

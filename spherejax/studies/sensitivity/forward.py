@@ -1,8 +1,7 @@
 """Derivatives of observables along time by every parameter: one integration of the run and its sensitivities."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import diffrax
 import equinox as eqx
@@ -24,6 +23,14 @@ from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.sensitivity.unknowns import FlatBuild
+
+
+class Wanted(Protocol):
+    """What is observed of a run; hashable, and equal where it observes the same, so that programs are found again."""
+
+    def of(self, run: Trajectory) -> Array:
+        """An array of shape (n, components)."""
+        ...
 
 
 class Method(NamedTuple):
@@ -127,14 +134,14 @@ def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool
     return values, slopes.T * scale[:, None], are_legal
 
 
-def forward(flat: FlatBuild, numbers, times, wanted: tuple[Callable, ...], method: Method) -> Found:
+def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: Method) -> Found:
     """The run with its sensitivities.
 
     Args:
         flat: the builder.
         numbers: where the derivatives are taken, shape (p,).
         times: sample times [s].
-        wanted: functions from a `Trajectory` to arrays of shape (n, components).
+        wanted: what is observed.
         method: how to integrate.
     """
     prepared = prepare(flat, numbers, times, method)
@@ -160,12 +167,12 @@ _integrated = eqx.filter_jit(integrate_along)
 
 
 @eqx.filter_jit
-def _observed(prepared: Prepared, wanted: tuple[Callable, ...], values, directions, ys, slopes):
+def _observed(prepared: Prepared, wanted: tuple[Wanted, ...], values, directions, ys, slopes):
     """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
 
     def observed(values, ys):
         run = observable_run(prepared, prepared.plan.theta(values, prepared.known), ys)
-        return [function(run) for function in wanted]
+        return [each.of(run) for each in wanted]
 
     def along(direction, slope):
         return jax.jvp(observed, (values, ys), (direction, slope))

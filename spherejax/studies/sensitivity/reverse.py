@@ -1,7 +1,5 @@
 """The gradient of one number by many parameters, back along the steps of the run."""
 
-from collections.abc import Callable
-
 import diffrax
 import equinox as eqx
 import jax
@@ -18,6 +16,7 @@ from spherejax.studies.sensitivity.forward import (
     Found,
     Method,
     Prepared,
+    Wanted,
     observable_run,
     prepare,
     system_at,
@@ -42,12 +41,12 @@ def refusal(flat: FlatBuild, numbers, choice: Choice, method: Method) -> str:
     return ""
 
 
-def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Callable, ...], method: Method) -> Found:
+def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: Method) -> Found:
     """The run, and the gradient of the one number that is wanted of it.
 
     The start follows from the parameters in forward mode, which is cheap; the run is gone back along its steps.
     """
-    (of,) = wanted
+    (number,) = wanted
     prepared = prepare(flat, numbers, times, method)
     problem = refusal(flat, numbers, prepared.choice, method)
     if problem:
@@ -62,7 +61,7 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Callable, ...], metho
     again = Options(prepared.options.solver, prepared.options.controller, diffrax.ForwardMode(), n_steps)
     theta = plan.theta(values, prepared.known)
     grid, places = grid_through(np.asarray(accepted_times(plan, again, theta, y0, prepared.ts)), np.asarray(times))
-    value, (by_values, by_start) = _gradient(prepared, of, values, y0, jnp.asarray(grid), jnp.asarray(places))
+    value, (by_values, by_start) = _gradient(prepared, number, values, y0, jnp.asarray(grid), jnp.asarray(places))
     slopes = directions @ by_values + y0_slopes @ by_start
     observed = (np.asarray(value).reshape(1, 1), np.asarray(slopes).reshape(1, 1, -1))
     return Found(run, [observed], "it is the derivative of the run's own steps, whose errors nobody controls")
@@ -83,13 +82,13 @@ def _beginning(prepared: Prepared, values, directions):
 
 
 @eqx.filter_jit
-def _gradient(prepared: Prepared, of: Callable, values, y0, grid, places):
+def _gradient(prepared: Prepared, wanted: Wanted, values, y0, grid, places):
     """The number, and its derivatives by the numbers of the system and by the start."""
 
     def number(values, y0):
         plan = prepared.plan
         theta = plan.theta(values, prepared.known)
         ys = replayed(plan, prepared.choice.solver, theta, y0, grid)[places]
-        return of(observable_run(prepared, theta, ys))[0, 0]
+        return wanted.of(observable_run(prepared, theta, ys))[0, 0]
 
     return jax.value_and_grad(number, (0, 1))(values, y0)

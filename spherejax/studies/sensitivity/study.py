@@ -78,7 +78,7 @@ def sensitivity(
         mode, of is not None, len(numbers), lambda: refusal(flat, numbers, choice_at(flat, numbers, method), method)
     )
     compute = forward if chosen == "forward" else reverse
-    found = compute(flat, numbers, times, tuple(each.of for each in wanted), method)
+    found = compute(flat, numbers, times, wanted, method)
     columns = tuple(_column(each, *its) for each, its in zip(wanted, found.observed, strict=True))
     run = found.run
     return Sensitivities(
