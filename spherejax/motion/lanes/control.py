@@ -338,7 +338,7 @@ class Landing:
         weights = jnp.zeros(n)
         for m in reversed(range(degree)):
             weights = (weights + self.inside[:, m]) * x
-        return step.y0 + sum(weights[i] * step.k[i] for i in range(n))  # pyright: ignore[reportOptionalSubscript]
+        return step.y0 + sum(weights[i] * step.k[i] for i in range(n) if self.inside[i].any())  # pyright: ignore[reportOptionalSubscript]
 
     def _corrected(self, parameters, t, y) -> Array:
         return y if self.correct is None else self.correct(parameters, t, y)

@@ -33,17 +33,25 @@ def extension(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     Returns:
         Of shape (n, p + 1), with p the highest order for which the conditions can be satisfied.
     """
-    found = None
+    by_used_stages, by_all_stages = _smallest(a, np.flatnonzero(b)), _smallest(a, np.arange(len(b)))
+    # Stages without a weight in the step are left out where the others do as well: each costs a look at its increments.
+    found = by_used_stages if by_used_stages.shape == by_all_stages.shape else by_all_stages
+    return np.column_stack([found, b - found.sum(axis=1)])
+
+
+def _smallest(a: np.ndarray, stages: np.ndarray) -> np.ndarray:
+    """The smallest coefficients of some stages, of the highest order that they allow."""
+    found = np.zeros((len(a), 0))
     for order in range(1, _HIGHEST_ORDER + 1):
         trees = [tree for size in range(1, order + 1) for tree in trees_of(size)]
-        conditions = np.array([_stage_weights(tree, a) for tree in trees])
+        conditions = np.array([_stage_weights(tree, a)[stages] for tree in trees])
         wanted = np.array([[(_size(tree) == m + 1) / _density(tree) for m in range(order)] for tree in trees])
         coefficients = np.linalg.lstsq(conditions, wanted, rcond=1e-11)[0]
         if np.abs(conditions @ coefficients - wanted).max() > _SOLVED:
             break
-        found = coefficients
-    assert found is not None
-    return np.column_stack([found, b - found.sum(axis=1)])
+        found = np.zeros((len(a), order))
+        found[stages] = coefficients
+    return found
 
 
 @lru_cache
