@@ -1,9 +1,12 @@
-"""What must be set before JAX's backend starts: 64-bit numbers and two compiler flags for the CPU.
+"""What must be set before JAX's backend starts: 64-bit numbers and three compiler flags for the CPU.
 
 The first flag lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
 does so for tiny loops only. The second lets one fusion have several outputs. Together with the scalar program of
 `spherejax.foundations.scalarize` they make a right-hand side 15 to 30 times faster; neither helps code that calls
 LAPACK or multiplies matrices inside the loop.
+
+A third one lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which
+takes a tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse.
 """
 
 import os
@@ -16,6 +19,7 @@ _LOOP_OPTIONS = (
     "xla_cpu_small_while_loop_byte_threshold=1000000000",
     "xla_cpu_use_multi_output_fusion",
 )
+_VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 
 
 class ConfigurationWarning(UserWarning):
@@ -41,19 +45,19 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
         jax.config.update("jax_compilation_cache_dir", os.fspath(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     flags = os.environ.get("XLA_FLAGS", "")
-    missing = [option for option in _LOOP_OPTIONS if option.split("=")[0] not in flags]
-    if not missing:
+    wanted = _with_flags(flags)
+    if wanted == flags:
         return
     if _backend_started():
         warnings.warn(
             "spherejax was imported after JAX's backend had started, so its compiler flags cannot take effect and "
             "runs will be several times slower. Import spherejax before the first JAX computation, or set "
-            f"XLA_FLAGS={_with_options(flags, missing)!r} yourself.",
+            f"XLA_FLAGS={wanted!r} yourself.",
             ConfigurationWarning,
             stacklevel=3,
         )
         return
-    os.environ["XLA_FLAGS"] = _with_options(flags, missing)
+    os.environ["XLA_FLAGS"] = wanted
 
 
 def require_float64() -> None:
@@ -65,14 +69,19 @@ def require_float64() -> None:
         )
 
 
-def _with_options(flags: str, options: list[str]) -> str:
-    """`flags` with `options` added; XLA reads one list of extra options only, so they join an existing one."""
+def _with_flags(flags: str) -> str:
+    """`flags` with ours added, but for those that are set; XLA reads one list of extra options only."""
     words = flags.split()
+    if _VECTOR_WIDTH not in flags:
+        words.append(f"{_VECTOR_WIDTH}=512")
+    missing = ",".join(option for option in _LOOP_OPTIONS if option.split("=")[0] not in flags)
+    if not missing:
+        return flags if _VECTOR_WIDTH in flags else " ".join(words)
     for position, word in enumerate(words):
         if word.startswith(_BACKEND_OPTION):
-            words[position] = word + "," + ",".join(options)
+            words[position] = f"{word},{missing}"
             return " ".join(words)
-    return " ".join([*words, _BACKEND_OPTION + ",".join(options)])
+    return " ".join([*words, _BACKEND_OPTION + missing])
 
 
 def _backend_started() -> bool:

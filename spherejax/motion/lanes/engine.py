@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.motion.lanes.stages import in_lanes, steps_of
-from spherejax.motion.solvers.landing import Contacts, LandingController
+from spherejax.motion.lanes.control import Landing, Repeating, Step
+from spherejax.motion.lanes.stages import ExplicitStages, in_lanes, steps_of
+from spherejax.motion.solvers.landing import Contacts
 from spherejax.motion.status import Status, status_of
 
 
@@ -162,13 +163,14 @@ class _Queue:
         self.steps = steps_of(problem.solver, problem.rate, with_dense_output=ts.shape[0] > 2)
         self.term = diffrax.ODETerm(problem.rate)
         self.order = problem.solver.error_order(self.term)
+        self.control = (
+            Landing(problem, self.order, self.steps.inside)
+            if isinstance(self.steps, ExplicitStages)
+            else Repeating(problem, self.order)
+        )
         self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
 
     # A lane ------------------------------------------------------------------------------------------------------
-
-    def _controller(self, parameters) -> Any:
-        controller, problem = self.problem.controller_of(parameters), self.problem
-        return LandingController(controller, problem.contacts, problem.longest_step)  # pyright: ignore[reportCallIssue]
 
     def started(self, job) -> Lane:
         """The lane at the start of a job; an idle one where there is no such job."""
@@ -178,8 +180,7 @@ class _Queue:
         )
         t0 = self.ts[0]
         t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
-        controller, solver = self._controller(parameters), self.problem.solver
-        t_next, state = controller.init(self.term, t0, t_end, y0, None, parameters, solver.func, self.order)
+        t_next, state = self.control.init(self.term, t0, t_end, y0, parameters)
         t_next = jnp.minimum(t_next, t_end)
         none = jnp.zeros((), jnp.int64)
         return Lane(
@@ -201,24 +202,13 @@ class _Queue:
             status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
         )
 
-    def judged(self, lane: Lane, y, error, solver_state, result) -> Lane:
+    def judged(self, lane: Lane, y, error, k, solver_state, result) -> Lane:
         """The lane after a trial step: corrected, with its contact events, kept or to be repeated."""
-        problem, contacts = self.problem, self.problem.contacts
-        if problem.correct is not None:
-            y = problem.correct(lane.parameters, lane.t_next, y)
-        began = jnp.zeros(0, bool)
-        if contacts is not None:
-            y = contacts.update(lane.parameters, lane.t_next, lane.y, y)
-            began = ~contacts.is_touching(lane.y) & contacts.is_touching(y)
-        keep, t, t_next, made_jump, state, verdict = self._controller(lane.parameters).adapt_step_size(
-            lane.t,
-            lane.t_next,
-            lane.y,
-            y,
-            lane.parameters,
-            jnp.where(jnp.isnan(error), jnp.inf, error),
-            self.order,
-            lane.controller_state,
+        problem = self.problem
+        error = jnp.where(jnp.isnan(error), jnp.inf, error)
+        step = Step(lane.t, lane.t_next, lane.y, y, error, k, lane.parameters)
+        keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
+            step, lane.controller_state, lane.made_jump
         )
         if result is not None:
             verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
@@ -241,26 +231,28 @@ class _Queue:
             y=kept(y, lane.y),
             solver_state=jax.tree.map(kept, solver_state, lane.solver_state),
             controller_state=state,
-            made_jump=kept(jnp.asarray(made_jump), lane.made_jump),
+            made_jump=jnp.asarray(made_jump),
             n_accepted=lane.n_accepted + keep,
             n_rejected=lane.n_rejected + repeats,
             n_onsets=lane.n_onsets + (began & keep),
-            touching=lane.touching + self._time_in_contact(lane, keep),
-            peaks=jnp.where(keep, jnp.maximum(lane.peaks, self._watched(lane.t_next, y, lane.parameters)), lane.peaks),
+            touching=lane.touching + self._time_in_contact(lane, t, keep),
+            peaks=jnp.where(keep, jnp.maximum(lane.peaks, self._watched(t, y, lane.parameters)), lane.peaks),
             status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
         )
 
     def _watched(self, t, y, parameters) -> Float[Array, " n_watched"]:
         return jnp.zeros(0) if self.problem.watch is None else self.problem.watch(t, y, parameters)
 
-    def _time_in_contact(self, lane: Lane, keep):
+    def _time_in_contact(self, lane: Lane, t, keep):
         if self.problem.contacts is None:
             return jnp.zeros(0)
-        return jnp.where(keep & self.problem.contacts.is_touching(lane.y), lane.t_next - lane.t, 0.0)
+        return jnp.where(keep & self.problem.contacts.is_touching(lane.y), t - lane.t, 0.0)
 
-    def sample(self, t, t_next, dense_info, parameters, at):
+    def sample(self, t, t_next, in_root, dense_info, parameters, at):
         """The state within a step."""
-        y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(at)
+        share = jnp.sqrt(jnp.clip((at - t) / (t_next - t), 0.0, 1.0))
+        instant = jnp.where(in_root, t + share * (t_next - t), at)
+        y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
         return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
 
     # A block -----------------------------------------------------------------------------------------------------
@@ -300,23 +292,27 @@ class _Queue:
         """One step of every lane; then lanes that have ended take new jobs."""
         lanes, waiting, account, ys, n_lane_steps = carry
         before = lanes
-        trial = self.steps.step(lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump)
-        lanes = in_lanes(self.judged)(lanes, trial.y, trial.error, trial.solver_state, trial.result)
+        in_root = self.control.in_root_of_time(lanes.controller_state)
+        trial = self.steps.step(
+            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, in_root
+        )
+        k = trial.dense_info["k"] if isinstance(self.steps, ExplicitStages) else None
+        lanes = in_lanes(self.judged)(lanes, trial.y, trial.error, k, trial.solver_state, trial.result)
         if self.ts.shape[0] > 1:
-            lanes, ys = self._with_samples(before, lanes, trial.dense_info, ys)
+            lanes, ys = self._with_samples(before, lanes, in_root, trial.dense_info, ys)
         has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
         refilled = jax.lax.cond(
             jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
         )
         return *refilled, ys, n_lane_steps + lanes.t.shape[-1]
 
-    def _with_samples(self, before: Lane, lanes: Lane, dense_info, ys):
+    def _with_samples(self, before: Lane, lanes: Lane, in_root, dense_info, ys):
         """Write the samples that lie in the steps just kept; the first one is the start."""
         was_kept = lanes.n_accepted > before.n_accepted
         n = self.ts.shape[0]
 
         def due(n_samples):
-            return was_kept & (n_samples < n) & (self.ts[jnp.minimum(n_samples, n - 1)] <= before.t_next)
+            return was_kept & (n_samples < n) & (self.ts[jnp.minimum(n_samples, n - 1)] <= lanes.t)
 
         def any_due(carry):
             return jnp.any(due(carry[0]))
@@ -326,9 +322,9 @@ class _Queue:
             is_due = due(n_samples)
             at = self.ts[jnp.minimum(n_samples, n - 1)]
             # The end of a step is the state itself, with its events; within it there are none.
-            is_end = at >= before.t_next
+            is_end = at >= lanes.t
             if n > 2:
-                inside = in_lanes(self.sample)(before.t, before.t_next, dense_info, before.parameters, at)
+                inside = in_lanes(self.sample)(before.t, before.t_next, in_root, dense_info, before.parameters, at)
                 y = jnp.where(is_end, lanes.y, inside)
             else:
                 y = lanes.y

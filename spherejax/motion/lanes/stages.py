@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from spherejax.motion.lanes.inside import extension
+
 
 def in_lanes(function: Callable) -> Callable:
     """Map a function of one lane over the last axis of its arguments and results."""
@@ -48,7 +50,9 @@ class ExplicitStages:
             self.coefficients[i, :i] = row
         self.instants = np.concatenate([[0.0], tableau.c])
         self.weights, self.error_weights = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
-        self.n_stages = n if with_dense_output else _last_used(self.weights, self.error_weights)
+        n_used = _last_used(self.weights, self.error_weights)
+        self.n_stages = n if with_dense_output else n_used
+        self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
         self.rate = rate
 
     def init(self, t, t_next, y, parameters) -> tuple:
@@ -56,8 +60,8 @@ class ExplicitStages:
         del t, t_next, y, parameters
         return ()
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump) -> Trial:
-        """All stages of all lanes."""
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, in_root) -> Trial:
+        """All stages of all lanes; those of lanes `in_root` in the root of time, where t = t0 + h x^2."""
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
         a, c = jnp.asarray(self.coefficients), jnp.asarray(self.instants)
@@ -66,7 +70,9 @@ class ExplicitStages:
         def with_stage(i, k):
             # A sum with zeros in it, not a product of matrices: XLA makes one loop over lanes of it.
             moved = y + sum(a[i, j] * k[j] for j in range(n - 1))
-            return jax.lax.dynamic_update_index_in_dim(k, h * rate(t + c[i] * h, moved, parameters), i, 0)
+            instant, speed = jnp.where(in_root, c[i] ** 2, c[i]), jnp.where(in_root, 2 * c[i], 1.0)
+            change = h * speed * rate(t + instant * h, moved, parameters)
+            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
 
         k = jax.lax.fori_loop(0, n, with_stage, jnp.zeros((n, *y.shape)))
         end = y + _weighted(self.weights, k)
@@ -84,8 +90,9 @@ class MappedSteps:
         """The solver's state of one lane."""
         return self.solver.init(self.term, t, t_next, y, parameters)
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump) -> Trial:
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, in_root) -> Trial:
         """One step of every lane."""
+        del in_root
 
         def of_one(t, t_next, y, parameters, solver_state, made_jump):
             step: Any = self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump)

@@ -172,7 +172,7 @@ def _fraction_to_crossing(contacts: Contacts, t0, t1, y0, y1, args, was_touching
     return jax.lax.stop_gradient(jnp.min(fractions))
 
 
-def crossing_fraction(g0, slope0, g1, slope1):
+def crossing_fraction(g0, slope0, g1, slope1, window: float = LANDING_WINDOW):
     """Where in (0, 1) a function first becomes positive, by its cubic Hermite interpolant.
 
     Args:
@@ -180,14 +180,15 @@ def crossing_fraction(g0, slope0, g1, slope1):
         slope0: derivative by the fraction at the start.
         g1: value at the end.
         slope1: derivative by the fraction at the end.
+        window: values up to this count as landed.
 
     Returns:
         The fraction at which the interpolant reaches half the landing window; 1 where it stays negative, or where the
         end is within the window. A hump inside the step is found as well.
     """
-    top = _fraction_of_maximum(g0, slope0, g1, slope1)
-    has_hump = (g1 <= 0) & (top < 1) & (_hermite(top, g0, slope0, g1, slope1)[0] > LANDING_WINDOW)
-    crosses = (g1 > LANDING_WINDOW) | has_hump
+    top = fraction_of_maximum(g0, slope0, g1, slope1)
+    has_hump = (g1 <= 0) & (top < 1) & (_hermite(top, g0, slope0, g1, slope1)[0] > window)
+    crosses = (g1 > window) | has_hump
     low, high = jnp.zeros_like(g0), jnp.where(has_hump, top, 1.0)
     rise = _hermite(high, g0, slope0, g1, slope1)[0] - g0
     x = high * jnp.clip(-g0 / jnp.where(rise > 0, rise, 1.0), 0.05, 0.95)
@@ -195,7 +196,7 @@ def crossing_fraction(g0, slope0, g1, slope1):
     def safeguarded_newton_step(_, bracket):
         low, high, x = bracket
         value, slope = _hermite(x, g0, slope0, g1, slope1)
-        value = value - LANDING_WINDOW / 2
+        value = value - window / 2
         low, high = jnp.where(value < 0, x, low), jnp.where(value < 0, high, x)
         newton = x - value / jnp.where(slope == 0, 1.0, slope)
         return low, high, jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
@@ -212,7 +213,7 @@ def _hermite(x, g0, slope0, g1, slope1):
     return g0 + x * (slope0 + x * (c2 + x * c3)), slope0 + x * (2 * c2 + x * 3 * c3)
 
 
-def _fraction_of_maximum(g0, slope0, g1, slope1):
+def fraction_of_maximum(g0, slope0, g1, slope1):
     """Fraction of the interpolant's maximum when it rises at the start and falls at the end, else 1."""
     c2 = 3 * (g1 - g0) - 2 * slope0 - slope1
     c3 = 2 * (g0 - g1) + slope0 + slope1
