@@ -21,7 +21,8 @@ def test_readme_runs(tmp_path):
     examples.run_page(README, tmp_path, also_shown=("toml",))
 
 
-COMMAND = re.compile(r"^(?:    )?(?:\.venv/bin/)?(spherejax .*)$")
+COMMANDS = "run|draw|compare|effects|accuracy|sweep|fit|sensitivity|write|list"
+COMMAND = re.compile(rf"^(?:    )?(?:\.venv/bin/)?(spherejax (?:{COMMANDS})\b.*)$")
 
 
 def shown_commands():
@@ -55,7 +56,9 @@ mass = 1
 ```
 
 ```python
-assert open("it.toml").read() == "mass = 1\\n"
+from pathlib import Path
+
+assert Path("it.toml").read_text() == "mass = 1\\n"
 ```
 """
 

@@ -8,11 +8,11 @@ import pytest
 import spherejax as sj
 
 
-def hanging(stiffness, x=0.0, **options):
+def hanging(stiffness, x=0.0, starts_concentric=False, **options):
     """2 kg on a bushing."""
     body = sj.Body(2.0, (1e-2,) * 3, position=(x, 0.0, 0.0), points={"ball": (0.0, 0.0, 0.0)})
     model = sj.Bushing(law=sj.VectorElastomer(stiffness, 1e-3))
-    joint = sj.Spherical("ground.socket", "body.ball", model, starts_concentric=False)
+    joint = sj.Spherical("ground.socket", "body.ball", model, starts_concentric)
     return sj.Scene({"body": body}, {"joint": joint}, ground_points={"socket": (0.0, 0.0, 0.0)}, **options)
 
 
@@ -37,6 +37,13 @@ def test_the_suspension_at_rest():
 def test_a_bushing_yields_by_weight_over_stiffness():
     found = sj.equilibrium(hanging(1e4, x=0.3))
     np.testing.assert_allclose(found.scene.bodies["body"].position, [0.0, 0.0, -2.0 * 9.81 / 1e4], atol=1e-12)
+
+
+def test_a_bushing_that_is_pressed_stays_so():
+    found = sj.equilibrium(hanging(1e4, x=0.3, starts_concentric=True))
+    run = sj.simulate(found.scene, jnp.linspace(0.0, 0.1, 3)).require_success()
+    np.testing.assert_allclose(run.position("body"), np.tile(found.scene.bodies["body"].position, (3, 1)), atol=1e-10)
+    np.testing.assert_allclose(np.abs(run.reaction("joint"))[:, 2], 2.0 * 9.81, rtol=1e-6)
 
 
 @pytest.mark.parametrize("transform", [jax.grad, jax.jacfwd])

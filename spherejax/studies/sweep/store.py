@@ -243,8 +243,8 @@ def _reopened(path: Path, identity) -> Store:
         key = different[0]
         what = _DIGESTS.get(key, f"its {key} is {before.get(key)!r}, not {now[key]!r}")
         raise SceneError(
-            f"{str(path)!r} is the store of another sweep: {what}. Choose another path, or ask for the same sweep to go "
-            "on with it"
+            f"{str(path)!r} is the store of another sweep: {what}. Choose another path, or ask for the same sweep to "
+            "go on with it"
         )
     return Store(path, group)
 
