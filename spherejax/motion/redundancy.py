@@ -62,13 +62,13 @@ class ConstraintReport(NamedTuple):
     def __str__(self) -> str:
         sentences = [
             f"{self.n_equations} constraint equations of rank {self.rank}; "
-            f"{self.degrees_of_freedom} degrees of freedom."
+            f"{_counted(self.degrees_of_freedom, 'degree')} of freedom."
         ]
         if self.n_redundant:
             names = ", ".join(map(repr, self.redundant_joints))
             sentences.append(
-                f"{self.n_redundant} equations of joints {names} depend on others: the motion is unique, the share of "
-                "each of these joints in the reactions is not."
+                f"{_counted(self.n_redundant, 'equation')} of joints {names} can be left out: the motion is unique, "
+                "the share of each of these joints in the reactions is not."
             )
         if self.is_singular:
             sentences.append(
@@ -76,6 +76,10 @@ class ConstraintReport(NamedTuple):
                 "on in more than one way."
             )
         return " ".join(sentences)
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
 def constraint_report(scene: Scene, t: float = 0.0) -> ConstraintReport:
