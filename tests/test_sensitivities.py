@@ -193,7 +193,7 @@ def test_a_four_bar_with_friction_by_every_number_of_the_joint():
 @pytest.mark.slow
 def test_bristles_begin_to_move_at_the_onset():
     """Their sensitivities jump at an onset by their speed times the delay."""
-    ts, h, number = jnp.array([0.0, *AFTER.values()]), 1e-3, jnp.eye(len(VALUES))
+    ts, h, number = jnp.array([0.0, *AFTER.values()]), 5e-4, jnp.eye(len(VALUES))
 
     def states(x, rtol):
         return planar_states(x, ts, rtol, friction=lambda mu: sj.LuGre(mu_kinetic=mu, mu_static=1.5 * mu))
