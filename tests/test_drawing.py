@@ -1,5 +1,6 @@
 """Drawings of mechanisms: what is drawn is where the mechanism is, everything is inside, and nothing covers a name."""
 
+import io
 import re
 import subprocess
 import sys
@@ -81,6 +82,16 @@ def test_a_scene_is_drawn_at_its_assembled_start(scene):
     assert names(figure, "body:") == {"crank", "coupler", "rocker"}
     assert names(figure, "joint:") == set(scene.joints)
     assert names(figure, "ground:") == {"crank_pivot", "rocker_pivot"}
+
+
+def test_a_notebook_shows_a_figure_that_pyplot_does_not_know(scene):
+    """IPython asks an object for its picture where no formatter is registered for its type."""
+    figure = sj.draw(scene)
+    with Image.open(io.BytesIO(figure._repr_png_())) as picture:
+        shown = np.asarray(picture.convert("L"))
+    assert shown.shape[1] > 500
+    assert shown.min() < 50  # something is drawn
+    assert shown.max() > 200
 
 
 def test_limits_enclose_everything_with_equal_scales(run):

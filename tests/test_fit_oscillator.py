@@ -279,6 +279,35 @@ def test_gradient_in_reverse_is_that_of_forward_sensitivities(problem):
     np.testing.assert_allclose(gradient, jacobian.T @ residuals, rtol=1e-5)
 
 
+def test_what_is_known_beforehand_serves_those_that_go_on(problem):
+    """A start that has ended is not evaluated any more; the other keeps its own place."""
+    us = np.stack([problem.u0, problem.u0 + 1.0])
+    held = Held(problem, us, 2.0)
+    both, second = held.evaluate(us + 0.1), held.evaluate(us[1:] + 0.1)
+    np.testing.assert_allclose(second.residuals[0], both.residuals[1], rtol=1e-9)
+    np.testing.assert_allclose(second.residuals[0][-2:], 0.05)
+
+
+def test_a_gradient_that_reverse_mode_loses_comes_from_forward_sensitivities(problem):
+    class Losing:
+        """As checkpointing is where a rejected step has no derivative."""
+
+        n_residuals = problem.n_residuals
+
+        def evaluate(self, us):
+            return problem.evaluate(us)
+
+        def cost_and_gradient(self, u):
+            residuals = problem.evaluate(u[None]).residuals[0]
+            return residuals @ residuals / 2, np.full(u.size, np.nan)
+
+    method = sj.Descent(optax.adam(2e-2), n_steps=5, reverse=True)
+    (course,) = method.minimize(Losing(), problem.u0[None], noise_is_known=True)
+    assert course.n_failed == 0
+    assert len(course.us) == 5
+    assert course.cost < course.costs[0]
+
+
 def test_starts_that_end_elsewhere_are_told():
     """The whole record at once, from ten starts: some are out of step for good."""
     later = 5 * INSTANTS

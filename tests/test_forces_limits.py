@@ -136,6 +136,10 @@ def test_tyre_over_the_bump():
         (lambda: sj.SpringDamper(CENTERS, 1.0, -2.0), "damping = -2"),
         (lambda: sj.SpringDamper(CENTERS, 1.0, free_length=np.nan), "free_length"),
         (lambda: sj.SpringDamper(("first.ear", "second"), 1.0), "body 'first' has no point 'ear'; it has 'eye'"),
+        (
+            lambda: sj.SpringDamper(("ground.ear", "second"), 1.0),
+            r"body 'ground' has no point 'ear'.*in ground_points=",
+        ),
         (lambda: sj.SpringDamper(("first", "third.eye"), 1.0), "there is no body 'third'"),
         (lambda: sj.SpringDamper(("first", "first.eye"), 1.0), "must lie on two bodies"),
         (lambda: sj.SpringDamper("first", 1.0), "must name two points"),  # pyright: ignore[reportArgumentType]

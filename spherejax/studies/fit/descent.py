@@ -104,8 +104,14 @@ def _forward(problem: Residuals, us: list[np.ndarray]) -> list[_Gradient]:
 
 
 def _in_reverse(problem: Any, us: list[np.ndarray]) -> list[_Gradient]:
+    """Back through the runs; from forward sensitivities where a rejected step spoils that, as impacts can."""
     found = [problem.cost_and_gradient(u) for u in us]
-    return [_Gradient(cost, gradient, problem.n_residuals, "its run failed") for cost, gradient in found]
+    return [
+        _forward(problem, [u])[0]
+        if np.isfinite(cost) and not np.all(np.isfinite(gradient))
+        else _Gradient(cost, gradient, problem.n_residuals, "its run failed")
+        for u, (cost, gradient) in zip(us, found, strict=True)
+    ]
 
 
 class _Descending:

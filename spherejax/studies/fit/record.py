@@ -94,21 +94,27 @@ class Held:
         self.n_residuals = problem.n_residuals + us.shape[1]
 
     def cost_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
-        """Half the sum of squares and its gradient in reverse mode, for the only start or the nearest one."""
+        """Half the sum of squares and its gradient in reverse mode."""
         cost, gradient = self.problem.cost_and_gradient(u)
-        nearest = self.us[np.argmin(np.sum((self.us - u) ** 2, 1))]
-        away = (u - nearest) / self.deviation
+        (away,) = self._away(u[None])
         return cost + cost_of(away), gradient + away / self.deviation
 
     def evaluate(self, us: np.ndarray) -> Evaluation:
         """Residuals with those of what is known beforehand."""
         found = self.problem.evaluate(us)
-        away = (us - self.us) / self.deviation
+        away = self._away(us)
         identity = np.broadcast_to(np.eye(us.shape[1]) / self.deviation, (len(us), us.shape[1], us.shape[1]))
         return found._replace(
             residuals=np.concatenate([found.residuals, away], 1),
             jacobians=np.concatenate([found.jacobians, identity], 1),
         )
+
+    def _away(self, us: np.ndarray) -> np.ndarray:
+        """From each one's own start, in standard deviations; from the nearest one where only some of them go on."""
+        starts = self.us
+        if len(us) != len(starts):
+            starts = starts[np.argmin(np.sum((us[:, None] - starts) ** 2, 2), axis=1)]
+        return (us - starts) / self.deviation
 
 
 def of_the_whole(courses: list[Course], problem: Problem) -> list[Course]:
