@@ -70,6 +70,34 @@ def set_size(driver, width: int, height: int) -> None:
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
+def wait_until(driver, condition, seconds: float = 60.0):
+    """What the condition gives, as soon as it is true: pages go on changing after they have loaded."""
+    from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    changing = (NoSuchElementException, StaleElementReferenceException)
+    return WebDriverWait(driver, seconds, ignored_exceptions=changing).until(condition)
+
+
+def visible(driver, by: str, what: str):
+    """The first such element that can be seen, as soon as there is one."""
+    return wait_until(driver, lambda d: next((e for e in d.find_elements(by, what) if e.is_displayed()), None))
+
+
+def click(driver, by: str, what: str) -> None:
+    """Click on the first such element that can be seen, as soon as it can be clicked."""
+    from selenium.common.exceptions import ElementNotInteractableException
+
+    def clicked(_):
+        try:
+            visible(driver, by, what).click()
+        except ElementNotInteractableException:  # it moves, or is covered for a moment
+            return False
+        return True
+
+    wait_until(driver, clicked)
+
+
 TOO_WIDE = """
 const width = document.documentElement.clientWidth;  // innerWidth grows with what stands out
 const scrolls = node => node && node !== document.body

@@ -220,26 +220,24 @@ def test_every_page_fits_a_phone_and_shows_what_it_has(opened, site, pages):
 @needs_browser
 def test_navigation_leads_through_the_site(opened):
     from selenium.webdriver.common.by import By
-    from selenium.webdriver.support.ui import WebDriverWait
+
+    def shows(title):
+        browsing.wait_until(driver, lambda d: d.find_element(By.TAG_NAME, "h1").text.startswith(title))
 
     driver, address = opened
     browsing.set_size(driver, *DESKTOP)
     driver.get(f"{address}/index.html")
     for link, title in (("Concepts", "Concepts"), ("The lubricated joint", "The lubricated joint")):
-        driver.find_element(By.LINK_TEXT, link).click()
-        WebDriverWait(driver, 20).until(lambda d, title=title: d.find_element(By.TAG_NAME, "h1").text.startswith(title))
-    driver.find_element(By.PARTIAL_LINK_TEXT, "sj.Guembel").click()
-    WebDriverWait(driver, 20).until(lambda d: d.current_url.endswith("api/film.html#spherejax.Guembel"))
+        browsing.click(driver, By.LINK_TEXT, link)
+        shows(title)
+    browsing.click(driver, By.PARTIAL_LINK_TEXT, "sj.Guembel")
+    browsing.wait_until(driver, lambda d: d.current_url.endswith("api/film.html#spherejax.Guembel"))
 
     browsing.set_size(driver, *PHONE)
     driver.get(f"{address}/howto/sweep.html")
-    menu = next(b for b in driver.find_elements(By.CSS_SELECTOR, "button.primary-toggle") if b.is_displayed())
-    menu.click()
-    entry = WebDriverWait(driver, 20).until(
-        lambda d: next((a for a in d.find_elements(By.LINK_TEXT, "Gallery") if a.is_displayed()), None)
-    )
-    entry.click()
-    WebDriverWait(driver, 20).until(lambda d: d.find_element(By.TAG_NAME, "h1").text.startswith("Gallery"))
+    browsing.click(driver, By.CSS_SELECTOR, "button.primary-toggle")
+    browsing.click(driver, By.LINK_TEXT, "Gallery")
+    shows("Gallery")
     assert not complaints(driver)
 
 
@@ -250,20 +248,18 @@ def test_navigation_leads_through_the_site(opened):
 )
 def test_search_finds(opened, query, page):
     from selenium.webdriver.common.by import By
-    from selenium.webdriver.support.ui import WebDriverWait
 
     driver, address = opened
     browsing.set_size(driver, *DESKTOP)
     driver.get(f"{address}/index.html")
-    next(b for b in driver.find_elements(By.CSS_SELECTOR, "button.search-button__button") if b.is_displayed()).click()
-    field = WebDriverWait(driver, 20).until(
-        lambda d: next((f for f in d.find_elements(By.CSS_SELECTOR, "input[name=q]") if f.is_displayed()), None)
-    )
+    browsing.click(driver, By.CSS_SELECTOR, "button.search-button__button")
+    field = browsing.visible(driver, By.CSS_SELECTOR, "input[name=q]")
     field.send_keys(query)
     field.submit()
-    WebDriverWait(driver, 20).until(
+    browsing.wait_until(
+        driver,
         lambda d: any(
             page in (a.get_attribute("href") or "") for a in d.find_elements(By.CSS_SELECTOR, "#search-results a")
-        )
+        ),
     )
     assert not complaints(driver)
