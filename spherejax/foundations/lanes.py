@@ -1,4 +1,4 @@
-"""One function for many things of the same kind: bodies, joints, pairs of joints, side by side as lanes."""
+"""One function for many things of the same kind: bodies, joints, pairs of joints, runs, side by side as lanes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,6 +24,11 @@ def over_lanes(function: Callable, *lanes, shared: tuple = ()) -> Any:
     """
     axes = (*(None for _ in shared), *(0 for _ in lanes))
     return jax.vmap(function, axes)(*shared, *lanes)
+
+
+def in_lanes(function: Callable) -> Callable:
+    """Map a function of one run over the last axis of its arguments and results, where blocks of runs have them."""
+    return jax.vmap(function, in_axes=-1, out_axes=-1)
 
 
 def rows_at(array: Float[Array, "n ..."], index: Sequence[int] | Int[np.ndarray, " k"]) -> Float[Array, "k ..."]:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
@@ -211,9 +212,13 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
         now = memory(args.theta, jnp.asarray(t, jnp.float64), y_start, y_end)
         return jnp.concatenate([y_end[: layout.memory_start], now, y_end[layout.work_start :]])
 
+    def updated_lanes(args, t, y_start, y_end):
+        now = in_lanes(memory)(args.theta, t, y_start, y_end)
+        return jnp.concatenate([y_end[: layout.memory_start], now, y_end[layout.work_start :]])
+
     slots = {slot.joint: slot for slot in example.memory_slots}
     entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
-    return Contacts(crossing_at, updated, entries)
+    return Contacts(crossing_at, updated, updated_lanes, entries)
 
 
 def example_of(structure: Structure) -> System:

@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.contacts import GRAZING_RATE
 from spherejax.motion.programs import Program
 from spherejax.motion.solvers.landing import Contacts
@@ -114,7 +115,7 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
         )(jnp.stack([end[0], rows[0]]))
         return rows.at[1:].add(delays[:, None] * (flight - contact))
 
-    return Contacts(crossings, update, tuple((0, entry) for entry in contacts.onset_entries))
+    return Contacts(crossings, update, in_lanes(update), tuple((0, entry) for entry in contacts.onset_entries))
 
 
 def _onset_delays(contacts: Contacts, parameters: Linearized, t, rows, began, updated) -> Float[Array, " p"]:

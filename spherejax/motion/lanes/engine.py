@@ -8,6 +8,7 @@ The pieces are diffrax's own: solver, step-size controller, interpolation. Array
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -15,8 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.motion.lanes.control import Landing, Repeating, Step
-from spherejax.motion.lanes.stages import ExplicitStages, in_lanes, steps_of
+from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.lanes.control import Repeating, Step
+from spherejax.motion.lanes.landing import Landing
+from spherejax.motion.lanes.stages import ExplicitStages, Trial, steps_of
 from spherejax.motion.solvers.landing import Contacts
 from spherejax.motion.status import Status, status_of
 
@@ -168,6 +171,8 @@ class _Queue:
             if isinstance(self.steps, ExplicitStages)
             else Repeating(problem, self.order)
         )
+        # The first step of every run, found for all runs at once.
+        self.first_steps = jax.vmap(partial(self.control.init, self.term, ts[0], ts[-1]))(y0, parameters)
         self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
 
     # A lane ------------------------------------------------------------------------------------------------------
@@ -175,12 +180,11 @@ class _Queue:
     def started(self, job) -> Lane:
         """The lane at the start of a job; an idle one where there is no such job."""
         at = jnp.minimum(job, self.n_jobs - 1)
-        parameters, y0, may_run, status = jax.tree.map(
-            lambda x: x[at], (self.parameters, self.y0, self.may_run, self.status)
+        parameters, y0, may_run, status, (t_next, state) = jax.tree.map(
+            lambda x: x[at], (self.parameters, self.y0, self.may_run, self.status, self.first_steps)
         )
         t0 = self.ts[0]
         t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
-        t_next, state = self.control.init(self.term, t0, t_end, y0, parameters)
         t_next = jnp.minimum(t_next, t_end)
         none = jnp.zeros((), jnp.int64)
         return Lane(
@@ -202,16 +206,15 @@ class _Queue:
             status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
         )
 
-    def judged(self, lane: Lane, y, error, k, solver_state, result) -> Lane:
-        """The lane after a trial step: corrected, with its contact events, kept or to be repeated."""
+    def judged(self, lane: Lane, trial: Trial) -> Lane:
+        """The lanes after trial steps: corrected, with their contact events, kept or to be repeated."""
         problem = self.problem
-        error = jnp.where(jnp.isnan(error), jnp.inf, error)
-        step = Step(lane.t, lane.t_next, lane.y, y, error, k, lane.parameters)
+        error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
+        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info.get("k"), lane.parameters)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )
-        if result is not None:
-            verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
+        told = in_lanes(_told)(keep, trial.result, verdict)
         # Idle lanes and runs that may not be made go through the motions, and count nothing.
         is_running = _is_busy(lane, self.n_jobs)
         keep = keep & is_running
@@ -220,7 +223,6 @@ class _Queue:
         n_steps = lane.n_accepted + lane.n_rejected + 1
         ended = jnp.where(n_steps >= problem.max_steps, Status.TOO_MANY_STEPS, Status.SUCCEEDED)
         failed = jnp.where(t < lane.t_end, ended, Status.SUCCEEDED)
-        told = status_of(verdict, jnp.array(True), jnp.array(True))
 
         def kept(new, old):
             return jnp.where(keep, new, old)
@@ -229,14 +231,14 @@ class _Queue:
             t=t,
             t_next=_clipped(t, t_next, lane.t_end, keep),
             y=kept(y, lane.y),
-            solver_state=jax.tree.map(kept, solver_state, lane.solver_state),
+            solver_state=jax.tree.map(kept, trial.solver_state, lane.solver_state),
             controller_state=state,
             made_jump=jnp.asarray(made_jump),
             n_accepted=lane.n_accepted + keep,
             n_rejected=lane.n_rejected + repeats,
             n_onsets=lane.n_onsets + (began & keep),
             touching=lane.touching + self._time_in_contact(lane, t, keep),
-            peaks=jnp.where(keep, jnp.maximum(lane.peaks, self._watched(t, y, lane.parameters)), lane.peaks),
+            peaks=kept(jnp.maximum(lane.peaks, in_lanes(self._watched)(t, y, lane.parameters)), lane.peaks),
             status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
         )
 
@@ -245,7 +247,7 @@ class _Queue:
 
     def _time_in_contact(self, lane: Lane, t, keep):
         if self.problem.contacts is None:
-            return jnp.zeros(0)
+            return jnp.zeros((0, *t.shape))
         return jnp.where(keep & self.problem.contacts.is_touching(lane.y), t - lane.t, 0.0)
 
     def sample(self, t, t_next, in_root, dense_info, parameters, at):
@@ -296,8 +298,7 @@ class _Queue:
         trial = self.steps.step(
             lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, in_root
         )
-        k = trial.dense_info["k"] if isinstance(self.steps, ExplicitStages) else None
-        lanes = in_lanes(self.judged)(lanes, trial.y, trial.error, k, trial.solver_state, trial.result)
+        lanes = self.judged(lanes, trial)
         if self.ts.shape[0] > 1:
             lanes, ys = self._with_samples(before, lanes, in_root, trial.dense_info, ys)
         has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
@@ -368,6 +369,13 @@ def _account(lane: Lane) -> Float[Array, " k"]:
     counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
     numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, lane.y.ravel()]
     return jnp.concatenate([each.astype(jnp.float64) for each in numbers])
+
+
+def _told(keep, result, verdict) -> Int[Array, ""]:
+    """The status of a lane after a step, from what the solver and the control say."""
+    if result is not None:
+        verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
+    return status_of(verdict, jnp.array(True), jnp.array(True))
 
 
 def _is_busy(lanes: Lane, n_jobs: int):

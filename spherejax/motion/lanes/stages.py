@@ -6,6 +6,7 @@ Any other method is mapped as it is.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -14,12 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.lanes.inside import extension
-
-
-def in_lanes(function: Callable) -> Callable:
-    """Map a function of one lane over the last axis of its arguments and results."""
-    return jax.vmap(function, in_axes=-1, out_axes=-1)
 
 
 class Trial(NamedTuple):
@@ -64,12 +61,13 @@ class ExplicitStages:
         """All stages of all lanes; those of lanes `in_root` in the root of time, where t = t0 + h x^2."""
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
-        a, c = jnp.asarray(self.coefficients), jnp.asarray(self.instants)
+        c = jnp.asarray(self.instants)
         rate = in_lanes(self.rate)
+        # Each stage reads the increments that it needs, in one loop over lanes; a product of matrices is far slower.
+        moves = [partial(_moved, row) for row in self.coefficients[:n]]
 
         def with_stage(i, k):
-            # A sum with zeros in it, not a product of matrices: XLA makes one loop over lanes of it.
-            moved = y + sum(a[i, j] * k[j] for j in range(n - 1))
+            moved = jax.lax.switch(i, moves, y, k)
             instant, speed = jnp.where(in_root, c[i] ** 2, c[i]), jnp.where(in_root, 2 * c[i], 1.0)
             change = h * speed * rate(t + instant * h, moved, parameters)
             return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
@@ -111,6 +109,10 @@ def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitSt
 def _last_used(*weights: np.ndarray) -> int:
     """Number of stages up to the last one with a weight."""
     return 1 + max(int(np.flatnonzero(w)[-1]) for w in weights)
+
+
+def _moved(row: np.ndarray, y: Array, k: Array) -> Array:
+    return y + _weighted(row, k)
 
 
 def _weighted(weights: np.ndarray, k: Array) -> Array:

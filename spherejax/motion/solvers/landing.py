@@ -31,11 +31,13 @@ class Contacts(NamedTuple):
     Attributes:
         crossings: values and rates of the crossing functions, each of shape (n_contacts,).
         update: the flat state at the end of a step with its memory updated; takes (parameters, t, y_start, y_end).
+        update_lanes: the same of a block of lanes, all arguments and results with their lanes on the last axis.
         onset_entries: index in the state of each contact's onset rate, which is zero in flight (static).
     """
 
     crossings: Callable
     update: Callable
+    update_lanes: Callable
     onset_entries: tuple[Any, ...]
 
     def is_touching(self, y: Float[Array, " size"]) -> Bool[Array, " n_contacts"]:

@@ -1,0 +1,244 @@
+"""Steps of explicit Runge-Kutta methods that end on contact events inside them; a run needs half of the steps so.
+
+* A flight is smooth far beyond the contact surface. So a trial step may go far beyond it, and ends on it: the crossing
+  is found on the states inside the step, and one of them is the step's end where that is accurate enough.
+* Contact begins like the power 3/2 of time, which no method's order survives. In the root of time it is smooth, and the
+  first step in contact is made in it: with t = t0 + h x^2 the same stages integrate dy/dx = 2 h x f.
+* Contact ends with the same power. Where the motion of the last step says that a contact will end within the next one,
+  that one is made to end just behind; a trial step that was rejected because it went further is shortened likewise.
+* After an event the first two steps are of the sizes that suited the last time.
+
+Arrays have their lanes on the last axis.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.lanes.control import Judgment, Step
+from spherejax.motion.lanes.crossing_search import WINDOW, Found, first_event
+from spherejax.motion.solvers.landing import Contacts, crossing_fraction, shortest_step
+from spherejax.physics.joints.base import Crossing
+
+SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
+"""Of the change of a step's size, as in diffrax."""
+
+_ACCURATE_INSIDE = 1e-6
+"""States inside a step are as accurate as its end where the scaled error is below this..."""
+
+_NEAR_END = 0.95
+"""... or behind this fraction of the step."""
+
+_LIKE_LAST_FLIGHT = 1.5
+"""The first step of a flight is at most this much longer than the last flight was."""
+
+_BEYOND = 1.005
+"""A step that is to end on a release is made this much longer: an event can be found inside, not ahead."""
+
+
+class Pace(NamedTuple):
+    """State of `Landing`.
+
+    Attributes:
+        value, rate: crossing functions at the start of the coming step, and their rates [1/s].
+        expected: sizes [s] of the first and second step after a release (first row) and after an onset; 0 if unknown.
+        n_since: steps since the latest event.
+        duration: time since the latest event [s].
+        was_rejected: whether the last trial step was too long.
+        in_root: whether the coming step is made in the root of time.
+    """
+
+    value: Float[Array, "n_contacts n_lanes"]
+    rate: Float[Array, "n_contacts n_lanes"]
+    expected: Float[Array, "2 2 n_lanes"]
+    n_since: Int[Array, " n_lanes"]
+    duration: Float[Array, " n_lanes"]
+    was_rejected: Bool[Array, " n_lanes"]
+    in_root: Bool[Array, " n_lanes"]
+
+
+class Landing:
+    """Steps that end on contact events inside them; see the module's docstring.
+
+    Args:
+        problem: what is integrated.
+        order: of the error estimate.
+        inside: coefficients of the states inside a step, see `lanes.inside`.
+    """
+
+    def __init__(self, problem, order, inside: np.ndarray):
+        self.problem, self.order, self.inside = problem, order, inside
+        self.contacts: Contacts | None = problem.contacts
+        self.correct: Callable | None = problem.correct
+
+    def init(self, term, t0, t_end, y0, parameters):
+        """The end of the first step [s], and the control's state, of one lane."""
+        problem = self.problem
+        t1, _ = problem.controller_of(parameters).init(
+            term, t0, t_end, y0, None, parameters, problem.solver.func, self.order
+        )
+        value = rate = jnp.zeros(0)
+        if self.contacts is not None:
+            value, rate = self.contacts.crossings(parameters, t0, y0)
+        no = jnp.array(False)
+        pace = Pace(value, rate, jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, no)
+        return t0 + self._limited(t1 - t0), pace
+
+    def in_root_of_time(self, state: Pace) -> Bool[Array, " n_lanes"]:
+        """Whether the coming step is made in the root of time."""
+        return state.in_root
+
+    def judge(self, step: Step, state: Pace, was_jump) -> Judgment:
+        """What becomes of the trial steps."""
+        size, shortest = step.t1 - step.t0, shortest_step(step.t0, step.t1)
+        error = self._scaled_error(step)
+        passes = error < 1
+        largest = jnp.where(passes, jnp.where(state.was_rejected, 1.0, LARGEST_FACTOR), SAFETY)
+        longer = size * jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
+        step = step._replace(y1=self._corrected(step.parameters, step.t1, step.y1))
+        if self.contacts is None:
+            state = state._replace(was_rejected=~passes)
+            began = jnp.zeros((0, *passes.shape), bool)
+            judgment = Judgment(passes, step.t1, longer, step.y1, state, jnp.zeros_like(passes), None, began)
+        else:
+            judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
+        keep = judgment.keep
+        has_stalled = ~keep & (size <= shortest)
+        t = jnp.where(keep, judgment.t, step.t0)
+        return judgment._replace(
+            t=t,
+            t_next=t + self._limited(judgment.t_next),
+            made_jump=jnp.where(keep, judgment.made_jump, was_jump),
+            verdict=in_lanes(_verdict)(has_stalled),
+        )
+
+    def _with_contacts(self, contacts: Contacts, step: Step, state: Pace, error, longer, shortest) -> Judgment:
+        """The judgment, with the coming step's size [s] in place of its end."""
+        size, passes = step.t1 - step.t0, error < 1
+        was_touching = contacts.is_touching(step.y0)
+        found = self._event(contacts, step, state, was_touching, passes)
+        share = jnp.where(state.in_root, found.x**2, found.x)
+        is_accurate = (error < _ACCURATE_INSIDE) | (share > _NEAR_END)
+        up_to_event = size * jnp.minimum(share * _BEYOND, 0.999)
+        # Where the rounding of time leaves no instant between start and end, the end is the event.
+        can_repeat = jnp.maximum(up_to_event, shortest) < size
+        lands = passes & found.crosses & found.is_exact & is_accurate
+        repeats = passes & found.crosses & ~lands & can_repeat
+        keep = passes & ~repeats
+        t = jnp.where(lands, step.t0 + size * share, step.t1)
+        y = jax.lax.cond(jnp.any(lands), self._landed, lambda step, *_: step.y1, step, state, lands, found.x)
+        y = contacts.update_lanes(step.parameters, t, step.y0, y)
+        end = in_lanes(contacts.crossings)(step.parameters, t, y)
+        is_touching = contacts.is_touching(y)
+        began = ~was_touching & is_touching
+        is_event = keep & jnp.any(was_touching != is_touching, axis=0)
+        mode, mode_now = (jnp.any(each, axis=0).astype(jnp.int64) for each in (was_touching, is_touching))
+        duration = state.duration + jnp.where(keep, t - step.t0, 0.0)
+        expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
+        first, second = (jnp.where(mode_now == 0, expected[0, i], expected[1, i]) for i in (0, 1))
+        is_second = state.n_since == 0
+        following = jnp.where(
+            is_event & (first > 0), first, jnp.where(is_second & ~is_event, jnp.maximum(longer, second), longer)
+        )
+        following = following * self._share_to_release(
+            state, end, t - step.t0, following, was_touching & is_touching & ~is_event
+        )
+        # A step that was too long only because it went far beyond the event is right up to there.
+        is_event_to_blame = found.crosses & (share * _BEYOND < _NEAR_END)
+        again = jnp.where(passes | is_event_to_blame, up_to_event, longer)
+        coming = jnp.where(keep, following, jnp.maximum(again, shortest))
+        state = Pace(
+            jnp.where(keep, end.value, state.value),
+            jnp.where(keep, end.rate, state.rate),
+            expected,
+            jnp.where(is_event, 0, state.n_since + keep),
+            jnp.where(is_event, 0.0, duration),
+            ~passes | (state.was_rejected & ~keep),
+            jnp.where(keep, jnp.any(began, axis=0), state.in_root),
+        )
+        return Judgment(keep, t, coming, y, state, is_event, None, began & keep)
+
+    def _landed(self, step: Step, state: Pace, lands, x) -> Float[Array, "... n_lanes"]:
+        """The states inside the steps that end there, those at the ends of the others."""
+        return jnp.where(lands, self._state_inside(step, state, x), step.y1)
+
+    def _expected(self, state: Pace, keep, mode, longer, has_flown, duration) -> Float[Array, "2 2 n_lanes"]:
+        """Sizes of the first steps after an event: what this step should have been, such a step is to be next time."""
+        modes, places = jnp.arange(2)[:, None, None], jnp.arange(2)[:, None]
+        is_place = (modes == mode) & (places == state.n_since)
+        expected = jnp.where(keep & is_place, longer, state.expected)
+        as_long = jnp.where(has_flown, _LIKE_LAST_FLIGHT * duration, jnp.inf)
+        is_first_of_flight = (modes == 0) & (places == 0)
+        return jnp.where(is_first_of_flight, jnp.minimum(expected, as_long), expected)
+
+    def _event(self, contacts: Contacts, step: Step, state: Pace, was_touching, passes) -> Found:
+        """The first contact event inside the steps, on the states inside them."""
+        size = step.t1 - step.t0
+
+        def by_fraction(crossing: Crossing, x) -> Crossing:
+            return Crossing(crossing.value, crossing.rate * size * jnp.where(state.in_root, 2 * x, 1.0))
+
+        def inside(x) -> Crossing:
+            t, y = self._instant(step, state, x), self._state_inside(step, state, x)
+            return by_fraction(in_lanes(contacts.crossings)(step.parameters, t, y), x)
+
+        start = Crossing(state.value, state.rate)
+        end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
+        found = first_event(by_fraction(start, 0.0), by_fraction(end, 1.0), inside, was_touching, passes)
+        return found._replace(x=jax.lax.stop_gradient(found.x))
+
+    def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
+        """The share of the following step that ends just behind a release, as the motion of the last one has it."""
+        ratio = following / size
+        slope0, slope1 = state.rate * size, end.rate * size
+        c3 = 2 * (state.value - end.value) + slope0 + slope1
+        c2 = 3 * (end.value - state.value) - 2 * slope0 - slope1 + 3 * c3
+        value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))
+        slope = slope1 + ratio * (2 * c2 + ratio * 3 * c3)
+        fractions = crossing_fraction(-end.value, -slope1 * ratio, -value, -slope * ratio, WINDOW)
+        shares = jnp.where(may_release & (fractions < 1), jnp.minimum(fractions * _BEYOND, 1.0), 1.0)
+        return jnp.min(shares, axis=0)
+
+    def _instant(self, step: Step, state: Pace, x) -> Float[Array, " n_lanes"]:
+        return step.t0 + (step.t1 - step.t0) * jnp.where(state.in_root, x**2, x)
+
+    def _state_inside(self, step: Step, state: Pace, x) -> Float[Array, "... n_lanes"]:
+        """The states at a fraction of the steps."""
+        n, degree = self.inside.shape
+        coefficients = jnp.asarray(self.inside.T[::-1])
+        # A loop: XLA would evaluate the polynomials again for every entry of the state.
+        weights = jax.lax.fori_loop(
+            0, degree, lambda m, weights: (weights + coefficients[m, :, None]) * x, jnp.zeros((n, *x.shape))
+        )
+        y = step.y0 + sum(weights[i] * step.k[i] for i in range(n) if self.inside[i].any())  # pyright: ignore[reportOptionalSubscript]
+        return self._corrected(step.parameters, self._instant(step, state, x), y)
+
+    def _corrected(self, parameters, t, y) -> Float[Array, "... n_lanes"]:
+        return y if self.correct is None else in_lanes(self.correct)(parameters, t, y)
+
+    def _scaled_error(self, step: Step) -> Float[Array, " n_lanes"]:
+        """The root mean square of the errors by what is tolerated; of rows (`sensitivity_rows`) the worst."""
+
+        def tolerances(parameters):
+            controller = self.problem.controller_of(parameters)
+            return controller.atol, controller.rtol
+
+        atol, rtol = in_lanes(tolerances)(step.parameters)
+        scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
+        by_row = jnp.sqrt(jnp.mean((step.error / scale) ** 2, axis=-2))
+        error = jnp.max(by_row, axis=tuple(range(by_row.ndim - 1)))
+        return jax.lax.stop_gradient(jnp.where(jnp.isnan(error), jnp.inf, error))
+
+    def _limited(self, size) -> Float[Array, " n_lanes"]:
+        longest = self.problem.longest_step
+        return size if longest is None else jnp.minimum(size, longest)
+
+
+def _verdict(has_stalled):
+    return diffrax.RESULTS.where(has_stalled, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful)
