@@ -102,20 +102,40 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
     def crossings(parameters, t, rows):
         return contacts.crossings(parameters.value, t, rows[0])
 
-    def update(parameters, t, start, end):
-        def updated(numbers, y_start, y_end):
+    def updated(parameters, t, start, end):
+        """The rows with the memory updated, and how much later the onset comes with each number."""
+
+        def of_state(numbers, y_start, y_end):
             return contacts.update(numbers, t, y_start, y_end)
 
         values = (parameters.value, start[0], end[0])
-        rows = rows_of(updated, values, (parameters.slopes, start[1:], end[1:]))
+        rows = rows_of(of_state, values, (parameters.slopes, start[1:], end[1:]))
         began = ~contacts.is_touching(start[0]) & contacts.is_touching(rows[0])
-        delays = _onset_delays(contacts, parameters, t, end, began, rows[0])
-        flight, contact = jax.vmap(
-            lambda y: rate.inside(parameters.value.theta, parameters.value.ahead, jnp.asarray(t), y)
-        )(jnp.stack([end[0], rows[0]]))
-        return rows.at[1:].add(delays[:, None] * (flight - contact))
+        return rows, _onset_delays(contacts, parameters, t, end, began, rows[0])
 
-    return Contacts(crossings, update, in_lanes(update), tuple((0, entry) for entry in contacts.onset_entries))
+    def rate_at(numbers, t, y):
+        return rate.inside(numbers.theta, numbers.ahead, jnp.asarray(t), y)
+
+    def jumped(rows, delays, rates):
+        flight, contact = rates
+        return jnp.concatenate([rows[:1], rows[1:] + delays[:, None] * (flight - contact)])
+
+    def update(parameters, t, start, end):
+        rows, delays = updated(parameters, t, start, end)
+        rates = jax.vmap(lambda y: rate_at(parameters.value, t, y))(jnp.stack([end[0], rows[0]]))
+        return jumped(rows, delays, rates)
+
+    def update_lanes(parameters, t, start, end):
+        rows, delays = in_lanes(updated)(parameters, t, start, end)
+
+        def with_jumps():
+            # A loop: fused with the sum, XLA would evaluate the right-hand side again for every entry of the state.
+            states = jnp.stack([end[0], rows[0]])
+            return jumped(rows, delays, jax.lax.map(lambda y: in_lanes(rate_at)(parameters.value, t, y), states))
+
+        return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
+
+    return Contacts(crossings, update, update_lanes, tuple((0, entry) for entry in contacts.onset_entries))
 
 
 def _onset_delays(contacts: Contacts, parameters: Linearized, t, rows, began, updated) -> Float[Array, " p"]:
