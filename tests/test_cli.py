@@ -1,8 +1,10 @@
 """The command line as a user meets it: exit codes, messages, files."""
 
 import csv
+import gc
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -120,6 +122,27 @@ def test_an_interrupt_exits_with_130(capsys, monkeypatch):
     monkeypatch.setattr(sj, "simulate", interrupt)
     assert cli.main(["run", "four-bar"]) == 130
     assert capsys.readouterr().err == "spherejax: interrupted\n"
+
+
+def test_an_interrupt_in_a_collection_of_garbage_is_heard(capsys, monkeypatch):
+    """Python drops what is raised in a callback, and JAX has one for each collection of garbage."""
+
+    def interrupted_once(phase, info):
+        gc.callbacks.remove(interrupted_once)
+        raise KeyboardInterrupt
+
+    def collect(*arguments, **options):
+        gc.callbacks.append(interrupted_once)
+        gc.collect()
+        for _ in range(200):
+            time.sleep(0.01)
+        raise AssertionError("the interrupt was lost")
+
+    monkeypatch.setattr(sj, "simulate", collect)
+    hook = sys.unraisablehook
+    assert cli.main(["run", "four-bar"]) == 130
+    assert capsys.readouterr().err == "spherejax: interrupted\n"
+    assert sys.unraisablehook is hook
 
 
 def test_joint_words_become_models():

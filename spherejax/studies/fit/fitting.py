@@ -10,6 +10,7 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.many import Build
+from spherejax.runtime import interrupts_kept
 from spherejax.studies.fit.columns import tables_of, widths_of
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.methods import Course, Ending, Method, Seen, Watch
@@ -85,7 +86,7 @@ def fit(
     experiments = experiments_from(measured)
     problem = problem_of(build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps)
     us = _starts(problem, starts, seed)
-    with reporting(progress, problem, method.max_iterations) as report:
+    with interrupts_kept(), reporting(progress, problem, method.max_iterations) as report:
         watch = Watch(report, problem, method.max_iterations)
         problem, courses = _minimized(problem, method, horizon or Grown(), us, watch)
     return Fit(problem, courses, level, determined_within, time.monotonic() - began, build)
