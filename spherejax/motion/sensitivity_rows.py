@@ -108,30 +108,57 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
 
         values = (parameters.value, start[0], end[0])
         rows = rows_of(updated, values, (parameters.slopes, start[1:], end[1:]))
-        began = ~contacts.is_touching(start[0]) & contacts.is_touching(rows[0])
-        delays = _onset_delays(contacts, parameters, t, end, began, rows[0])
-        flight, contact = jax.vmap(
-            lambda y: rate.inside(parameters.value.theta, parameters.value.ahead, jnp.asarray(t), y)
-        )(jnp.stack([end[0], rows[0]]))
-        return rows.at[1:].add(delays[:, None] * (flight - contact))
+        onsets = onsets_of(contacts, rate, parameters.value, t, start[0], end[0], rows[0])
+        delays = jnp.sum(_crossing_slopes(contacts, parameters, t, end) * onsets.weights, 1)
+        return rows.at[1:].add(delays[:, None] * onsets.jump)
 
     return Contacts(crossings, update, in_lanes(update), tuple((0, entry) for entry in contacts.onset_entries))
 
 
-def _onset_delays(contacts: Contacts, parameters: Linearized, t, rows, began, updated) -> Float[Array, " p"]:
-    """How much later the onset at the end of a step comes with each number (scaled) [s]; 0 without an onset.
+class Onsets(NamedTuple):
+    """What the onsets at the end of a step do to the derivatives of the state there.
 
-    Limits: 0 for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
+    Attributes:
+        weights: the delay of the onset [s] is their product with the changes of the crossing functions; 0 where no
+            contact begins.
+        jump: change of the state by a unit of delay, f_flight - f_contact.
     """
+
+    weights: Float[Array, " n_contacts"]
+    jump: Float[Array, " size"]
+
+
+def onsets_of(contacts: Contacts, rate: Program, parameters: Any, t, start, end, updated) -> Onsets:
+    """The onsets at the end of a step.
+
+    Args:
+        contacts: the contacts.
+        rate: the right-hand side.
+        parameters: what it is given.
+        t: time there [s].
+        start: flat state at the start of the step.
+        end: at its end, in the mode of the start.
+        updated: at its end, in the new mode.
+
+    Limits: no delay for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
+    """
+    began = ~contacts.is_touching(start) & contacts.is_touching(updated)
+    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
+    counts = began & (onset_rate > GRAZING_RATE)
+    rates = jnp.where(counts, contacts.crossings(parameters, t, end).rate, 1.0)
+    weights = -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
+    both = jnp.stack([end, updated])
+    flight, contact = jax.vmap(lambda y: rate.inside(parameters.theta, parameters.ahead, jnp.asarray(t), y))(both)
+    return Onsets(weights, flight - contact)
+
+
+def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Float[Array, "k n_contacts"]:
+    """Derivatives of the crossing functions."""
 
     def value(numbers, y):
         return contacts.crossings(numbers, t, y).value
 
-    slopes = rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
-    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
-    counts = began & (onset_rate > GRAZING_RATE)
-    rates = jnp.where(counts, contacts.crossings(parameters.value, t, rows[0]).rate, 1.0)
-    return -jnp.sum(jnp.where(counts, slopes / rates, 0.0), 1) / jnp.maximum(jnp.sum(counts), 1)
+    return rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
 
 
 def judging_rows(controller):
