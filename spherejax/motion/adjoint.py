@@ -37,7 +37,7 @@ from spherejax.motion.implicit_rows import solver_with_fixed_matrix
 from spherejax.motion.integrate import Options, Parameters, Plan, contacts_of, correction_for, example_of
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.sensitivities import integrate_rows, start_of_rows
-from spherejax.motion.sensitivity_rows import linearized, onsets_of
+from spherejax.motion.sensitivity_rows import delay_weights, linearized
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, Ros34PW2
 from spherejax.motion.status import Status
 
@@ -235,7 +235,7 @@ def _step_of(plan: Plan, solver: Any, rate: Program) -> Callable:
 
 
 def _evaluated_again(rate: Program) -> Callable:
-    """The right-hand side as a function of (t, y, parameters): on the way back made again, instead of kept in memory."""
+    """The right-hand side as a function of (t, y, parameters): on the way back evaluated again, not remembered."""
 
     @partial(jax.checkpoint, prevent_cse=False)
     def evaluated(t, y, parameters):
@@ -297,10 +297,12 @@ def _event_of(plan: Plan, rate: Program) -> Callable | None:
             own = y_next[:n_motion] + (end[:n_motion] - jax.lax.stop_gradient(end[:n_motion]))
             end = jnp.concatenate([own, end[n_motion:]])
             updated = contacts.update(parameters, t, y, end)
-            onsets = jax.lax.stop_gradient(onsets_of(contacts, rate, parameters, t, y, end, updated))
+            weights = delay_weights(contacts, parameters, t, y, end, updated)
+            flight, contact = (rate.inside(parameters.theta, parameters.ahead, t, each) for each in (end, updated))
+            weights, jump = jax.lax.stop_gradient((weights, flight - contact))
             here = contacts.crossings(parameters, t, end).value
-            past = here - jax.lax.stop_gradient(here)
-            return updated + onsets.jump * jnp.sum(onsets.weights * past)
+            delay = jnp.sum(weights * (here - jax.lax.stop_gradient(here)))  # 0, but for its derivatives
+            return updated + delay * jump
 
         begins_or_ends = is_step & jnp.any(contacts.is_touching(y) != contacts.is_touching(y_next))
         return jax.lax.cond(begins_or_ends, changed, lambda parameters, y, end: end, parameters, y, end)

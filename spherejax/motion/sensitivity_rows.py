@@ -102,58 +102,64 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
     def crossings(parameters, t, rows):
         return contacts.crossings(parameters.value, t, rows[0])
 
-    def update(parameters, t, start, end):
-        def updated(numbers, y_start, y_end):
+    def updated(parameters, t, start, end):
+        """The rows with the memory updated, and how much later the onset comes with each number."""
+
+        def of_state(numbers, y_start, y_end):
             return contacts.update(numbers, t, y_start, y_end)
 
         values = (parameters.value, start[0], end[0])
-        rows = rows_of(updated, values, (parameters.slopes, start[1:], end[1:]))
-        onsets = onsets_of(contacts, rate, parameters.value, t, start[0], end[0], rows[0])
-        delays = jnp.sum(_crossing_slopes(contacts, parameters, t, end) * onsets.weights, 1)
-        return rows.at[1:].add(delays[:, None] * onsets.jump)
+        rows = rows_of(of_state, values, (parameters.slopes, start[1:], end[1:]))
+        weights = delay_weights(contacts, parameters.value, t, start[0], end[0], rows[0])
+        return rows, jnp.sum(_crossing_slopes(contacts, parameters, t, end) * weights, 1)
 
-    return Contacts(crossings, update, in_lanes(update), tuple((0, entry) for entry in contacts.onset_entries))
+    def rate_at(numbers, t, y):
+        return rate.inside(numbers.theta, numbers.ahead, jnp.asarray(t), y)
+
+    def jumped(rows, delays, rates):
+        flight, contact = rates
+        return jnp.concatenate([rows[:1], rows[1:] + delays[:, None] * (flight - contact)])
+
+    def update(parameters, t, start, end):
+        rows, delays = updated(parameters, t, start, end)
+        rates = jax.vmap(lambda y: rate_at(parameters.value, t, y))(jnp.stack([end[0], rows[0]]))
+        return jumped(rows, delays, rates)
+
+    def update_lanes(parameters, t, start, end):
+        rows, delays = in_lanes(updated)(parameters, t, start, end)
+
+        def with_jumps():
+            # A loop: fused with the sum, XLA would evaluate the right-hand side again for every entry of the state.
+            states = jnp.stack([end[0], rows[0]])
+            return jumped(rows, delays, jax.lax.map(lambda y: in_lanes(rate_at)(parameters.value, t, y), states))
+
+        return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
+
+    return Contacts(crossings, update, update_lanes, tuple((0, entry) for entry in contacts.onset_entries))
 
 
-class Onsets(NamedTuple):
-    """What the onsets at the end of a step do to the derivatives of the state there.
-
-    Attributes:
-        weights: the delay of the onset [s] is their product with the changes of the crossing functions; 0 where no
-            contact begins.
-        jump: change of the state by a unit of delay, f_flight - f_contact.
-    """
-
-    weights: Float[Array, " n_contacts"]
-    jump: Float[Array, " size"]
-
-
-def onsets_of(contacts: Contacts, rate: Program, parameters: Any, t, start, end, updated) -> Onsets:
-    """The onsets at the end of a step.
+def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:
+    """By how much an onset comes later [s] for a unit of change of each crossing function there; 0 without an onset.
 
     Args:
         contacts: the contacts.
-        rate: the right-hand side.
-        parameters: what it is given.
-        t: time there [s].
-        start: flat state at the start of the step.
+        parameters: what they are given.
+        t: time at the end of the step [s].
+        start: flat state at its start.
         end: at its end, in the mode of the start.
         updated: at its end, in the new mode.
 
-    Limits: no delay for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
+    Limits: 0 for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
     """
     began = ~contacts.is_touching(start) & contacts.is_touching(updated)
     onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
     counts = began & (onset_rate > GRAZING_RATE)
     rates = jnp.where(counts, contacts.crossings(parameters, t, end).rate, 1.0)
-    weights = -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
-    both = jnp.stack([end, updated])
-    flight, contact = jax.vmap(lambda y: rate.inside(parameters.theta, parameters.ahead, jnp.asarray(t), y))(both)
-    return Onsets(weights, flight - contact)
+    return -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
 
 
 def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Float[Array, "k n_contacts"]:
-    """Derivatives of the crossing functions."""
+    """Derivatives of the crossing functions at the end of a step."""
 
     def value(numbers, y):
         return contacts.crossings(numbers, t, y).value
