@@ -1,6 +1,7 @@
 """Gradients of a fit in reverse: forward sensitivities and differences say the same, through impacts and stiffness."""
 
 import diffrax
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -47,7 +48,6 @@ def thrown(stiffness, damping, length):
 
 
 SOFT = {"stiffness": 1e4, "damping": 1e-3, "length": 0.05}
-STIFF = {"stiffness": 1e6, "damping": 1e-2, "length": 0.05}
 EARLY, LATE = np.linspace(0.002, 0.03, 15), np.sort(np.random.default_rng(0).uniform(0.0, 0.05, 9))
 
 
@@ -86,16 +86,25 @@ def test_two_experiments_with_a_bushing():
     assert direction @ gradient == pytest.approx(difference(problem, direction, 1e-4), rel=1e-4)
 
 
+STIFF = {"stiffness": 1e6, "damping": 1e-2}
+
+
+def stiff(stiffness, damping):
+    return bob(stiffness, damping, 0.05, speed=0.5)
+
+
 @pytest.mark.parametrize("solver", [sj.Rodas5P(), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"])
 def test_a_stiff_bushing(solver):
-    """Checkpointing ended in NaN here."""
-    data = hung(STIFF)[:1]
-    problem = problem_of(bob, {**STIFF, "length": 0.052}, data, solver=solver)
-    if isinstance(solver, sj.Rodas5P):
-        assert_gradient(problem, 2e-5)
+    """Through the checkpoints of an adaptive run this was NaN. An implicit method's run is made with Ros34PW2."""
+    run = sj.simulate(stiff(**STIFF), np.concatenate([[0.0], EARLY]), rtol=1e-9, solver=sj.Rodas5P())
+    measured = sj.Measured(EARLY, {"position.bob": np.asarray(run.position("bob"))[1:]}, noise=1e-8)
+    problem = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=solver)
+    rosenbrock = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=sj.Rodas5P())
     gradient = problem.cost_and_gradient(problem.u0).gradient
-    direction = np.array([1.0, 1.0, 0.01])
-    assert direction @ gradient == pytest.approx(difference(problem, direction, 1e-3), rel=1e-3)
+    if isinstance(solver, sj.Rodas5P):
+        assert_gradient(problem, 1e-4)
+    for direction in np.eye(2):
+        assert direction @ gradient == pytest.approx(difference(rosenbrock, direction, 3e-4), rel=1e-4)
 
 
 # Impacts ------------------------------------------------------------------------------------------------------------
@@ -134,22 +143,29 @@ def test_a_run_that_cannot_be_made_says_why():
 KNOTS = np.linspace(0.0, 1.0, 41)
 
 
-def pushed(forces, mass):
+class AlongX(eqx.Module):
+    """A force along x by a function of time."""
+
+    history: sj.SmoothTable
+
+    def __call__(self, t):
+        return jnp.stack([self.history(t), 0.0, 0.0])
+
+
+def pushed(forces):
     """A body under a force of unknown history along x."""
-    along = sj.SmoothTable(KNOTS, forces)
-    force = sj.AppliedWrench("body", lambda t: along(t) * jnp.array([1.0, 0.0, 0.0]))
-    return sj.Scene({"body": sj.Body(mass, (1e-3,) * 3)}, {}, forces={"push": force}, gravity=(0.0, 0.0, 0.0))
+    push = sj.AppliedWrench("body", AlongX(sj.SmoothTable(KNOTS, forces)))
+    return sj.Scene({"body": sj.Body(2.0, (1e-3,) * 3)}, {}, forces={"push": push}, gravity=(0.0, 0.0, 0.0))
 
 
 def test_descent_recovers_a_history_of_forty_numbers():
     truth = np.sin(5 * KNOTS) + 0.3 * np.cos(17 * KNOTS)
     ts = np.linspace(0.0, 1.0, 81)
-    run = sj.simulate(pushed(truth, 2.0), ts)
+    run = sj.simulate(pushed(truth), ts)
     values = {"acceleration.body.x": run.acceleration("body")[:, 0], "position.body.x": run.position("body")[:, 0]}
     measured = sj.Measured(ts, {name: np.asarray(value) for name, value in values.items()})
-    start = {"forces": sj.Parameter(np.zeros(41), positive=False, scale=1.0), "mass": sj.Parameter(2.0)}
-    del start["mass"]
+    start = {"forces": sj.Parameter(np.zeros(41), positive=False, scale=1.0)}
     method = sj.Descent(optax.adam(optax.exponential_decay(0.1, 300, 1e-2)), n_steps=300, tolerance=1e-9)
     noise = {"acceleration.body.x": 1e-2, "position.body.x": 1e-2}
-    fitted = sj.fit(lambda forces: pushed(forces, 2.0), start, measured, noise=noise, method=method)
+    fitted = sj.fit(pushed, start, measured, noise=noise, method=method)
     np.testing.assert_allclose(fitted.estimates["forces"], truth, atol=0.02)
