@@ -193,7 +193,9 @@ def test_effects_prints_a_table(capsys, monkeypatch):
 def test_compare_writes_table_files_and_figures(tmp_path, capsys, monkeypatch):
     run = sj.simulate(sj.gallery.four_bar(), np.linspace(0.0, 0.01, 5))
     row = Row("ideal", "ideal", 0.0, 9.0, 0.0, None, 5, 0.01, 1.0, None, run.choice)
-    found = Comparison(0.01, [row], {"ideal": curves_of(run, "ideal")}, {"ideal": run})
+    found = Comparison(
+        0.01, [row], {"ideal": curves_of(run, "ideal", body="rocker", joint="coupler_rocker")}, {"ideal": run}
+    )
     only = {name: draw for name, draw in figures(found).items() if name.startswith(("fig07", "fig21"))}
     monkeypatch.setattr("spherejax.command_line.compare.compare", lambda *a, report, **k: report("done", 1.0) or found)
     monkeypatch.setattr("spherejax.command_line.figures.figures_of", lambda comparison: only)

@@ -18,7 +18,7 @@ import spherejax as sj
 from spherejax.output.plot.animation import ffmpeg, frame_times, pace_in_words, usual_pace
 from spherejax.output.plot.camera import best_camera, camera_from, three_projections
 from spherejax.output.plot.magnified import JointMotion, plane_of
-from spherejax.output.plot.mechanism import mechanism_of
+from spherejax.output.plot.reading import mechanism_of
 from spherejax.output.plot.sheet import Sheet, Wishes
 from spherejax.output.plot.space import poses_of
 from spherejax.output.plot.strokes import convex_hull

@@ -2,6 +2,7 @@
 error control; see `sensitivity_rows` for their equations.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -31,6 +32,7 @@ from spherejax.motion.integrate import (
 )
 from spherejax.motion.programs import program_for
 from spherejax.motion.sensitivity_rows import (
+    Linearized,
     correcting_rows,
     judging_rows,
     linearized,
@@ -184,21 +186,104 @@ def _controlled(
 ) -> StatesAndSlopes:
     """Integrate the state and its sensitivities together, with the errors of both controlled."""
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    contacts = contacts_of(plan.structure, plan.scalar)
 
     def parameters_of(values):
         theta = plan.theta(values, known)
         return Parameters(theta, rate.ahead(theta))
 
+    began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
+    rows0 = jnp.concatenate([began.y0[None], began.slopes])
+    found = integrate_rows(plan, options, linearized(parameters_of, values, directions), rows0, ts, began)
+    slopes = jnp.moveaxis(found.rows[:, 1:], 1, 0)
+    return StatesAndSlopes(
+        found.rows[:, 0], slopes, began.assembly, began.assembly_slopes, found.status, found.t_reached, found.n_steps
+    )
+
+
+class RowsStart(NamedTuple):
+    """The start of a run and its derivatives along k directions in the traced numbers.
+
+    Attributes:
+        y0: flat state.
+        slopes: its derivatives.
+        assembly: how the start was made consistent.
+        assembly_slopes: its derivatives, with a leading axis of directions.
+        values_are_legal: whether the scene's conditions hold.
+    """
+
+    y0: Float[Array, " size"]
+    slopes: Float[Array, "k size"]
+    assembly: Assembly
+    assembly_slopes: Assembly
+    values_are_legal: Flag
+
+    @property
+    def is_closed(self) -> Flag:
+        """Whether the mechanism could be assembled."""
+        return self.assembly.residual_after < CLOSING_TOLERANCE
+
+    @property
+    def may_run(self) -> Flag:
+        """Whether the run can be made."""
+        return self.is_closed & self.values_are_legal & jnp.all(jnp.isfinite(self.y0))
+
+
+def start_of_rows(
+    plan: Plan, values, directions, known, ts: Float[Array, " n"], start: Assembly | None, values_are_legal: Flag
+) -> RowsStart:
+    """The start of a run and its derivatives; arguments as for `integrate_along`."""
+
     def beginning_of(values):
         return beginning(plan, plan.theta(values, known), ts[0], start)
 
-    (assembly, y0), (assembly_slopes, Y0) = linearized(beginning_of, values, directions)
-    is_closed = assembly.residual_after < CLOSING_TOLERANCE
-    may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
-    t1 = jnp.where(may_run, ts[-1], ts[0])
+    (assembly, y0), (assembly_slopes, slopes) = linearized(beginning_of, values, directions)
+    return RowsStart(y0, slopes, assembly, assembly_slopes, values_are_legal)
+
+
+class IntegratedRows(NamedTuple):
+    """A state and its sensitivities along time, as rows of one matrix.
+
+    Attributes:
+        rows: at the sample times; NaN where they were not reached.
+        also_saved: times and values of what was saved besides.
+        status: integer of `Status`.
+        t_reached: time reached [s].
+        n_steps: steps tried.
+    """
+
+    rows: Float[Array, "n rows size"]
+    also_saved: list[tuple[Array, Array]]
+    status: Int[Array, ""]
+    t_reached: Float[Array, ""]
+    n_steps: Int[Array, ""]
+
+
+def integrate_rows(
+    plan: Plan,
+    options: Options,
+    parameters: Linearized,
+    rows0: Float[Array, "rows size"],
+    ts: Float[Array, " n"],
+    began: RowsStart,
+    also_saved: Sequence[diffrax.SubSaveAt] = (),
+) -> IntegratedRows:
+    """Integrate a state and its sensitivities together, with the errors of all rows controlled.
+
+    Args:
+        plan, options, ts: as for `integrate`.
+        parameters: what the right-hand side is given, and its derivatives.
+        rows0: the first state, then its derivatives.
+        began: the start.
+
+    Other args:
+        also_saved: what to save besides the samples.
+    """
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    contacts = contacts_of(plan.structure, plan.scalar)
     contacts = None if contacts is None else with_rows(contacts, rate)
     correct = correcting_rows(correction_for(plan))
+    t1 = jnp.where(began.may_run, ts[-1], ts[0])
+    saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
     with without_host_checks():
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
@@ -206,9 +291,9 @@ def _controlled(
             t0=ts[0],
             t1=t1,
             dt0=None,
-            y0=jnp.concatenate([y0[None], Y0]),
-            args=linearized(parameters_of, values, directions),
-            saveat=diffrax.SaveAt(subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)]),
+            y0=rows0,
+            args=parameters,
+            saveat=diffrax.SaveAt(subs=saved),
             stepsize_controller=landing_controller(judging_rows(options.controller), contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
@@ -217,11 +302,10 @@ def _controlled(
     sampled: Any = solution.ys
     times: Any = solution.ts
     reached = times[1][0]
-    status = status_of(solution.result, values_are_legal, is_closed)
-    rows = jnp.where(((ts <= reached) & may_run)[:, None, None], sampled[0], jnp.nan)
-    n_steps = solution.stats["num_steps"]
-    slopes = jnp.moveaxis(rows[:, 1:], 1, 0)
-    return StatesAndSlopes(rows[:, 0], slopes, assembly, assembly_slopes, status, reached, n_steps)
+    rows = jnp.where(((ts <= reached) & began.may_run)[:, None, None], sampled[0], jnp.nan)
+    status = status_of(solution.result, began.values_are_legal, began.is_closed)
+    others = list(zip(times[2:], sampled[2:], strict=True))
+    return IntegratedRows(rows, others, status, reached, solution.stats["num_steps"])
 
 
 def _numbers_last(scaled: Float[Array, "p ..."], scale: Float[Array, " p"]) -> Array:

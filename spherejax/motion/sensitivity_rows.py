@@ -110,8 +110,8 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
 
         values = (parameters.value, start[0], end[0])
         rows = rows_of(of_state, values, (parameters.slopes, start[1:], end[1:]))
-        began = ~contacts.is_touching(start[0]) & contacts.is_touching(rows[0])
-        return rows, _onset_delays(contacts, parameters, t, end, began, rows[0])
+        weights = delay_weights(contacts, parameters.value, t, start[0], end[0], rows[0])
+        return rows, jnp.sum(_crossing_slopes(contacts, parameters, t, end) * weights, 1)
 
     def rate_at(numbers, t, y):
         return rate.inside(numbers.theta, numbers.ahead, jnp.asarray(t), y)
@@ -138,20 +138,33 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
     return Contacts(crossings, update, update_lanes, tuple((0, entry) for entry in contacts.onset_entries))
 
 
-def _onset_delays(contacts: Contacts, parameters: Linearized, t, rows, began, updated) -> Float[Array, " p"]:
-    """How much later the onset at the end of a step comes with each number (scaled) [s]; 0 without an onset.
+def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:
+    """By how much an onset comes later [s] for a unit of change of each crossing function there; 0 without an onset.
+
+    Args:
+        contacts: the contacts.
+        parameters: what they are given.
+        t: time at the end of the step [s].
+        start: flat state at its start.
+        end: at its end, in the mode of the start.
+        updated: at its end, in the new mode.
 
     Limits: 0 for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
     """
+    began = ~contacts.is_touching(start) & contacts.is_touching(updated)
+    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
+    counts = began & (onset_rate > GRAZING_RATE)
+    rates = jnp.where(counts, contacts.crossings(parameters, t, end).rate, 1.0)
+    return -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
+
+
+def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Float[Array, "k n_contacts"]:
+    """Derivatives of the crossing functions at the end of a step."""
 
     def value(numbers, y):
         return contacts.crossings(numbers, t, y).value
 
-    slopes = rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
-    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
-    counts = began & (onset_rate > GRAZING_RATE)
-    rates = jnp.where(counts, contacts.crossings(parameters.value, t, rows[0]).rate, 1.0)
-    return -jnp.sum(jnp.where(counts, slopes / rates, 0.0), 1) / jnp.maximum(jnp.sum(counts), 1)
+    return rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
 
 
 def judging_rows(controller):

@@ -104,14 +104,9 @@ def _forward(problem: Residuals, us: list[np.ndarray]) -> list[_Gradient]:
 
 
 def _in_reverse(problem: Any, us: list[np.ndarray]) -> list[_Gradient]:
-    """Back through the runs; from forward sensitivities where a rejected step spoils that, as impacts can."""
+    """Back along the steps of the runs."""
     found = [problem.cost_and_gradient(u) for u in us]
-    return [
-        _forward(problem, [u])[0]
-        if np.isfinite(cost) and not np.all(np.isfinite(gradient))
-        else _Gradient(cost, gradient, problem.n_residuals, "its run failed")
-        for u, (cost, gradient) in zip(us, found, strict=True)
-    ]
+    return [_Gradient(each.cost, each.gradient, problem.n_residuals, each.diagnosis) for each in found]
 
 
 class _Descending:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.checks import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.many import Build, built
@@ -26,7 +27,7 @@ from spherejax.motion.sensitivities import integrate_along
 from spherejax.motion.simulate import choice_for, split, start_now, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.status import Status
+from spherejax.motion.status import Status, diagnosis
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
@@ -95,6 +96,20 @@ class Prediction(NamedTuple):
     n_steps: Int[Array, ""]
 
 
+class CostAndGradient(NamedTuple):
+    """What an experiment adds to a fit's cost.
+
+    Attributes:
+        cost: half the sum of squares of weighted residuals; NaN where the run failed.
+        gradient: its derivatives by the unknowns.
+        diagnosis: why the run failed, or nothing.
+    """
+
+    cost: float
+    gradient: Float[np.ndarray, " k"]
+    diagnosis: str = ""
+
+
 class Integration(NamedTuple):
     """How the runs of a fit are made.
 
@@ -139,15 +154,21 @@ class Experiment(eqx.Module):
         """As `predict`, for many sets of unknowns side by side."""
         return self._cut(_predicted_in_lanes(self.frame, self.setting, jax.vmap(self.numbers)(us)))
 
-    def cost_and_gradient(self, u: Float[Array, " k"], weights: Float[np.ndarray, "n m"]) -> tuple[Array, Array]:
-        """Half the sum of squares of weighted residuals, and its gradient by reverse mode; NaN where the run fails."""
-        numbers = self.numbers(u)
-        n = self.setting.ts.shape[0] - 1
-        data = np.zeros((n, self.data.shape[1]))
-        padded = np.zeros_like(data)
+    def cost_and_gradient(self, u: Float[Array, " k"], weights: Float[np.ndarray, "n m"]) -> CostAndGradient:
+        """Half the sum of squares of weighted residuals, and its gradient in reverse; computed now."""
+        frame, setting, numbers = self.frame, self.setting, self.numbers(u)
+        common = frame.plan, setting.options, numbers.values
+        run = kept_run(*common, numbers.directions, setting.known, setting.ts, setting.start, numbers.are_legal)
+        if int(run.status) != Status.SUCCEEDED:
+            why = diagnosis(run.status, run.t_reached, float(setting.ts[-1]))
+            return CostAndGradient(np.nan, np.full(u.size, np.nan), why)
+        n = setting.ts.size - 1
+        data, padded = np.zeros((2, n, self.data.shape[1]))
         data[: len(self.data)], padded[: len(self.data)] = self.data, weights
-        cost, gradient = _cost_and_gradient(self.frame, self.setting, numbers, data, padded)
-        return cost, numbers.directions @ gradient
+        cost, (by_values, by_ys) = _cost_and_slopes(frame, setting, numbers.values, run, data, padded)
+        along_run, by_start = gradients(*common, setting.known, setting.ts, run, by_ys)
+        gradient = numbers.directions @ (by_values + along_run) + run.start_slopes @ by_start
+        return CostAndGradient(float(cost), np.asarray(gradient))
 
     def until(self, t: float) -> "Experiment":
         """The experiment as if it had ended at t [s]; nothing is compiled for it."""
@@ -325,19 +346,14 @@ def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Predic
 
 
 @eqx.filter_jit
-def _cost_and_gradient(frame: Frame, setting: Setting, numbers: Numbers, data, weights) -> tuple[Array, Array]:
-    """Through the steps of the run, by the traced numbers of the system."""
-    options = eqx.tree_at(lambda o: o.adjoint, setting.options, diffrax.RecursiveCheckpointAdjoint())
+def _cost_and_slopes(frame: Frame, setting: Setting, values, run: KeptRun, data, weights):
+    """Half the sum of squares of a run, and its derivatives by the traced numbers and by the sampled states."""
 
-    def cost(values):
-        outcome = integrate(frame.plan, options, values, setting.known, setting.ts, setting.start, numbers.are_legal)
-        predicted = _observed(frame, setting, values, outcome.ys, outcome.assembly)[1:]
-        # Samples that were not measured may be NaN where the run did not reach them.
-        errors = jnp.where(weights > 0, (predicted - data) * weights, 0.0)
-        return jnp.sum(errors**2) / 2, outcome.status
+    def cost(values, ys):
+        errors = (_observed(frame, setting, values, ys, run.assembly)[1:] - data) * weights
+        return jnp.sum(jnp.where(weights > 0, errors, 0.0) ** 2) / 2
 
-    (value, status), gradient = jax.value_and_grad(cost, has_aux=True)(numbers.values)
-    return jnp.where(status == Status.SUCCEEDED, value, jnp.nan), gradient
+    return jax.value_and_grad(cost, (0, 1))(values, run.ys)
 
 
 def _check_shapes(made: Experiment) -> None:

@@ -65,7 +65,7 @@ def fit(
             factor of ten away (positive parameters) or `log(10)` scales (others), within the bounds.
         horizon: how much of the record is looked at. With None the record grows: rough fits of its first parts, each
             twice as long, lead into the whole; a start whose vibration is out of step with the measured one would
-            otherwise end in a wrong minimum. `sj.studies.fit.Whole()` begins with all of it.
+            otherwise end in a wrong minimum. `sj.Whole()` begins with all of it.
         rtol, atol, solver, max_steps: of the runs, as in `simulate`. An explicit solver controls the errors of the
             derivatives too. A run that fails within the fit is a step taken back.
         level: of the confidence intervals in the report.

@@ -19,7 +19,7 @@ from spherejax.motion.many import Build
 from spherejax.motion.simulate import check_tolerances
 from spherejax.motion.status import Status, diagnosis
 from spherejax.runtime import require_float64
-from spherejax.studies.fit.experiment import Experiment, Integration, Prediction, experiment_of
+from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Integration, Prediction, experiment_of
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.parameters import Unknowns, unknowns_from
 from spherejax.studies.fit.side_by_side import in_threads, on_accelerator, padded
@@ -177,28 +177,37 @@ class Problem:
         weighted = [self._weighted(i, prediction) for i, prediction in enumerate(predictions)]
         residuals = np.concatenate([np.asarray(r) for r, _ in weighted])
         jacobian = np.concatenate([np.asarray(j) for _, j in weighted])
-        said = []
-        for experiment, prediction in zip(self.experiments, predictions, strict=True):
-            why = diagnosis(prediction.status, prediction.t_reached, float(experiment.setting.ts[-1]))
-            if why:
-                said.append(f"{experiment.measured.name}: {why}" if len(self.experiments) > 1 else why)
-        failed = not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian)))
-        if failed and not said:
-            said = ["the residuals or their derivatives are not finite"]
+        is_finite = bool(np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian)))
+        diagnoses = [
+            diagnosis(prediction.status, prediction.t_reached, float(experiment.setting.ts[-1]))
+            for experiment, prediction in zip(self.experiments, predictions, strict=True)
+        ]
         n_steps = sum(int(prediction.n_steps) for prediction in predictions)
-        return _Lane(residuals, jacobian, failed, "; ".join(said), n_steps)
+        return _Lane(residuals, jacobian, not is_finite, self._said(diagnoses, is_finite), n_steps)
 
-    def cost_and_gradient(self, u: Float[np.ndarray, " k"]) -> tuple[float, np.ndarray]:
-        """Half the sum of squares and its gradient in reverse mode, for many unknowns.
+    def cost_and_gradient(self, u: Float[np.ndarray, " k"]) -> CostAndGradient:
+        """Half the sum of squares and its gradient in reverse mode, for many unknowns; NaN where a run fails.
 
-        NaN where a run fails.
+        Each experiment's run is made with one sensitivity, and gone back along its kept steps: see `motion.adjoint`.
         """
-        cost, gradient = 0.0, np.zeros(self.unknowns.size)
+        found = []
         for experiment, noise in zip(self.experiments, self.noise, strict=True):
             weights = np.where(experiment.is_measured, 1 / noise, 0.0)
-            part, slope = experiment.cost_and_gradient(jnp.asarray(u), weights)
-            cost, gradient = cost + float(part), gradient + np.asarray(slope)
-        return cost, gradient
+            found.append(experiment.cost_and_gradient(jnp.asarray(u), weights))
+        cost, gradient = sum(each.cost for each in found), np.sum([each.gradient for each in found], 0)
+        is_finite = np.isfinite(cost) and bool(np.all(np.isfinite(gradient)))
+        why = self._said([each.diagnosis for each in found], is_finite)
+        return CostAndGradient(float(cost), gradient, why)
+
+    def _said(self, diagnoses: Sequence[str], is_finite: bool) -> str:
+        """Why an evaluation failed, with the names of experiments where there are several; or nothing."""
+        several = len(self.experiments) > 1
+        said = [
+            f"{experiment.measured.name}: {why}" if several else why
+            for experiment, why in zip(self.experiments, diagnoses, strict=True)
+            if why
+        ]
+        return "; ".join(said) or ("" if is_finite else "the residuals or their derivatives are not finite")
 
     def until(self, t: float) -> "Problem":
         """The problem with what was measured up to t [s]; nothing is compiled for it.

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from spherejax.studies.fit.experiment import CostAndGradient
 from spherejax.studies.fit.methods import Course, Ending, Method, cost_of
 from spherejax.studies.fit.problem import Evaluation, Problem
 
@@ -93,11 +94,11 @@ class Held:
         self.problem, self.us, self.deviation = problem, us, deviation
         self.n_residuals = problem.n_residuals + us.shape[1]
 
-    def cost_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
+    def cost_and_gradient(self, u: np.ndarray) -> CostAndGradient:
         """Half the sum of squares and its gradient in reverse mode."""
-        cost, gradient = self.problem.cost_and_gradient(u)
+        found = self.problem.cost_and_gradient(u)
         (away,) = self._away(u[None])
-        return cost + cost_of(away), gradient + away / self.deviation
+        return found._replace(cost=found.cost + cost_of(away), gradient=found.gradient + away / self.deviation)
 
     def evaluate(self, us: np.ndarray) -> Evaluation:
         """Residuals with those of what is known beforehand."""

@@ -15,9 +15,9 @@ from spherejax.motion.many import Build, built
 from spherejax.motion.simulate import checked_times
 from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.fit.observables import Observable, labels_of, observable
-from spherejax.studies.sensitivity.forward import Method, choice_at, forward
+from spherejax.studies.sensitivity.forward import Method, forward
 from spherejax.studies.sensitivity.result import Column, Sensitivities
-from spherejax.studies.sensitivity.reverse import refusal, reverse
+from spherejax.studies.sensitivity.reverse import reverse
 from spherejax.studies.sensitivity.unknowns import FlatBuild, unknowns_of
 
 REVERSE_FROM = 60
@@ -54,8 +54,9 @@ def sensitivity(
         of: a function from a `Trajectory` to one number instead, e.g. a peak or a mean: its gradient is found.
         mode: "forward" integrates the derivatives by each parameter beside the state, with their errors controlled,
             through contact onsets too; it costs in proportion to the parameters. "reverse" goes back along the steps of
-            the run: it costs the same for any number of parameters, serves one number (`of=`) alone, and leaves
-            the errors of its derivatives uncontrolled. Chosen by the counts when None.
+            the run, through contact onsets too: it costs the same for any number of parameters, serves one number
+            (`of=`) alone, and controls the errors of the derivatives along a mixture of all parameters, not one by
+            one. Chosen by the counts when None.
         rtol, atol, solver, max_steps: as in `simulate`.
 
     Returns:
@@ -75,9 +76,7 @@ def sensitivity(
         raise SceneError(f"build cannot be called with the parameters {', '.join(parameters)}: {error}") from error
     wanted = _observables(observables, of, compile_scene(scene).system)
     method = Method(rtol, atol, solver, max_steps, _needs_work(wanted))
-    chosen, why = _mode(
-        mode, of is not None, len(numbers), lambda: refusal(flat, numbers, choice_at(flat, numbers, method), method)
-    )
+    chosen, why = _mode(mode, of is not None, len(numbers))
     compute = forward if chosen == "forward" else reverse
     found = compute(flat, numbers, times, wanted, method)
     columns = tuple(_column(each, *its) for each, its in zip(wanted, found.observed, strict=True))
@@ -156,8 +155,8 @@ def _observable(name: str, item: Any, system: System) -> Observable:
     return found._replace(name=name)
 
 
-def _mode(mode: str | None, is_number: bool, n_parameters: int, refusal: Callable[[], str]) -> tuple[str, str]:
-    """The mode, and the reason in words; `refusal` says why a run cannot be gone back along."""
+def _mode(mode: str | None, is_number: bool, n_parameters: int) -> tuple[str, str]:
+    """The mode, and the reason in words."""
     if mode not in (None, "forward", "reverse"):
         raise SceneError(f"mode={mode!r}: it is 'forward', 'reverse', or None for the cheaper of both")
     if mode == "reverse" and not is_number:
@@ -169,8 +168,6 @@ def _mode(mode: str | None, is_number: bool, n_parameters: int, refusal: Callabl
         mode, reason = "forward", f"histories have more outputs than their {count}"
     elif n_parameters < REVERSE_FROM:
         mode, reason = "forward", f"one number, but no more than {REVERSE_FROM - 1} parameters ({n_parameters})"
-    elif problem := refusal():
-        mode, reason = "forward", problem
     else:
         mode, reason = "reverse", f"one number and {count}"
     return mode, reason
