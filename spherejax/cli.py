@@ -30,6 +30,7 @@ command starts faster the second time; SPHEREJAX_CACHE=0 switches that off.
 """
 
 
+@runtime.interrupts_kept()
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
@@ -47,8 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     _use_cache()
     try:
-        with runtime.interrupts_kept():
-            return options.action(options)
+        return options.action(options)
     except (sj.SceneError, sj.runtime.PrecisionError) as error:
         print(f"spherejax: {_one_line(error)}", file=sys.stderr)
         return BAD_REQUEST

@@ -23,6 +23,7 @@ from spherejax.motion.dynamics import evaluate
 from spherejax.motion.programs import program_for
 from spherejax.motion.tolerances import length_scale, time_scale
 from spherejax.physics.bodies import Body
+from spherejax.physics.joints import AbstractJoint
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, unpack
 
 N_STEPS = 60
@@ -89,9 +90,14 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
     bodies = dict(scene.bodies)
     for index, name in enumerate(system.bodies):
         bodies[name] = _resting(bodies[name], state.position[index], state.quaternion[index])
-    # Bushings start where the load has pressed them, and are not relieved.
-    joints = {name: joint.as_described() for name, joint in scene.joints.items()}
+    joints = {name: _loaded(joint) for name, joint in scene.joints.items()}
     return Equilibrium(eqx.tree_at(lambda s: (s.bodies, s.joints), scene, (bodies, joints)), residual)
+
+
+def _loaded(joint: AbstractJoint) -> AbstractJoint:
+    """The joint, with a bushing that starts where the load has pressed it, and is not relieved."""
+    model = getattr(joint, "model", None)
+    return joint if model is None or model.is_ideal else joint.as_described()
 
 
 def _resting(body: Body, position: Vector3, quaternion: Quaternion) -> Body:

@@ -25,7 +25,10 @@ MOST_NAMED = 3
 
 
 class StartWarning(UserWarning):
-    """A scene's velocities do not agree with its joints, and the motion starts with others; the message says which."""
+    """A scene's velocities do not agree with its joints, and the motion starts with others; the message says which.
+
+    Velocities that are traced (swept, fitted) are not looked at; `run.assembly.velocity_change` holds their change.
+    """
 
 
 def warn_of_removed_velocities(system: System, structure: Structure, numbers, t: float, start: Assembly) -> None:
