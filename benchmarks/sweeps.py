@@ -1,7 +1,7 @@
 """Sweeps: runs per second on all cores against what else one would do, steps, lane efficiency, cost per job, memory.
 
     python benchmarks/sweeps.py                 # about 20 minutes
-    python benchmarks/sweeps.py throughput      # one part: throughput, steps, jobs, killed, exudyn, gpu
+    python benchmarks/sweeps.py throughput      # one part: throughput, steps, jobs, killed, sensitivities, exudyn, gpu
 
 Throughput: 1,000 four-bars with dry friction, clearances 0.05 to 0.2 mm, 0.2 s. Every method runs at the loosest
 tolerance of its list with which the worst of 1,000 final heights is within 1e-9 m of the hand-written DOP853 at 1e-12.
@@ -24,6 +24,7 @@ from sweep_exudyn import exudyn
 from sweep_jobs import jobs, killed
 from sweep_lanes import gpu
 from sweep_scenes import CLEARANCES, DURATION, N_CORES, N_RUNS, dry, model_of
+from sweep_sensitivities import sensitivities
 
 import spherejax as sj
 
@@ -180,7 +181,15 @@ def steps() -> None:
     write("sweep_steps", "python benchmarks/sweeps.py steps", rows)
 
 
-PARTS = {"throughput": throughput, "steps": steps, "jobs": jobs, "killed": killed, "exudyn": exudyn, "gpu": gpu}
+PARTS = {
+    "throughput": throughput,
+    "steps": steps,
+    "jobs": jobs,
+    "killed": killed,
+    "exudyn": exudyn,
+    "sensitivities": sensitivities,
+    "gpu": gpu,
+}
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or PARTS:

@@ -6,7 +6,7 @@ from pathlib import Path
 from machine import RESULTS
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from spherejax.output.plot.style import letter, new_figure
+import spherejax as sj
 
 LOOKS = {
     "spherejax Dopri8": ("#0072B2", "o", "-"),
@@ -37,7 +37,7 @@ def draw(names: list[str], error: str = "error_max_m") -> Path:
         "Error of the rocker's height, largest of 21 samples, against time on one core\n"
         "(one line per method, tolerances 1e-4 to 1e-10; gray: less than two references differ by)"
     )
-    figure, axes = new_figure(n_rows, n_columns, 9.5, 2.9 * n_rows + 0.6, title)
+    figure, axes = sj.plot.new_figure(n_rows, n_columns, 9.5, 2.9 * n_rows + 0.6, title)
     seen = {}
     for ax, rows in zip(axes.flat, tables, strict=False):
         floor = float(rows[0]["references_differ_m"])
@@ -57,7 +57,7 @@ def draw(names: list[str], error: str = "error_max_m") -> Path:
         ax.set_title(rows[0]["case"], loc="left")
     for ax in axes.flat[len(tables) :]:
         ax.set_visible(False)
-    letter(axes.flat[: len(tables)])
+    sj.plot.letter(axes.flat[: len(tables)])
     handles = [seen[method] for method in LOOKS if method in seen]
     figure.legend(
         handles, [h.get_label() for h in handles], loc="outside lower center", ncols=4, fontsize=8, frameon=False

@@ -10,14 +10,16 @@ A joint is a place and a model; changing the physics changes one word:
     run.position("rocker")
 """
 
+import importlib as _importlib
 import os as _os
+from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from spherejax import runtime
 
 if _os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
     runtime.configure()
 
-from spherejax import gallery
+from spherejax import gallery, priors
 from spherejax.files import SceneFile, SimulationSettings, load_scene, load_urdf, read_scene_file, save_scene
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
@@ -39,6 +41,7 @@ from spherejax.motion.programs import ArrayPathWarning
 from spherejax.motion.redundancy import ConstraintReport, constraint_report
 from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
+from spherejax.motion.start_velocities import StartWarning
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
 from spherejax.output.drawing import animate, draw, view
@@ -126,16 +129,37 @@ from spherejax.physics.laws import (
     Sommerfeld,
     Threlfall,
     VectorElastomer,
+    exact_hysteresis_factor,
+    film_force,
+    generalized_stiffness,
+    hybrid_weight,
+    maximum_penetration,
+    realized_restitution,
+    squeeze_coefficient,
+    squeeze_factor,
 )
-from spherejax.studies.accuracy import WorkPrecision, work_precision
+from spherejax.studies.accuracy import SOLVERS, WorkPrecision, work_precision
 from spherejax.studies.bayes import Posterior, posterior
 from spherejax.studies.design import Design, optimize, smooth_peak
 from spherejax.studies.effects import effects
-from spherejax.studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, fit
+from spherejax.studies.fit import (
+    Descent,
+    Fit,
+    GrowingHorizon,
+    LevenbergMarquardt,
+    Measured,
+    Parameter,
+    Whole,
+    fit,
+)
 from spherejax.studies.sensitivity import Sensitivities, sensitivity
 from spherejax.studies.sweep import Grid, Sensitivity, open_sweep, product, random_samples, sobol_samples, sweep, zipped
 
+if _TYPE_CHECKING:
+    from spherejax import plot
+
 __all__ = [
+    "SOLVERS",
     "AbstractCurve",
     "AbstractDriftControl",
     "AbstractElastomer",
@@ -236,6 +260,7 @@ __all__ = [
     "Sommerfeld",
     "Spherical",
     "SpringDamper",
+    "StartWarning",
     "Status",
     "Step",
     "Sum",
@@ -249,6 +274,7 @@ __all__ = [
     "Universal",
     "UserFunction",
     "VectorElastomer",
+    "Whole",
     "WorkPrecision",
     "Wrench",
     "animate",
@@ -258,16 +284,24 @@ __all__ = [
     "draw",
     "effects",
     "equilibrium",
+    "exact_hysteresis_factor",
+    "film_force",
     "fit",
     "gallery",
+    "generalized_stiffness",
+    "hybrid_weight",
     "load_scene",
     "load_urdf",
+    "maximum_penetration",
     "open_sweep",
     "optimize",
+    "plot",
     "posterior",
+    "priors",
     "product",
     "random_samples",
     "read_scene_file",
+    "realized_restitution",
     "runtime",
     "save_scene",
     "scalarize",
@@ -276,8 +310,21 @@ __all__ = [
     "simulate_many",
     "smooth_peak",
     "sobol_samples",
+    "squeeze_coefficient",
+    "squeeze_factor",
     "sweep",
     "view",
     "work_precision",
     "zipped",
 ]
+
+
+def __getattr__(name: str):
+    """`sj.plot` imports matplotlib, so it is imported when it is first asked for."""
+    if name == "plot":
+        return _importlib.import_module("spherejax.plot")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

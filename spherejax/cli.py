@@ -47,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     _use_cache()
     try:
-        return options.action(options)
+        with runtime.interrupts_kept():
+            return options.action(options)
     except (sj.SceneError, sj.runtime.PrecisionError) as error:
         print(f"spherejax: {_one_line(error)}", file=sys.stderr)
         return BAD_REQUEST

@@ -9,8 +9,14 @@ A third one lets the compiler use vectors of 512 bits where the processor has th
 takes a tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse.
 """
 
+import _thread
 import os
+import sys
+import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import jax
 
@@ -58,6 +64,35 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
         )
         return
     os.environ["XLA_FLAGS"] = wanted
+
+
+AGAIN_AFTER = 0.01
+"""When a lost interrupt is raised again [s]."""
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Ctrl-C is heard at whatever moment it comes.
+
+    Python drops an exception that is raised in a callback, and JAX has one for each collection of garbage: while
+    programs were traced and compiled, one interrupt in eight was lost there. It is raised again a moment later.
+    """
+    reported_before = sys.unraisablehook
+
+    def heard(lost: Any) -> None:
+        if lost.exc_type is KeyboardInterrupt:
+            # Not at once: here it would be dropped like the first one.
+            again = threading.Timer(AGAIN_AFTER, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
+        else:
+            reported_before(lost)
+
+    sys.unraisablehook = heard
+    try:
+        yield
+    finally:
+        sys.unraisablehook = reported_before
 
 
 def require_float64() -> None:

@@ -89,8 +89,8 @@ SCENES = {
     "Coulomb": (
         lambda: FOUR_BAR(sj.Dry(clearance=1e-4, friction=sj.Coulomb(mu=0.1))),
         "coupler_rocker",
-        "Coulomb",
-        "zero sliding",
+        ": friction = Coulomb(mu=0.1) must be a law",
+        "jumps at zero sliding",
         "Threlfall",
         "BengisuAkay",
         "Ambrosio",

@@ -1,8 +1,10 @@
 """The command line as a user meets it: exit codes, messages, files."""
 
 import csv
+import gc
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -122,6 +124,27 @@ def test_an_interrupt_exits_with_130(capsys, monkeypatch):
     assert capsys.readouterr().err == "spherejax: interrupted\n"
 
 
+def test_an_interrupt_in_a_collection_of_garbage_is_heard(capsys, monkeypatch):
+    """Python drops what is raised in a callback, and JAX has one for each collection of garbage."""
+
+    def interrupted_once(phase, info):
+        gc.callbacks.remove(interrupted_once)
+        raise KeyboardInterrupt
+
+    def collect(*arguments, **options):
+        gc.callbacks.append(interrupted_once)
+        gc.collect()
+        for _ in range(200):
+            time.sleep(0.01)
+        raise AssertionError("the interrupt was lost")
+
+    monkeypatch.setattr(sj, "simulate", collect)
+    hook = sys.unraisablehook
+    assert cli.main(["run", "four-bar"]) == 130
+    assert capsys.readouterr().err == "spherejax: interrupted\n"
+    assert sys.unraisablehook is hook
+
+
 def test_joint_words_become_models():
     assert isinstance(model_from(parsed()), sj.Ideal)
     dry = model_from(parsed("--joint", "dry"))
@@ -170,7 +193,9 @@ def test_effects_prints_a_table(capsys, monkeypatch):
 def test_compare_writes_table_files_and_figures(tmp_path, capsys, monkeypatch):
     run = sj.simulate(sj.gallery.four_bar(), np.linspace(0.0, 0.01, 5))
     row = Row("ideal", "ideal", 0.0, 9.0, 0.0, None, 5, 0.01, 1.0, None, run.choice)
-    found = Comparison(0.01, [row], {"ideal": curves_of(run, "ideal")}, {"ideal": run})
+    found = Comparison(
+        0.01, [row], {"ideal": curves_of(run, "ideal", body="rocker", joint="coupler_rocker")}, {"ideal": run}
+    )
     only = {name: draw for name, draw in figures(found).items() if name.startswith(("fig07", "fig21"))}
     monkeypatch.setattr("spherejax.command_line.compare.compare", lambda *a, report, **k: report("done", 1.0) or found)
     monkeypatch.setattr("spherejax.command_line.figures.figures_of", lambda comparison: only)

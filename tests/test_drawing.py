@@ -18,7 +18,7 @@ import spherejax as sj
 from spherejax.output.plot.animation import ffmpeg, frame_times, pace_in_words, usual_pace
 from spherejax.output.plot.camera import best_camera, camera_from, three_projections
 from spherejax.output.plot.magnified import JointMotion, plane_of
-from spherejax.output.plot.mechanism import mechanism_of
+from spherejax.output.plot.reading import mechanism_of
 from spherejax.output.plot.sheet import Sheet, Wishes
 from spherejax.output.plot.space import poses_of
 from spherejax.output.plot.strokes import convex_hull
@@ -133,7 +133,9 @@ def test_traces_follow_the_points_up_to_the_time(run):
 
 
 def test_between_samples_the_motion_is_interpolated_by_its_rates():
-    run = sj.simulate(pendulum(angular_velocity=(0.0, 0.0, 1.0)), jnp.linspace(0.0, 0.4, 9), rtol=1e-9)
+    run = sj.simulate(
+        pendulum(velocity=(0.0, 0.3, 0.0), angular_velocity=(0.0, 0.0, 1.0)), jnp.linspace(0.0, 0.4, 9), rtol=1e-9
+    )
     every_second = mechanism_of(jax.tree.map(lambda x: x[::2] if jnp.shape(x)[:1] == (9,) else x, run))
     assert len(every_second.ts) == 5
     for sample in (1, 3, 5, 7):

@@ -1,11 +1,16 @@
 """Static equilibrium: check values of the suspension, closed forms, derivatives, and what has no rest."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.model.system import flatten_system
+from spherejax.motion.equilibrium import rest_conditions
+from spherejax.motion.programs import program_for
+from spherejax.motion.simulate import start_now
 
 
 def hanging(stiffness, x=0.0, starts_concentric=False, **options):
@@ -66,3 +71,63 @@ def test_a_falling_body_has_no_rest():
 def test_a_ball_in_a_clearance_has_no_place():
     with pytest.raises(sj.SceneError, match="'wheel_a_arm' has a clearance"):
         sj.equilibrium(sj.gallery.suspension(sj.Dry(1e-4)))
+
+
+# Starting from rest --------------------------------------------------------------------------------------------------
+
+Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+RUBBER = {"radial_stiffness": 4e3, "axial_stiffness": 3e3, "damping": 1e-3}
+SIX = sj.Bushing(law=sj.MatrixElastomer.cylindrical(Y, **RUBBER, conical_stiffness=80.0, torsional_stiffness=40.0))
+HINGE = sj.Bushing(law=sj.HingeElastomer.symmetric(**RUBBER, conical_stiffness=80.0))
+SLIDING = sj.Bushing(law=sj.HingeElastomer.symmetric(**{**RUBBER, "axial_stiffness": 0.0}, conical_stiffness=80.0))
+CROSS = sj.Bushing(law=sj.CrossElastomer(4e3 * np.eye(3), 4.0 * np.eye(3), 80.0))
+PAIR, AT = ("ground", "body"), (0.0, 0.0, 0.0)
+LOADED = {
+    "mount": lambda: sj.Spherical("ground.pivot", "body.pivot", SIX),
+    "revolute": lambda: sj.Revolute(PAIR, AT, Y, HINGE),
+    "cylindrical": lambda: sj.Cylindrical(PAIR, AT, Y, SLIDING),
+    "prismatic": lambda: sj.Prismatic(PAIR, AT, Y, SIX),
+    "universal": lambda: sj.Universal(PAIR, AT, Y, (1.0, 0.0, 0.0), CROSS),
+    "fixed": lambda: sj.Fixed(PAIR, AT, SIX),
+    "fixed by name": lambda: sj.Fixed(PAIR, "body.pivot", SIX),
+    "ideal": lambda: sj.Revolute(PAIR, AT, Y),
+}
+
+
+def loaded(joint):
+    """An arm on a joint, and a weight that hangs askew from its end: points and axes are given in the world."""
+    place = (0.02, 0.05, -0.1)
+    arm = sj.Body(1.0, (1e-2,) * 3, position=place, points={"pivot": tuple(-x for x in place)})
+    weight = sj.Body(0.5, (1e-3,) * 3, position=(0.07, 0.05, -0.28))
+    joints = {"joint": joint, "hinge": sj.Revolute(("body", "weight"), (0.05, 0.05, -0.2), (0.1, 1.0, 0.0))}
+    spring = sj.TorsionalSpring(("body", "weight"), (0.1, 1.0, 0.0), 2.0, 0.1)
+    return sj.Scene({"body": arm, "weight": weight}, joints, {"coil": spring}, ground_points={"pivot": AT})
+
+
+def accelerations(scene):
+    """With which a run of the scene begins."""
+    system = sj.compile_scene(scene).system
+    y = start_now(system, np.zeros(1)).y
+    structure, numbers = flatten_system(system)
+    return program_for(rest_conditions, structure).compute(numbers, 0.0, y)[0]
+
+
+@pytest.mark.parametrize("name", LOADED)
+def test_what_is_found_is_at_rest_whatever_the_joint(name, tmp_path):
+    scene = loaded(LOADED[name]())
+    assert np.abs(accelerations(scene)).max() > 1.0
+    found = sj.equilibrium(scene)
+    assert np.abs(found.scene.bodies["weight"].position - scene.bodies["weight"].position).max() > 1e-3
+    assert np.abs(accelerations(found.scene)).max() < 1e-8
+    again = sj.equilibrium(found.scene).scene
+    np.testing.assert_allclose(again.bodies["weight"].position, found.scene.bodies["weight"].position, atol=1e-12)
+    # A file keeps it.
+    read = sj.load_scene(sj.save_scene(found.scene, tmp_path / "rest.toml"))
+    assert np.array_equal(accelerations(read), accelerations(found.scene))
+
+
+def test_rest_is_kept_in_time():
+    found = sj.equilibrium(loaded(LOADED["revolute"]()))
+    run = sj.simulate(found.scene, jnp.linspace(0.0, 0.1, 3), solver=diffrax.Dopri8()).require_success()
+    for name in ("body", "weight"):
+        assert np.abs(run.position(name) - found.scene.bodies[name].position).max() < 1e-9

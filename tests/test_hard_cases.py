@@ -230,9 +230,15 @@ def test_film_pressed_on_from_the_wall_finishes_or_is_diagnosed():
 FILM_SMOOTH = {
     # Viscosity 10 is not here: its rate, 1e7 per second, makes differences of tight runs rounding; it is among the
     # finite ones below.
-    "from the center": (0.05, {"vx": 1e-3}, 1e-4),
-    "viscosity 1e-3": (2e-3, {"vx": 1e-3, "viscosity": 1e-3}, 1e-4),
+    "from the center": (0.05, {"vx": 1e-3}),
+    "viscosity 1e-3": (2e-3, {"vx": 1e-3, "viscosity": 1e-3}),
 }
+FILM_NOT_REACHED = ("film alone to the wall", "into the wall and back, thin transition")
+"""Where sensitivities under error control would need more steps than they have, or shorter ones than there are."""
+
+# Sensitivities by all numbers, the place and the velocity in every direction among them, need many more steps than the
+# motion, and those of a film at its center and at its wall most: up to 750,000 at this tolerance.
+FILM_GRADIENT = hard.Family(_film, FILM.numbers, max_steps=1_000_000)
 
 
 @pytest.mark.slow
@@ -241,12 +247,14 @@ def test_gradient_of_a_film(name):
     names = ["clearance", "viscosity", "mass", "gravity", "vx"]
     if name in FILM_CASES:
         t_end, changes = FILM_CASES[name]
-        assert np.isfinite(hard.gradient(FILM, names, t_end, rtol=1e-8, **changes)).all()
+        found = hard.gradient(FILM_GRADIENT, names, t_end, rtol=1e-6, **changes)
+        # What is not reached is not a number, in whole.
+        assert (np.isnan if name in FILM_NOT_REACHED else np.isfinite)(found).all()
         return
-    t_end, changes, agreement = FILM_SMOOTH[name]
-    found = hard.gradient(FILM, names, t_end, **changes)
+    t_end, changes = FILM_SMOOTH[name]
+    found = hard.gradient(FILM_GRADIENT, names, t_end, rtol=1e-7, **changes)
     expected = hard.differences(FILM, names, t_end, **changes)
-    assert hard.disagreement(found, expected) < agreement
+    assert hard.disagreement(found, expected) < 1e-5
 
 
 # Bushing ------------------------------------------------------------------------------------------------------------

@@ -15,6 +15,9 @@ from spherejax.model.system import flatten_system
 from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
 
+# Bodies are given general velocities, and those that the joints allow are left to them.
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.StartWarning")
+
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 DOPRI8 = diffrax.Dopri8()
 

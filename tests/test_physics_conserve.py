@@ -133,6 +133,7 @@ def _matrices(q):
     return Rotation.from_quat(np.array(q), scalar_first=True).as_matrix()
 
 
+@pytest.mark.filterwarnings("ignore::spherejax.StartWarning")  # the velocities are made to agree with the joint
 @pytest.mark.parametrize("name", ["ideal", "dry", "friction", "lubricated", "bushing", "bushing_matrix"])
 def test_momentum_of_a_free_pair_is_conserved(name):
     run = sj.simulate(free_pair(cases.MODELS[name]), cases.times(0.05, 11), rtol=1e-10, atol=1e-13).require_success()

@@ -1,20 +1,25 @@
 """Figures: labels with units, the data that were given, peaks that survive, no global canvas."""
 
 import sys
+from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import spherejax as sj
 from spherejax.command_line.figures import figures_of
-from spherejax.output.plot.curves import Curves, thinned
+from spherejax.output.plot.curves import Curves, curves_of, thinned
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import acceleration_and_energy, four_histories, slowest_sliding
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
 from spherejax.output.plot.limits import Limit, limits_to_ideal
+from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
+from spherejax.output.plot.style import LAW_COLORS, new_figure
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.compare import Comparison, LimitResult, Row, StudyResult
 from spherejax.studies.subjects.four_bar import law_figures
@@ -29,7 +34,7 @@ def curves(label="one", clearance: float | None = 1e-4, amplitude=1.0):
     e = 1.01e-4 * np.stack([np.sin(TS), np.zeros_like(TS), np.cos(TS)], axis=1)
     e[:100] *= 0.5
     speed = 1e-3 * (1.1 + np.cos(5 * TS))
-    return Curves(label, TS, 0.03 + 1e-3 * wave, wave, acceleration, -1e-3 * TS, e, speed, clearance)
+    return Curves(label, TS, 0.03 + 1e-3 * wave, wave, acceleration, -1e-3 * TS, e, speed, clearance, "rocker")
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +120,21 @@ def test_contact_is_drawn_on_the_clearance_circle(models):
     assert bushing.patches[0].get_radius() == pytest.approx(101.0)
 
 
+@pytest.mark.parametrize("clearance", [1e-4, None])
+def test_a_run_that_stopped_is_drawn_as_far_as_it_went(clearance, models):
+    one = curves(clearance=clearance)
+    e = one.eccentricity.copy()
+    e[15_000:] = np.nan
+    one = replace(one, eccentricity=e, position=np.where(TS < 1.5, one.position, np.nan))
+    for outer in (False, True):
+        figure = eccentricity_paths({"stopped": one}, "path", outer=outer)
+        check_readable(figure)
+        assert (f"(dashed): {'0.101 mm' if clearance else '101 µm'}" in figure.axes[0].get_title(loc="left")) == outer
+        assert np.nanmax(figure.axes[1].lines[0].get_xdata()) == 2.0
+    check_readable(four_histories([one], models["ideal"], "stopped"))
+    check_readable(phase_portraits({"stopped": one}, "stopped"))
+
+
 def test_distance_is_true_where_the_path_leaves_the_plane():
     e = 1e-4 * np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 0.5]])
     two = np.zeros(2)
@@ -189,6 +209,68 @@ def test_a_comparison_draws_every_figure_of_the_paper(models):
     assert set(law_figures()) <= set(found)
     for name in set(found) - set(law_figures()):
         check_readable(found[name]())
+
+
+def test_axes_name_the_body_that_moves(models):
+    wheel = replace(models["ideal"], body="wheel")
+    found = four_histories([curves()], wheel, "a car"), phase_portraits({"ideal": wheel}, "a car")
+    close_up = acceleration_and_energy([curves()], wheel, "a car", close_up=(0.5, 0.6))
+    assert found[0].axes[0].get_ylabel() == "wheel z [mm]"
+    assert found[1].axes[0].get_xlabel() == "wheel z [mm]"
+    assert close_up.axes[2].get_ylabel() == "wheel z acceleration [m/s$^2$]"
+
+
+def test_more_curves_than_colors_are_all_drawn(models, monkeypatch):
+    several = [curves(f"run {n}") for n in range(len(LAW_COLORS) + 2)]
+    lines = drawn(four_histories(several, models["ideal"], "many"), 0)
+    assert {one.label for one in several} <= set(lines)
+    assert lines["run 0"].get_color() == lines[f"run {len(LAW_COLORS)}"].get_color()
+    assert len(lines["run 7"].get_xdata()) > 100
+    close_up = acceleration_and_energy(several, models["ideal"], "many", close_up=(0.5, 0.6))
+    assert len(close_up.axes[2].lines) == len(several) + 1
+    monkeypatch.setattr("spherejax.output.plot.laws._free_impact", lambda *given: (TS, TS))  # compiles for each law
+    laws = [sj.HuntCrossley(restitution=c_r) for c_r in np.linspace(0.3, 0.9, len(LAW_COLORS) + 1)]
+    assert len(impact_loops({0.5: laws}, stiffness=1e11).axes[0].lines) == len(laws)
+    rubbing = [sj.Threlfall(mu=mu, v1=1e-3) for mu in np.linspace(0.1, 0.4, len(LAW_COLORS) + 1)]
+    assert len(friction_curves(rubbing).axes[0].lines) == len(rubbing)
+    wide = Panel("heights", "z [mm]", TS, {str(n): TS for n in range(7)})
+    figure = model_histories([wide], {str(n): str(n) for n in range(7)}, "seven models")
+    widths = [line.get_linewidth() for line in figure.axes[0].lines]
+    assert len(widths) == 7
+    assert np.all(np.diff(widths) < 0)
+
+
+def test_curves_are_those_of_one_body_and_one_joint():
+    run = sj.simulate(sj.gallery.four_bar(), np.linspace(0.0, 0.01, 5))  # as in test_cli: compiled once
+    body, joint = "coupler", "coupler_rocker"
+    one = curves_of(run, "ideal", body=body, joint=joint)
+    assert (one.label, one.body, one.clearance, one.sliding_speed) == ("ideal", body, None, None)
+    np.testing.assert_array_equal(one.position, run.position(body)[:, 2])
+    assert one.energy_change[0] == 0.0
+    lanes = jax.tree.map(lambda x: jnp.stack([x, x]), run)
+    with pytest.raises(sj.SceneError, match="single run; take one lane"):
+        curves_of(lanes, "two", body=body, joint=joint)
+    with pytest.raises(sj.SceneError, match="no joint 'knee'"):
+        curves_of(run, "one", body=body, joint="knee")
+    with pytest.raises(sj.SceneError, match="no body 'leg'"):
+        curves_of(run, "one", body="leg", joint=joint)
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (lambda: eccentricity_paths({"ideal": curves(clearance=None)}, "t"), "ideal joint has no eccentricity"),
+        (lambda: model_histories([Panel("z", "m", TS, {"wet": TS})], {"dry": "dry"}, "t"), r"\['wet'\].*for 'dry'"),
+        (lambda: model_histories([], {"dry": "dry"}, "t"), "0 rows"),
+        (lambda: impact_loops({}, stiffness=1e11), "no law to draw"),
+        (lambda: impact_loops({0.9: [sj.Hertz()]}, stiffness=0.0), "stiffness = 0.0 must be positive"),
+        (lambda: hybrid_force(sj.Dry(1e-4)), "Dry has no film"),
+        (lambda: new_figure(1, 0, 3.0, 3.0, "t"), "1 rows and 0 columns"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_drawn_is_said(draw, message):
+    with pytest.raises(sj.SceneError, match=message):
+        draw()
 
 
 def test_no_figure_needs_pyplot():

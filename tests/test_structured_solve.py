@@ -1,5 +1,6 @@
 """The linear systems of Rosenbrock steps in a mechanism's own structure: exact, sparse, differentiable."""
 
+import cases
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,9 +9,10 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.assembly import assemble_now
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import hooks_of, with_structure
-from spherejax.motion.integrate import Parameters
+from spherejax.motion.integrate import Parameters, as_ideal
 from spherejax.motion.programs import program_for
 
 MODELS = {
@@ -51,54 +53,57 @@ def four_bar(model, **options):
     )  # fmt: skip
 
 
-def compared(system, t, y, rhs, rate):
-    """The structured solution and a dense one, with the Jacobian by differentiation of the whole right-hand side."""
-    structure, theta = flatten_system(system)
-    theta = jnp.asarray(theta)
-    jacobian, factorize = hooks_of(structure)
-    at, by_time = jacobian(t, y, Parameters(theta, rate.ahead(theta)))
-    solve, regular = factorize(at, jnp.asarray(GAMMA_H))
-    J = jax.jacfwd(lambda y: rate(theta, t, y))(y)
-    dense = jnp.linalg.solve(jnp.eye(y.shape[0]) - GAMMA_H * J, rhs)
-    return solve(rhs), dense, by_time, regular
-
-
-def states_of(scene, system, n):
-    """States on a motion, moved off the constraints and the unit sphere, with the memory of a contact."""
+def states_of(system):
+    """States near the start, off the constraints and the unit sphere: in flight and in contact by turns."""
+    start = assemble_now(*flatten_system(as_ideal(system)))
     rng = np.random.default_rng(0)
-    run = sj.simulate(scene, jnp.linspace(0.0, 0.03, n), rtol=1e-6)
     layout = system.layout
-    y = np.array(run.ys)
-    y[:, : layout.memory_start] *= 1 + 1e-4 * rng.normal(size=(n, layout.memory_start))
-    if layout.n_memory:
-        y[1::2, layout.memory_start] = 0.01  # in contact
-    return jnp.asarray(y)
+    states = []
+    for seed, distance in enumerate((0.2 * cases.C, 2 * cases.C) * 2):
+        y = cases.displaced_state(system, start, seed, distance)
+        y[: layout.memory_start] *= 1 + 1e-4 * rng.normal(size=layout.memory_start)
+        if layout.n_memory and distance < cases.C:
+            y[layout.memory_start] = 0.0  # no onset yet
+        states.append(jnp.asarray(y))
+    return states
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_structured_solution_equals_the_dense_one(name):
+    """The dense one has its Jacobian by differentiation of the whole right-hand side."""
     scene = four_bar(MODELS[name], forces={"push": Push("rocker", 3.0)})
-    system = compile_scene(scene, track_work=True).system if name == "film" else compile_scene(scene).system
-    structure, _ = flatten_system(system)
+    system = compile_scene(scene, track_work=name == "film").system
+    structure, theta = flatten_system(system)
+    theta, t = jnp.asarray(theta), jnp.asarray(0.01)
     rate = program_for(state_rate, structure)
-    layout = system.layout
-    ys = states_of(scene, compile_scene(scene).system, 4)
-    ys = jnp.concatenate([ys, jnp.zeros((4, layout.size - ys.shape[1]))], 1)
-    rhs = np.random.default_rng(1).normal(size=(4, layout.size))
-    if layout.n_memory:
-        rhs[:, layout.memory_start] = 0.0  # the onset rate has no rate
-    solve = jax.jit(lambda y, r: compared(system, jnp.asarray(0.01), y, r, rate))
-    for y, r in zip(ys, rhs, strict=True):
-        structured, dense, _, regular = solve(y, jnp.asarray(r))
+    jacobian, factorize = hooks_of(structure)
+
+    @jax.jit
+    def structured(y, rhs):
+        at, _ = jacobian(t, y, Parameters(theta, rate.ahead(theta)))
+        solve, regular = factorize(at, jnp.asarray(GAMMA_H))
+        return solve(rhs), regular
+
+    def dense(y, rhs):
+        with jax.disable_jit():  # a fifth of a second, and nothing to compile
+            J = jax.jacfwd(lambda y: rate(theta, t, y))(y)
+        return np.linalg.solve(np.eye(y.size) - GAMMA_H * np.asarray(J), rhs)
+
+    right_hand_sides = np.random.default_rng(1).normal(size=(4, system.layout.size))
+    if system.layout.n_memory:
+        right_hand_sides[:, system.layout.memory_start] = 0.0  # the onset rate has no rate
+    for y, rhs in zip(states_of(system), right_hand_sides, strict=True):
+        found, regular = structured(y, rhs)
+        expected = dense(y, rhs)
         assert bool(regular)
-        np.testing.assert_allclose(structured, dense, rtol=2e-8, atol=1e-9 * float(jnp.max(jnp.abs(dense))))
+        np.testing.assert_allclose(found, expected, rtol=2e-8, atol=1e-9 * np.abs(expected).max())
 
 
 def test_derivative_by_time_of_a_driven_mechanism():
     system = compile_scene(four_bar(sj.Ideal(), forces={"push": Push("rocker", 3.0)})).system
     structure, theta = flatten_system(system)
     rate = program_for(state_rate, structure)
-    y = sj.simulate(four_bar(sj.Ideal()), jnp.array([0.0, 0.05])).ys[-1]
+    y = states_of(system)[1]
     args = Parameters(jnp.asarray(theta), rate.ahead(jnp.asarray(theta)))
     by_time = jax.jit(lambda t: hooks_of(structure)[0](t, y, args)[1])(0.01)
     step = 1e-6
@@ -107,7 +112,8 @@ def test_derivative_by_time_of_a_driven_mechanism():
     np.testing.assert_allclose(by_time, differences, atol=1e-6 * float(jnp.max(jnp.abs(by_time))))
 
 
-def test_a_run_takes_the_steps_of_the_dense_method(monkeypatch):
+@pytest.mark.slow
+def test_a_run_takes_the_steps_of_the_dense_method():
     scene, ts = sj.gallery.four_bar(sj.Lubricated(1e-4)), jnp.linspace(0.0, 0.03, 4)
     structured = sj.simulate(scene, ts, rtol=1e-7, solver=sj.Rodas5P())
     # A function of its own as factorization keeps the solver from being given the mechanism's structure.
@@ -119,7 +125,7 @@ def test_a_run_takes_the_steps_of_the_dense_method(monkeypatch):
 
 def dense_jacobian(scene):
     structure, _ = flatten_system(compile_scene(scene).system)
-    rate = program_for(state_rate, structure)
+    rate = program_for(state_rate, structure, False)  # compiles faster
 
     def jacobian(t, y, args):
         return jax.jacfwd(lambda y: rate(args.theta, t, y))(y), jnp.zeros_like(y)
@@ -129,23 +135,26 @@ def dense_jacobian(scene):
 
 def test_derivatives_pass_through_the_structured_solve():
     """By the numbers and by the state, against differences, with the rule that never enters the elimination."""
-    scene = four_bar(MODELS["bushing"])  # linear in the deflection, so that differences may be wide
-    structure, theta = flatten_system(compile_scene(scene).system)
+    # Linear in the deflection, so that differences may be wide.
+    scene = four_bar(sj.Bushing(law=sj.VectorElastomer(1e5, 1e-3)))
+    system = compile_scene(scene).system
+    structure, theta = flatten_system(system)
     jacobian, factorize = hooks_of(structure)
-    y = sj.simulate(scene, jnp.array([0.0, 0.02]), rtol=1e-6).ys[-1]
+    y = states_of(system)[1]
     rng = np.random.default_rng(2)
     theta, rhs = jnp.asarray(theta), jnp.asarray(rng.normal(size=y.shape))
     # Numbers that are structural zeros are no numbers: the others move in proportion.
     theta_dot, y_dot = 1e-2 * theta * rng.normal(size=theta.shape), 1e-2 * jnp.asarray(rng.normal(size=y.shape))
 
-    @jax.jit
-    def solution(s):
+    def moved(s):
         at, _ = jacobian(jnp.zeros(()), y + s * y_dot, Parameters(theta + s * theta_dot, ()))
         return factorize(at, GAMMA_H * (1 + s))[0](rhs * (1 + 2 * s))
 
-    _, tangent = jax.jvp(solution, (0.0,), (1.0,))
+    along = jax.jit(lambda s: jax.jvp(moved, (s,), (1.0,)))  # one program for the values and the derivative
     h = 1e-3
-    differences = (8 * (solution(h) - solution(-h)) - (solution(2 * h) - solution(-2 * h))) / (12 * h)
+    before, close_before, close_after, after = (along(s)[0] for s in (-2 * h, -h, h, 2 * h))
+    differences = (8 * (close_after - close_before) - (after - before)) / (12 * h)
+    tangent = along(0.0)[1]
     np.testing.assert_allclose(tangent, differences, rtol=1e-6, atol=1e-7 * float(jnp.max(jnp.abs(differences))))
 
 

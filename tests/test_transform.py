@@ -102,11 +102,24 @@ def compiled(name):
     return jax.jit(lambda x: outcome(FAMILIES[name], x))
 
 
+WEIGHTS = jnp.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
+
+
 @cache
-def forward(name):
-    """The Jacobian by jacfwd at x = 0."""
+def derivatives(name):
+    """At x = 0, the Jacobian in forward mode and the gradient of the weighted outcome in reverse mode.
+
+    Both from one program, which takes half as long to compile as two.
+    """
     zero = jnp.zeros(len(FAMILIES[name].values))
-    return np.asarray(jax.jit(jax.jacfwd(lambda x: outcome(FAMILIES[name], x)))(zero))
+
+    @jax.jit
+    def both(x):
+        _, push = jax.linearize(lambda x: outcome(FAMILIES[name], x), x)
+        (gradient,) = jax.linear_transpose(push, x)(WEIGHTS)
+        return jax.vmap(push, out_axes=1)(jnp.eye(x.size)), gradient
+
+    return jax.tree.map(np.asarray, both(zero))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -132,7 +145,7 @@ def test_vmap_equals_loop(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_forward_derivative_meets_finite_differences(name):
     family = FAMILIES[name]
-    jacobian = forward(name)
+    jacobian, _ = derivatives(name)
     errors = []
     # Rounding spoils short steps and curvature long ones, for each parameter at its own length: the better one counts.
     for h in family.step * 10.0 ** np.arange(5):
@@ -158,11 +171,9 @@ def _relative(found, expected, pooled=False):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_reverse_derivative_equals_forward(name):
-    family = FAMILIES[name]
-    weights = jnp.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
-    gradient = jax.jit(jax.grad(lambda x: weights @ outcome(family, x)))(jnp.zeros(len(family.values)))
-    expected = weights @ forward(name)
-    assert np.asarray(gradient) == pytest.approx(np.asarray(expected), abs=1e-9 * np.abs(expected).max())
+    jacobian, gradient = derivatives(name)
+    expected = WEIGHTS @ jacobian
+    assert gradient == pytest.approx(np.asarray(expected), abs=1e-9 * np.abs(expected).max())
 
 
 def _pushed(x, **options):

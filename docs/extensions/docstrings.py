@@ -5,6 +5,7 @@ between single backticks, `|e|` and `x**2` unescaped. Here they become reStructu
 is public becomes a link.
 """
 
+import inspect
 import re
 from collections.abc import Iterator
 
@@ -35,7 +36,7 @@ def code(content: str) -> str:
     is_public = owner in sj.__all__ and (
         not member or hasattr(getattr(sj, owner), member)
     )
-    if is_public and owner not in ("gallery", "runtime"):
+    if is_public and not inspect.ismodule(getattr(sj, owner)):
         return rf"\ :py:obj:`{content} <spherejax.{name}>`\ "
     return rf"\ ``{content}``\ "
 

@@ -23,6 +23,8 @@ BODY: Fields = {
     "velocity": vector("m/s"),
     "angular_velocity": vector("rad/s"),
     "points": Points(),
+    "reference_position": vector("m"),
+    "reference_quaternion": Quantity("1", ((4,),)),
 }
 
 _CONTACT: Fields = {
@@ -41,7 +43,13 @@ _HYSTERESIS: Fields = {"restitution": number("1"), **_NORMAL}
 
 _MODEL = Part(joints.AbstractSphericalModel)
 
-_AXIAL: Fields = {"bodies": BodyNames(), "point": PointOrPlace(), "axis": vector("1"), "model": _MODEL}
+_AXIAL: Fields = {
+    "bodies": BodyNames(),
+    "point": PointOrPlace(),
+    "axis": vector("1"),
+    "model": _MODEL,
+    "starts_concentric": Plain(bool),
+}
 
 
 def _function(argument: str, value: str) -> Part:
@@ -65,8 +73,14 @@ JOINTS: Mapping[type, Fields] = {
         "first_axis": vector("1"),
         "second_axis": vector("1"),
         "model": _MODEL,
+        "starts_concentric": Plain(bool),
     },
-    joints.Fixed: {"bodies": BodyNames(), "point": PointOrPlace(), "model": _MODEL},
+    joints.Fixed: {
+        "bodies": BodyNames(),
+        "point": PointOrPlace(),
+        "model": _MODEL,
+        "starts_concentric": Plain(bool),
+    },
     joints.PointOnPlane: {
         "point": PointName(),
         "through": PointOrPlace(),

@@ -136,8 +136,9 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # JAX sorts the keys of a dict when it takes it apart: a system is sorted from the start, so that the order of the
     # state is the same inside and outside a compiled program.
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
-    joints = {name: scene.joints[name].placed(scene.bodies, scene.find) for name in sorted(scene.joints)}
-    forces = {name: scene.forces[name].placed(scene.bodies, scene.find) for name in sorted(scene.forces)}
+    drawn = {name: body.in_reference for name, body in scene.bodies.items()}
+    joints = {name: scene.joints[name].placed(drawn, scene.find) for name in sorted(scene.joints)}
+    forces = {name: scene.forces[name].placed(drawn, scene.find) for name in sorted(scene.forces)}
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():

@@ -7,7 +7,6 @@ free hinge) are left as they are. Accelerations count as the lengths that they l
 rotations as the lengths that they lead to at its size, so that nothing depends on units.
 """
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,13 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError, is_concrete
-from spherejax.foundations.types import Scalar
+from spherejax.foundations.types import Quaternion, Scalar, Vector3
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.dynamics import evaluate
 from spherejax.motion.programs import program_for
 from spherejax.motion.tolerances import length_scale, time_scale
-from spherejax.physics.joints import AbstractJoint, Spherical
+from spherejax.physics.bodies import Body
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, unpack
 
 N_STEPS = 60
@@ -46,7 +45,9 @@ class Equilibrium(NamedTuple):
     """A rest position.
 
     Attributes:
-        scene: the scene, starting there at rest.
+        scene: the scene, starting there at rest: loaded bushings are as they are, and points, axes and rest angles
+            that joints and forces give in world axes belong to the position that was described
+            (`Body.reference_position`).
         residual: what remains of accelerations and constraints, as a share of the scene's length [-].
     """
 
@@ -87,22 +88,24 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
     state = unpack(Layout(len(system.bodies)), y)
     bodies = dict(scene.bodies)
     for index, name in enumerate(system.bodies):
-        rest = (state.position[index], state.quaternion[index], np.zeros(3), np.zeros(3))
-        bodies[name] = eqx.tree_at(
-            lambda body: (body.position, body.quaternion, body.velocity, body.angular_velocity), bodies[name], rest
-        )
-    rested = eqx.tree_at(lambda s: (s.bodies, s.joints), scene, (bodies, _joints_as_they_stand(scene)))
-    return Equilibrium(rested, residual)
+        bodies[name] = _resting(bodies[name], state.position[index], state.quaternion[index])
+    # Bushings start where the load has pressed them, and are not relieved.
+    joints = {name: joint.as_described() for name, joint in scene.joints.items()}
+    return Equilibrium(eqx.tree_at(lambda s: (s.bodies, s.joints), scene, (bodies, joints)), residual)
 
 
-def _joints_as_they_stand(scene: Scene) -> dict[str, AbstractJoint]:
-    """The joints, with bushings that start where the load has pressed them, and not relieved."""
-    return {
-        name: dataclasses.replace(joint, starts_concentric=False)
-        if isinstance(joint, Spherical) and not joint.model.is_ideal
-        else joint
-        for name, joint in scene.joints.items()
-    }
+def _resting(body: Body, position: Vector3, quaternion: Quaternion) -> Body:
+    """The body at rest at a place; points and axes of its joints mean what they meant where they were drawn."""
+    drawn = body.in_reference
+    return Body(
+        body.mass,
+        body.inertia,
+        position,
+        quaternion,
+        points=body.points,
+        reference_position=drawn.position,
+        reference_quaternion=drawn.quaternion,
+    )
 
 
 def _found(system: System, t: float) -> tuple[Any, Any]:

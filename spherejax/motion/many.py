@@ -5,7 +5,7 @@ queue for a block of lanes inside one compiled loop; see `motion.lanes`.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -15,25 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import SceneError
 from spherejax.model.scene import Scene
-from spherejax.model.system import Structure, compile_scene, flatten_system
-from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
+from spherejax.model.system import compile_scene
 from spherejax.motion.callbacks import without_host_checks
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.implicit import with_structure
-from spherejax.motion.integrate import Plan, beginning, contacts_of, correction_for, stages_of
-from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem, run_in_lanes
-from spherejax.motion.longest_step import longest_step
-from spherejax.motion.many_sensitivities import RunSlopes, problem_of_rows, slopes_of, start_of_rows
-from spherejax.motion.paths import path_of
-from spherejax.motion.programs import program_for
-from spherejax.motion.quantities import magnitudes
+from spherejax.motion.lanes import Block, run_in_lanes
+from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
+from spherejax.motion.one_of_many import Method, Prepared
 from spherejax.motion.sensitivities import has_controlled_sensitivities
-from spherejax.motion.simulate import check_tolerances, checked_times, choice_for, split, start_now, tolerances_of
-from spherejax.motion.solvers.automatic import Choice
-from spherejax.motion.status import Status
-from spherejax.motion.trajectory import Statistics, Trajectory
+from spherejax.motion.simulate import check_tolerances, checked_times, choice_for
+from spherejax.motion.trajectory import Trajectory
 from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
 
@@ -62,44 +53,6 @@ class Runs(NamedTuple):
     def lane_efficiency(self) -> Float[Array, ""]:
         """Steps of runs divided by steps of lanes."""
         return jnp.sum(self.trajectories.stats.n_steps) / self.n_lane_steps
-
-
-class Method(NamedTuple):
-    """How to integrate (static).
-
-    Attributes:
-        choice: the solver, and why.
-        rtol: relative tolerance.
-        atol: absolute tolerance, or None for one by kind of component.
-        max_steps: largest number of steps of a run.
-        track_work: whether the work of each joint is integrated.
-        block: how wide the block of lanes is.
-        watch: names of quantities whose largest magnitudes are kept.
-        by: names of the parameters whose sensitivities are integrated as well.
-    """
-
-    choice: Choice
-    rtol: float
-    atol: float | None
-    max_steps: int
-    track_work: bool
-    block: Block
-    watch: tuple[str, ...] = ()
-    by: tuple[str, ...] = ()
-
-
-class Numbers(eqx.Module):
-    """What the right-hand side of one run is given.
-
-    Attributes:
-        theta: all numbers of the system.
-        ahead: what follows from them alone.
-        tolerances: relative and absolute, where they depend on the run.
-    """
-
-    theta: Float[Array, " p"]
-    ahead: Any
-    tolerances: Any
 
 
 def simulate_many(
@@ -216,7 +169,7 @@ def built(build: Build, parameters: Any) -> Scene:
 @eqx.filter_jit
 def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
-    prepared = _Prepared(build, method, ts)
+    prepared = Prepared(partial(built, build), method, ts)
     with without_host_checks():
         starts: Any = jax.vmap(prepared.start)(parameters)
         may_run = starts.may_run & is_wanted
@@ -227,129 +180,3 @@ def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
         outcome = outcome._replace(ys=outcome.ys[:, :, 0], y_reached=outcome.y_reached[:, 0])
     runs = jax.vmap(prepared.trajectory)(starts, outcome._replace(n_lane_steps=jnp.zeros(is_wanted.shape)))
     return Runs(runs, outcome.touching, outcome.peaks, outcome.n_lane_steps, slopes)
-
-
-def watching(structure: Structure, names: tuple[str, ...]) -> Callable | None:
-    """The magnitudes of quantities as a function (t, y, numbers) of one lane; None without names."""
-    if not names:
-        return None
-    program = program_for(_magnitudes_of(names), structure)
-    return lambda t, y, numbers: program(numbers.theta, t, y)
-
-
-@lru_cache(maxsize=64)
-def _magnitudes_of(names: tuple[str, ...]):
-    """One function for the same names: programs are kept by function."""
-
-    def watched(system, t, y):
-        return magnitudes(system, t, y, names)
-
-    return watched
-
-
-class Start(NamedTuple):
-    """One run, ready to go.
-
-    Attributes:
-        numbers: what the right-hand side is given.
-        y0: flat state.
-        may_run: whether it can be run.
-        status: what is reported otherwise.
-        assembly: how the start was made consistent.
-    """
-
-    numbers: Numbers
-    y0: Float[Array, " size"]
-    may_run: Array
-    status: Int[Array, ""]
-    assembly: Assembly
-
-
-class _Prepared:
-    """What is known of all runs once one has been traced: the plan and the tolerances that they share."""
-
-    def __init__(self, build: Build, method: Method, ts):
-        self.build, self.method, self.ts = build, method, ts
-        self.plan: Plan | None = None
-        self.shared_tolerances: Any = None
-
-    def start(self, parameters) -> Start:
-        """The start of one run, with its sensitivities as rows below the state where they are asked for."""
-        by = self.method.by
-        if not by:
-            return self.start_of_state(parameters)
-
-        def of_values(values):
-            return self.start_of_state({**parameters, **dict(zip(by, values, strict=True))})
-
-        return start_of_rows(of_values, jnp.stack([parameters[name] for name in by]))
-
-    def start_of_state(self, parameters) -> Start:
-        """Build the scene of one run and assemble its start."""
-        method = self.method
-        compiled = compile_scene(built(self.build, parameters), track_work=method.track_work)
-        system = compiled.system
-        structure, theta = flatten_system(system)
-        _, unknown = split(system)
-        scalar = path_of(structure).scalar
-        self.plan = plan = Plan(structure, unknown, scalar)
-        theta = jnp.asarray(theta)
-        tolerances = tolerances_of(system, method.choice.solver, method.rtol, method.atol)
-        self.explanation = f"{method.choice.reason}; {tolerances.description}; first step by trial (Hairer)"
-        limits = (tolerances.rtol, tolerances.atol)
-        own = limits if not all(is_concrete(limit) for limit in limits) else None
-        self.shared_tolerances = limits if own is None else None
-        assembly, y0 = beginning(plan, theta, self.ts[0], start_now(system, self.ts))
-        legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
-        closed = assembly.residual_after < CLOSING_TOLERANCE
-        status = jnp.where(legal, jnp.where(closed, Status.SUCCEEDED, Status.START_NOT_CLOSED), Status.BAD_VALUE)
-        numbers = Numbers(theta, program_for(state_rate, structure, scalar).ahead(theta), own)
-        return Start(numbers, y0, legal & closed & jnp.all(jnp.isfinite(y0)), status, assembly)
-
-    def problem(self) -> LaneProblem:
-        """What every lane integrates."""
-        plan, method = self.plan, self.method
-        assert plan is not None
-        rate = program_for(state_rate, plan.structure, plan.scalar)
-
-        def controller_of(numbers: Numbers):
-            limits = self.shared_tolerances if numbers.tolerances is None else numbers.tolerances
-            return diffrax.PIDController(rtol=jnp.asarray(limits[0]), atol=jnp.asarray(limits[1]))
-
-        problem = LaneProblem(
-            with_structure(method.choice.solver, plan.structure),
-            controller_of,
-            lambda t, y, numbers: rate.inside(numbers.theta, numbers.ahead, t, y),
-            correction_for(plan),
-            contacts_of(plan.structure, plan.scalar),
-            method.max_steps,
-            watching(plan.structure, method.watch),
-            longest_step(plan.structure, self.ts),
-        )
-        return problem_of_rows(problem, plan.structure, rate) if method.by else problem
-
-    def trajectory(self, start: Start, outcome: LaneOutcome) -> Trajectory:
-        """One run as a trajectory."""
-        plan = self.plan
-        assert plan is not None
-        n_steps = outcome.n_accepted + outcome.n_rejected
-        stats = Statistics(
-            n_steps,
-            outcome.n_accepted,
-            outcome.n_rejected,
-            n_steps * stages_of(self.method.choice.solver),
-            outcome.n_onsets,
-            self.explanation,
-        )
-        return Trajectory(
-            ts=self.ts,
-            ys=outcome.ys,
-            system=plan.structure.system(start.numbers.theta),
-            stats=stats,
-            status=outcome.status,
-            t_reached=outcome.t_reached,
-            y_reached=outcome.y_reached,
-            assembly=start.assembly,
-            choice=self.method.choice.reason,
-            scalar=plan.scalar,
-        )

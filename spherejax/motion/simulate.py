@@ -20,6 +20,7 @@ from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.start_velocities import warn_of_removed_velocities
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.tolerances import Tolerances, component_tolerances
 from spherejax.motion.trajectory import Trajectory
@@ -145,12 +146,18 @@ def choice_for(
 
 
 def start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:
-    """The consistent start, when the geometry is known now; None when it is traced."""
+    """The consistent start, when the geometry is known now; None when it is traced.
+
+    What it takes from the velocities of the scene is said in a `StartWarning`.
+    """
     structure, theta = flatten_system(as_ideal(system))
     if not is_concrete(theta) or (system.is_driven and not is_concrete(ts)):
         return None
     # What is not driven starts alike at any time.
-    return assemble_now(structure, theta, float(ts[0]) if system.is_driven else 0.0)
+    t = float(ts[0]) if system.is_driven else 0.0
+    start = assemble_now(structure, theta, t)
+    warn_of_removed_velocities(system, structure, theta, t, start)
+    return start
 
 
 def split(system: System) -> tuple[Numeric, tuple[int, ...]]:

@@ -59,7 +59,7 @@ def draw(
     Raises:
         SceneError: for something that is no scene or run, a time outside of the run, or an unknown name.
     """
-    from spherejax.output.plot.mechanism import mechanism_of
+    from spherejax.output.plot.reading import mechanism_of
     from spherejax.output.plot.sheet import Sheet, Wishes
 
     mechanism = mechanism_of(what, scene)
@@ -113,7 +113,7 @@ def animate(
             frames, and as `draw`; before anything is drawn.
     """
     from spherejax.output.plot.animation import animation_path, write_animation
-    from spherejax.output.plot.mechanism import mechanism_of
+    from spherejax.output.plot.reading import mechanism_of
     from spherejax.output.plot.sheet import Wishes
 
     mechanism = mechanism_of(run, scene)
@@ -152,7 +152,7 @@ def view(
         SceneError: as `draw`.
     """
     from spherejax.output.plot.interactive import view_of
-    from spherejax.output.plot.mechanism import mechanism_of
+    from spherejax.output.plot.reading import mechanism_of
     from spherejax.output.plot.sheet import Wishes
 
     wishes = Wishes(view, projections, magnified, plane, traces, frames, True, title)

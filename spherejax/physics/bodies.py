@@ -27,6 +27,9 @@ class Body(eqx.Module):
         velocity: initial velocity of the center of mass, world axes [m/s], shape (3,).
         angular_velocity: initial angular velocity, world axes [rad/s], shape (3,).
         points: places on the body where joints and forces meet it, body axes [m], each of shape (3,).
+        reference_position, reference_quaternion: where the body is in the position for which joints and forces
+            give points, axes and rest angles; None: where it starts. `sj.equilibrium` sets them, so that what was
+            described where it was drawn keeps its meaning where the mechanism comes to rest.
     """
 
     mass: Number
@@ -36,6 +39,8 @@ class Body(eqx.Module):
     velocity: Numeric = (0.0, 0.0, 0.0)
     angular_velocity: Numeric = (0.0, 0.0, 0.0)
     points: Mapping[str, Numeric] = eqx.field(default_factory=dict)
+    reference_position: Numeric | None = None
+    reference_quaternion: Numeric | None = None
 
     def __init__(
         self,
@@ -46,6 +51,8 @@ class Body(eqx.Module):
         velocity=(0.0, 0.0, 0.0),
         angular_velocity=(0.0, 0.0, 0.0),
         points: Mapping[str, Numeric] | None = None,
+        reference_position=None,
+        reference_quaternion=None,
     ):
         self.mass = mass
         self.inertia = numbers(inertia)
@@ -54,6 +61,15 @@ class Body(eqx.Module):
         self.velocity = numbers(velocity)
         self.angular_velocity = numbers(angular_velocity)
         self.points = {name: numbers(place) for name, place in (points or {}).items()}
+        self.reference_position = None if reference_position is None else numbers(reference_position)
+        self.reference_quaternion = None if reference_quaternion is None else numbers(reference_quaternion)
+
+    @property
+    def in_reference(self) -> "Body":
+        """The body where joints and forces are described."""
+        position = self.position if self.reference_position is None else self.reference_position
+        quaternion = self.quaternion if self.reference_quaternion is None else self.reference_quaternion
+        return Body(self.mass, self.inertia, position, quaternion, points=self.points)
 
     def requirements(self) -> list[Requirement]:
         """What the numbers must satisfy."""
@@ -62,7 +78,6 @@ class Body(eqx.Module):
         inertia_positive = (
             self.inertia > 0 if np.ndim(self.inertia) == 1 else concretely(jnp.linalg.eigvalsh, self.inertia) > 0
         )
-        norm_error = abs((self.quaternion**2).sum() ** 0.5 - 1)
         rows = [
             Requirement(
                 "mass",
@@ -79,20 +94,25 @@ class Body(eqx.Module):
                 "be positive (definite) [kg m^2]",
                 "Give three principal moments, or a symmetric 3 x 3 matrix.",
             ),
-            Requirement(
-                "quaternion",
-                self.quaternion,
-                norm_error < UNIT_NORM_TOLERANCE,
-                "have unit norm",
-                "Divide it by its norm; the scalar part comes first.",
-            ),
         ]
-        for field in ("position", "velocity", "angular_velocity"):
+        for field in ("quaternion", "reference_quaternion"):
             value = getattr(self, field)
+            if value is not None:
+                rows.append(_unit_norm(field, value))
+        for field in ("position", "velocity", "angular_velocity", "reference_position"):
+            value = getattr(self, field)
+            if value is None:
+                continue
             rows.append(Requirement(field, value, abs(value) < np.inf, finite, remedy))
         for name, place in self.points.items():
             rows.append(Requirement(f"points[{name!r}]", place, abs(place) < np.inf, finite, remedy))
         return rows
+
+
+def _unit_norm(field: str, quaternion: Numeric) -> Requirement:
+    norm_error = abs((quaternion**2).sum() ** 0.5 - 1)
+    remedy = "Divide it by its norm; the scalar part comes first."
+    return Requirement(field, quaternion, norm_error < UNIT_NORM_TOLERANCE, "have unit norm", remedy)
 
 
 def numbers(value):

@@ -84,10 +84,11 @@ def first_event(start: Crossing, end: Crossing, inside: Callable, was_touching, 
         everywhere = beyond(x, inside(x))
         here = of_first(everywhere)
         is_below = here.value <= 0
-        is_exact = ~is_below & jnp.all(everywhere.value <= WINDOW, axis=0)
+        is_exact = searches & ~is_below & jnp.all(everywhere.value <= WINDOW, axis=0)
         is_low = is_below & ((high.value > 0) | (here.slope > 0))
-        low = jax.tree.map(lambda new, old: jnp.where(is_low, new, old), here, low)
-        high = jax.tree.map(lambda new, old: jnp.where(is_low, old, new), here, high)
+        # Lanes that do not search stay as they are: how long the others look must not matter to them.
+        low = jax.tree.map(lambda new, old: jnp.where(searches & is_low, new, old), here, low)
+        high = jax.tree.map(lambda new, old: jnp.where(searches & ~is_low, new, old), here, high)
         return n_looks + 1, low, high, jnp.where(is_exact, x, _guess(low, high)), is_exact
 
     search = jnp.array(0), low, high, x0, jnp.zeros(passes.shape, bool)

@@ -141,14 +141,8 @@ class Landing:
         mode, mode_now = (jnp.any(each, axis=0).astype(jnp.int64) for each in (was_touching, is_touching))
         duration = state.duration + jnp.where(keep, t - step.t0, 0.0)
         expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
-        first, second = (jnp.where(mode_now == 0, expected[0, i], expected[1, i]) for i in (0, 1))
-        is_second = state.n_since == 0
-        following = jnp.where(
-            is_event & (first > 0), first, jnp.where(is_second & ~is_event, jnp.maximum(longer, second), longer)
-        )
-        following = following * self._share_to_release(
-            state, end, t - step.t0, following, was_touching & is_touching & ~is_event
-        )
+        may_release = was_touching & is_touching & ~is_event
+        following = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
         # A step that was too long only because it went far beyond the event is right up to there.
         is_event_to_blame = found.crosses & (share * _BEYOND < _NEAR_END)
         again = jnp.where(passes | is_event_to_blame, up_to_event, longer)
@@ -176,6 +170,14 @@ class Landing:
         as_long = jnp.where(has_flown, _LIKE_LAST_FLIGHT * duration, jnp.inf)
         is_first_of_flight = (modes == 0) & (places == 0)
         return jnp.where(is_first_of_flight, jnp.minimum(expected, as_long), expected)
+
+    def _following(self, state: Pace, end, expected, mode, size, longer, is_event, may_release):
+        """The size of the step [s] that follows a kept one."""
+        first, second = (jnp.where(mode == 0, expected[0, i], expected[1, i]) for i in (0, 1))
+        is_second = (state.n_since == 0) & ~is_event
+        by_error = jnp.where(is_second, jnp.maximum(longer, second), longer)
+        following = jnp.where(is_event & (first > 0), first, by_error)
+        return following * self._share_to_release(state, end, size, following, may_release)
 
     def _event(self, contacts: Contacts, step: Step, state: Pace, was_touching, passes) -> Found:
         """The first contact event inside the steps, on the states inside them."""

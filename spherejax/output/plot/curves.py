@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spherejax.foundations.checks import SceneError
 from spherejax.motion.trajectory import Trajectory
 
 
@@ -25,6 +26,7 @@ class Curves:
         eccentricity: socket center to ball center, world axes [m], shape (n, 3).
         sliding_speed: of the contact points [m/s], shape (n,); None for a joint without friction.
         clearance: radial clearance of the joint [m]; None for a joint without clearance.
+        body: whose motion it is; figures name it on their axes.
     """
 
     label: str
@@ -36,6 +38,7 @@ class Curves:
     eccentricity: np.ndarray
     sliding_speed: np.ndarray | None = None
     clearance: float | None = None
+    body: str = ""
 
     @property
     def distance(self) -> np.ndarray:
@@ -43,15 +46,24 @@ class Curves:
         return np.linalg.norm(self.eccentricity, axis=1)
 
 
-def curves_of(run: Trajectory, label: str, *, body: str = "rocker", joint: str = "coupler_rocker") -> Curves:
-    """The curves of a run.
+def curves_of(run: Trajectory, label: str, *, body: str, joint: str) -> Curves:
+    """The curves of a run that the figures of one mechanism draw.
 
     Args:
-        run: a single run (no lanes).
+        run: a single run, on the host.
         label: what the legend shall say.
         body: the body whose vertical motion is drawn.
-        joint: the joint whose eccentricity is drawn.
+        joint: the spherical joint whose eccentricity is drawn.
+
+    Returns:
+        Arrays of the host; samples behind the end of a run that failed are NaN, and drawn as a gap.
+
+    Raises:
+        SceneError: for lanes, an unknown name, or a joint that is not spherical.
     """
+    if np.ndim(run.ys) != 2:
+        raise SceneError("curves are those of a single run; take one lane: jax.tree.map(lambda x: x[0], runs)")
+    eccentricity = np.asarray(run.eccentricity(joint))
     model = getattr(run.system.joints[joint], "model", None)
     clearance = getattr(model, "clearance", None)
     sliding = None
@@ -65,9 +77,10 @@ def curves_of(run: Trajectory, label: str, *, body: str = "rocker", joint: str =
         velocity=np.asarray(run.velocity(body)[:, 2]),
         acceleration=np.asarray(run.acceleration(body)[:, 2]),
         energy_change=energy - energy[0],
-        eccentricity=np.asarray(run.eccentricity(joint)),
+        eccentricity=eccentricity,
         sliding_speed=sliding,
         clearance=None if clearance is None else float(clearance),
+        body=body,
     )
 
 

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from spherejax.foundations.checks import SceneError
 from spherejax.output.plot.curves import Curves, thinned
 from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, new_figure
 
@@ -27,24 +28,33 @@ def eccentricity_paths(
 ) -> Figure:
     """For each joint model the path inside the clearance circle, and below it the distance over time.
 
+    The angle is that of the projection on a plane, the distance from the middle the true |e|: contact is on the circle
+    or beyond it, and only there. A joint without clearance has a dashed circle, its largest |e|.
+
     Args:
-        models: by model name; the ideal one is left out.
+        models: what `curves_of` returns, by model name (`"dry"`, `"bushing"`, ...), a column each; `"ideal"` is left
+            out. Names of joint models have their own colors.
         title: what is shown, with the values of the parameters.
-        every: samples of the path to skip; contact points are drawn wherever they are among the rest.
+        every: every how many samples the path has a point; points in contact are drawn in any case.
         plane: the world axes along which the paths are drawn: 0, 1, 2 for x, y, z.
         outer: whether a second circle shows the largest distance, where the ball is pressed in by much.
+
+    Raises:
+        SceneError: where there is no model to draw.
     """
     shown = {name: one for name, one in models.items() if name != "ideal"}
+    if not shown:
+        raise SceneError("an ideal joint has no eccentricity to draw; give curves of another model")
     look = _Look(plane, every, outer)
     figure, axes = new_figure(2, len(shown), 3.1 * len(shown), 5.9, title)
     for (upper, lower), (name, one) in zip(axes.T, shown.items(), strict=True):
-        is_small = one.clearance is None and one.distance.max() < 5e-4
+        is_small = one.clearance is None and np.nanmax(one.distance) < 5e-4
         unit, scale = (1e6, "µm") if is_small else (1e3, "mm")
         _draw_path(upper, one, unit, scale, look)
         lower.plot(*thinned(one.ts, unit * one.distance), color=MODEL_COLORS.get(name, "0.3"), lw=0.9)
         if one.clearance is not None:
             lower.axhline(unit * one.clearance, color="black", lw=1.0)
-            top = max(one.clearance, one.distance.max()) if outer else one.clearance
+            top = max(one.clearance, np.nanmax(one.distance)) if outer else one.clearance
             lower.set_ylim(0, 1.12 * unit * top)
         else:
             lower.set_ylim(bottom=0)
@@ -82,14 +92,14 @@ def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _Look) -> N
         remark = "never in contact" if one.clearance is not None else "circle: largest |e|"
     if look.outer:
         remark = f"{remark}\n" if one.clearance is not None else ""
-        remark += f"largest |e| (dashed): {distance.max():.4g} {scale}"
+        remark += f"largest |e| (dashed): {np.nanmax(distance):.4g} {scale}"
     ax.set_title(f"{one.label}\n{remark}", loc="left", fontsize=9)
     radius = np.nanmax(distance) if one.clearance is None else unit * one.clearance
     style = {"ls": "--", "color": "0.4"} if one.clearance is None else {"ls": "-", "color": "black"}
     ax.add_patch(Circle((0.0, 0.0), radius, fill=False, lw=1.0, zorder=3, **style))
-    if look.outer and distance.max() > radius:
-        ax.add_patch(Circle((0.0, 0.0), distance.max(), fill=False, lw=0.8, ls="--", color="0.4", zorder=3))
-        radius = distance.max()
+    if look.outer and np.nanmax(distance) > radius:
+        ax.add_patch(Circle((0.0, 0.0), np.nanmax(distance), fill=False, lw=0.8, ls="--", color="0.4", zorder=3))
+        radius = np.nanmax(distance)
     reach = 1.22 * max(radius, 1e-12)
     ax.set_xlim(-reach, reach)
     ax.set_ylim(-reach, reach)

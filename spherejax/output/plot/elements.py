@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from spherejax.output.plot.camera import Camera
-from spherejax.output.plot.mechanism import Mechanism, Pose, force_places
+from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.reading import force_places
 from spherejax.output.plot.shapes import body_strokes, triad_strokes
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, arrow_outline, ground_marks
 from spherejax.output.plot.symbols import joint_strokes

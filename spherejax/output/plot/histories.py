@@ -1,4 +1,4 @@
-"""Time histories of the rocker and of the energy against the ideal joint (Figs 10 to 18)."""
+"""Time histories of a body and of the energy against the ideal joint (Figs 10 to 18)."""
 
 from collections.abc import Sequence
 
@@ -15,6 +15,7 @@ from spherejax.output.plot.style import (
     limit_by_bulk,
     new_figure,
     note,
+    repeated,
 )
 
 QUANTITIES = {
@@ -45,14 +46,16 @@ def four_histories(
     colors: Sequence = LAW_COLORS,
     horizon: float | None = None,
 ) -> Figure:
-    """Position, velocity, acceleration and energy in four panels, against the ideal joint.
+    """Height, its two rates and the energy of several runs in four panels, against the ideal joint.
+
+    Velocities and accelerations are drawn to the bulk of their samples; peaks beyond it are told in the panel.
 
     Args:
-        curves: the runs to compare.
+        curves: the runs to compare, as `curves_of` returns them.
         ideal: the same motion with ideal joints, drawn black and dashed above the others.
         title: what is compared, with the values of the parameters.
-        colors: one for each run.
-        horizon: time [s] from which a chaotic history is one of many; marked when given.
+        colors: one for each run; they begin again where they end.
+        horizon: time [s] from which a chaotic history is one of many; shaded when given.
     """
     figure, axes = new_figure(2, 2, 9.0, 6.4, title)
     for ax, quantity in zip(axes.flat, QUANTITIES, strict=True):
@@ -78,8 +81,8 @@ def acceleration_and_energy(
         curves: the runs to compare.
         ideal: the same motion with ideal joints.
         title: what is compared, with the values of the parameters.
-        colors: one for each run.
-        horizon: time [s] from which a chaotic history is one of many; marked when given.
+        colors: one for each run; they begin again where they end.
+        horizon: time [s] from which a chaotic history is one of many; shaded when given.
         close_up: interval [s] of a third panel.
     """
     n_panels = 2 if close_up is None else 3
@@ -106,7 +109,7 @@ def draw(
     """One quantity of several runs in one panel; those that coincide are told apart by their widths."""
     field, factor = QUANTITIES[quantity]
     unrest = [-np.nanstd(one.acceleration) for one in curves]
-    for place, (one, color) in enumerate(zip(curves, colors, strict=False)):
+    for place, (one, color) in enumerate(zip(curves, repeated(colors, len(curves)), strict=True)):
         rank = sorted(unrest).index(unrest[place])  # the calmer a curve, the further in front
         width = WIDTHS[rank] if coinciding else 1.0
         x, y = thinned(one.ts, factor * getattr(one, field))
@@ -120,7 +123,7 @@ def draw(
         zorder=3,
     )
     ax.set_xlabel(LABELS["t"])
-    ax.set_ylabel(LABELS[quantity])
+    ax.set_ylabel(LABELS[quantity] if quantity == "energy" else f"{ideal.body} {LABELS[quantity]}".strip())
     ax.set_title(TITLES[quantity], loc="left", fontsize=9)
     ax.set_xlim(ideal.ts[0], ideal.ts[-1])
     if quantity in ("z_rate", "z_acceleration"):
@@ -137,13 +140,13 @@ def mark_horizon(ax: Axes, horizon: float | None, *, speaks: bool) -> None:
 
 
 def _draw_close_up(ax: Axes, curves: Sequence[Curves], ideal: Curves, colors: Sequence, interval) -> None:
-    for one, color in zip((*curves, ideal), (*colors[: len(curves)], "black"), strict=True):
+    for one, color in zip((*curves, ideal), (*repeated(colors, len(curves)), "black"), strict=True):
         inside = (one.ts >= interval[0]) & (one.ts <= interval[1])
         style = (0, (5, 2)) if one is ideal else "-"
         ax.plot(*thinned(one.ts[inside], one.acceleration[inside]), color=color, lw=1.1, ls=style)
     ax.set_xlim(*interval)
     ax.set_xlabel(LABELS["t"])
-    ax.set_ylabel(LABELS["z_acceleration"])
+    ax.set_ylabel(f"{ideal.body} {LABELS['z_acceleration']}".strip())
     ax.set_title(
         "acceleration where sliding nearly stops (smallest sliding speed in the middle)",
         loc="left",

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, letter, new_figure, note
+from spherejax.foundations.checks import SceneError
+from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, letter, new_figure, note, repeated
 from spherejax.physics.joints import Lubricated
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.laws import (
@@ -39,16 +41,27 @@ def impact_loops(
 ) -> Figure:
     """Force against penetration during one free impact, a panel for each prescribed restitution (Fig. 6).
 
+    The legend says which restitution each law realizes. Integrated with 4000 steps of Runge and Kutta's method.
+
     Args:
-        families: the laws to draw, by the restitution that was prescribed to them.
-        mass: effective mass [kg].
+        families: normal laws with `hysteresis_factor`, by the restitution that was prescribed to them.
+        mass: effective mass m_i m_j/(m_i + m_j) [kg].
         rate: penetration rate at the onset [m/s].
-        stiffness: K [N/m^1.5].
+        stiffness: K [N/m**1.5], e.g. by `generalized_stiffness`.
+
+    Raises:
+        SceneError: for a number that is not positive, or without a law.
     """
+    for name, value in (("mass", mass), ("rate", rate), ("stiffness", stiffness)):
+        if not 0 < value < np.inf:
+            raise SceneError(f"impact_loops: {name} = {value!r} must be positive and finite")
+    if not families:
+        raise SceneError("impact_loops: there is no law to draw; give {0.9: [sj.Hertz(), ...]}")
     title = f"Free impact: {mass * 1e3:g} g (effective) at {rate:g} m/s, K = {stiffness:.4g} N/m$^{{1.5}}$"
     figure, axes = new_figure(1, len(families), 4.6 * len(families), 4.8, title)
     for ax, (restitution, laws) in zip(axes.flat, families.items(), strict=True):
-        for law, color, dashes in zip(laws, LAW_COLORS, LAW_DASHES, strict=False):
+        styles = zip(repeated(LAW_COLORS, len(laws)), repeated(LAW_DASHES, len(laws)), strict=True)
+        for law, (color, dashes) in zip(laws, styles, strict=True):
             penetration, force = _free_impact(law, mass, rate, stiffness)
             realized = realized_restitution(float(law.hysteresis_factor()))
             label = f"{_name(law)} (realizes {realized:.3f})"
@@ -87,15 +100,22 @@ def _free_impact(law: ImpactLaw, mass: float, rate: float, stiffness: float) -> 
     return np.append(path[touching, 0], 0.0), np.append(np.asarray(force), 0.0)
 
 
-def friction_curves(laws: Sequence[AbstractFrictionLaw], *, fastest: float = 4e-3, close_up: float = 4e-4) -> Figure:
-    """Friction coefficient against sliding velocity, and its close-up near zero (Fig. 7).
+def friction_curves(
+    laws: Sequence[AbstractFrictionLaw],
+    title: str = "Friction laws in steady sliding",
+    *,
+    fastest: float = 4e-3,
+    close_up: float = 4e-4,
+) -> Figure:
+    """Friction coefficient against sliding velocity in steady sliding, and its close-up near zero (Fig. 7).
 
     Args:
-        laws: the laws to draw; one that cannot be simulated (Coulomb's) is drawn as the reference, grey and
-        wide. fastest: largest sliding velocity of the left panel [m/s]. close_up: largest sliding velocity of
-        the right panel [m/s].
+        laws: the laws to draw; one that cannot be simulated (Coulomb's) is drawn as the reference, grey and wide.
+        title: what is shown.
+        fastest: largest sliding velocity of the left panel [m/s].
+        close_up: largest sliding velocity of the right panel [m/s].
     """
-    figure, axes = new_figure(1, 2, 9.2, 4.2, "Friction laws in steady sliding, parameters of Table 3")
+    figure, axes = new_figure(1, 2, 9.2, 4.2, title)
     for ax, limit, name in zip(axes.flat, (fastest, close_up), ("all velocities", "near zero sliding"), strict=True):
         _draw_friction(ax, laws, limit)
         ax.set_title(name, loc="left", fontsize=9)
@@ -106,7 +126,7 @@ def friction_curves(laws: Sequence[AbstractFrictionLaw], *, fastest: float = 4e-
 
 def _draw_friction(ax: Axes, laws: Sequence[AbstractFrictionLaw], limit: float) -> None:
     velocities = np.linspace(-limit, limit, 4001)
-    styles = iter(zip(LAW_COLORS, LAW_DASHES, strict=True))
+    styles = zip(cycle(LAW_COLORS), cycle(LAW_DASHES), strict=False)
     for law in laws:
         coefficients = np.asarray(jax.vmap(law.coefficient)(jnp.abs(velocities))) * np.sign(velocities)
         if law.simulable:
@@ -120,12 +140,17 @@ def _draw_friction(ax: Axes, laws: Sequence[AbstractFrictionLaw], limit: float) 
 
 
 def hybrid_force(joint: Lubricated, *, rate: float = 1e-4) -> Figure:
-    """Film, contact and blended force of a lubricated joint across e = c (Fig. 8).
+    """Film, contact and blended force of a lubricated joint across e = c, in the clearance and around its end (Fig. 8).
 
     Args:
         joint: the joint model.
-        rate: approach speed [m/s].
+        rate: speed at which the ball approaches the wall [m/s].
+
+    Raises:
+        SceneError: for another model.
     """
+    if not isinstance(joint, Lubricated):
+        raise SceneError(f"hybrid_force: {type(joint).__name__} has no film; give a sj.Lubricated(...)")
     c, c_mm = float(joint.clearance), 1e3 * float(joint.clearance)
     title = f"Lubricated joint: c = {c_mm:g} mm, {float(joint.viscosity):g} Pa s, approach at {1e3 * rate:g} mm/s"
     figure, axes = new_figure(1, 2, 9.2, 4.2, title)

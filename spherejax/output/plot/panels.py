@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from spherejax.foundations.checks import SceneError
 from spherejax.output.plot.curves import thinned
 from spherejax.output.plot.style import LABELS, MODEL_COLORS, legend_below, letter, new_figure, note
 
@@ -16,7 +17,7 @@ WIDTHS = (3.6, 2.8, 2.0, 1.4, 0.8)
 
 @dataclass(frozen=True)
 class Panel:
-    """One quantity of all models.
+    """One quantity of all models, for `model_histories`.
 
     Attributes:
         title: what it is.
@@ -39,7 +40,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Shade:
-    """An interval of time that is marked in all panels.
+    """An interval of time that is marked in all panels of `model_histories`.
 
     Attributes:
         interval: [s].
@@ -61,12 +62,20 @@ def model_histories(
     """A panel for each quantity; models that coincide are told apart by the widths of their lines.
 
     Args:
-        panels: the quantities.
-        labels: names of the models for people, by model name; their order is that of the legend.
+        panels: the quantities, at least one.
+        labels: names of the models for people, by model name (`"ideal"`, `"dry"`, ...); their order is that of the
+            legend. Names of joint models have their own colors, others are grey.
         title: what is shown.
         n_columns: of the panels.
         shade: an interval to mark.
+
+    Raises:
+        SceneError: without a panel, or for one that has none of the models.
     """
+    for panel in panels:
+        if not set(panel.curves) & set(labels):
+            known = ", ".join(map(repr, labels)) or "none"
+            raise SceneError(f"panel {panel.title!r} has curves of {sorted(panel.curves)}, but labels are for {known}")
     n_rows = -(-len(panels) // n_columns)
     figure, axes = new_figure(n_rows, n_columns, 4.7 * n_columns, 2.6 * n_rows + 0.9, title)
     for ax in axes.flat[len(panels) :]:
@@ -85,7 +94,8 @@ def _draw(ax: Axes, panel: Panel, labels: Mapping[str, str]) -> None:
     start, end = panel.window or (panel.ts[0], panel.ts[-1])
     inside = (panel.ts >= start) & (panel.ts <= end)
     drawn = [name for name in labels if name in panel.curves]
-    for width, name in zip(WIDTHS[-len(drawn) :], drawn, strict=True):
+    widths = WIDTHS[-len(drawn) :] if len(drawn) <= len(WIDTHS) else np.linspace(WIDTHS[0], WIDTHS[-1], len(drawn))
+    for width, name in zip(widths, drawn, strict=True):
         ts, values = thinned(panel.ts[inside], panel.curves[name][inside])
         ax.plot(ts, values, color=MODEL_COLORS.get(name, "0.4"), lw=width, alpha=0.9, label=labels[name])
     ax.set_xlim(start, end)

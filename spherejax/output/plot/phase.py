@@ -1,4 +1,4 @@
-"""Phase portraits of the rocker's vertical motion (Fig. 19)."""
+"""Phase portraits of a body's vertical motion (Fig. 19)."""
 
 from collections.abc import Mapping
 
@@ -13,9 +13,10 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20
     """Position against velocity, and velocity against acceleration; a row for each joint model.
 
     Args:
-        models: by model name (`"ideal"`, `"dry"`, ...), drawn from top to bottom on common axes.
+        models: what `curves_of` returns, by model name (`"ideal"`, `"dry"`, ...), drawn from top to bottom on common
+            axes.
         title: what is shown, with the values of the parameters.
-        every: samples to skip; a portrait has no time axis along which to keep the peaks.
+        every: every how many samples the path has a point; a portrait has no time axis along which to keep the peaks.
 
     The ideal motion lies behind every portrait in grey, so that each one can be judged by itself.
     """
@@ -32,8 +33,9 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20
         right.set_ylabel("acceleration [m/s$^2$]")
         left.set_title(one.label, loc="left", fontsize=9)
         right.set_title(one.label, loc="left", fontsize=9)
-    axes[-1, 0].set_xlabel(LABELS["z"])
-    axes[-1, 1].set_xlabel(LABELS["z_rate"])
+    body = next(iter(models.values())).body
+    axes[-1, 0].set_xlabel(f"{body} {LABELS['z']}".strip())
+    axes[-1, 1].set_xlabel(f"{body} {LABELS['z_rate']}".strip())
     _share_limits(axes, models)
     letter(list(axes.flat))
     return figure

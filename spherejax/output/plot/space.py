@@ -15,7 +15,8 @@ from matplotlib.transforms import ScaledTranslation
 
 from spherejax.output.plot.camera import Camera, axis_name
 from spherejax.output.plot.elements import mechanism_strokes
-from spherejax.output.plot.mechanism import Mechanism, Pose, force_places
+from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.reading import force_places
 from spherejax.output.plot.shapes import AXIS_COLORS
 from spherejax.output.plot.strokes import INK, Stroke
 from spherejax.output.plot.style import dress

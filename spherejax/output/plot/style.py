@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from io import BytesIO
+from itertools import cycle, islice
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from spherejax.foundations.checks import SceneError
 
 RESOLUTION = 150
 """Dots per inch of the figures."""
@@ -29,11 +32,12 @@ LAW_DASHES = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.
 
 LABELS = {
     "t": "time [s]",
-    "z": "rocker z [mm]",
-    "z_rate": "rocker z velocity [m/s]",
-    "z_acceleration": "rocker z acceleration [m/s$^2$]",
+    "z": "z [mm]",
+    "z_rate": "z velocity [m/s]",
+    "z_acceleration": "z acceleration [m/s$^2$]",
     "energy": "energy change [mJ]",
 }
+"""Of axes, with units."""
 
 
 class Picture(Figure):
@@ -47,18 +51,25 @@ class Picture(Figure):
 
 
 def new_figure(n_rows: int, n_columns: int, width: float, height: float, title: str) -> tuple[Figure, np.ndarray]:
-    """An empty figure with a grid of axes.
+    """An empty figure with a grid of axes, in the look of all figures; a notebook shows it without pyplot.
 
     Args:
-        n_rows: rows of axes.
-        n_columns: columns of axes.
+        n_rows: rows of axes, 1 or more.
+        n_columns: columns of axes, 1 or more.
         width: [inch].
         height: [inch].
         title: what is shown, with the values of the parameters.
 
     Returns:
-        The figure, and the axes with shape (n_rows, n_columns).
+        The figure, and the axes, shape (n_rows, n_columns).
+
+    Raises:
+        SceneError: for a grid without axes.
     """
+    if min(n_rows, n_columns) < 1:
+        raise SceneError(
+            f"a figure of {n_rows} rows and {n_columns} columns has nothing to show; give at least 1 and 1"
+        )
     figure = Picture(figsize=(width, height), dpi=RESOLUTION, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
@@ -80,12 +91,28 @@ def dress(ax: Axes) -> None:
 
 
 def ordered_colors(n: int) -> list:
-    """Colors for `n` values of one parameter: from dark to light, without the palest that vanish on white."""
+    """Colors for `n` values of one parameter: from dark to light, without the palest that vanish on white.
+
+    Args:
+        n: how many.
+
+    Returns:
+        Red, green, blue and opacity of each, between 0 and 1.
+    """
     return [colormaps["viridis"](position) for position in np.linspace(0.05, 0.78, n)]
 
 
+def repeated(looks: Sequence, n: int) -> list:
+    """As many colors or dashes as there are curves; they begin again where they end."""
+    return list(islice(cycle(looks), n))
+
+
 def letter(axes: Sequence[Axes]) -> None:
-    """Letters (a), (b), ... in front of the panels' titles."""
+    """Put letters (a), (b), ... in front of the panels' titles, which stand on the left.
+
+    Args:
+        axes: the panels in reading order, e.g. `list(axes.flat)` of what `new_figure` returns; at most 16.
+    """
     for character, ax in zip("abcdefghijklmnop", axes, strict=False):
         title = ax.get_title(loc="left")
         ax.set_title(f"({character}) {title}".rstrip(), loc="left", fontsize=9)

@@ -29,7 +29,7 @@ def figures_of_sweep(swept: "xarray.Dataset", title: str = "") -> dict[str, Figu
     Runs that did not reach their end are marked by red crosses.
 
     Args:
-        swept: the result of `sj.sweep`.
+        swept: the result of `sj.sweep` or `sj.open_sweep`.
         title: what was swept.
 
     Returns:

@@ -35,6 +35,8 @@ class AbstractAxialJoint(AbstractPairJoint):
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
+            False leaves the bodies, and their velocities, as they are described.
         turns_freely: whether the joint turns about its axis (static).
 
     Classes below repeat the constructor's arguments: a type checker makes a constructor from the fields otherwise.
@@ -47,12 +49,26 @@ class AbstractAxialJoint(AbstractPairJoint):
     point_name: str | None = eqx.field(static=True)
     axis: Numeric
     model: AbstractSphericalModel
+    starts_concentric: bool = eqx.field(static=True)
 
-    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
+    def __init__(
+        self,
+        bodies: tuple[str, str],
+        point,
+        axis,
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
+    ):
         self.bodies = (bodies[0], bodies[1])
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
         self.model = Ideal() if model is None else model
+        self.starts_concentric = starts_concentric
+
+    def as_described(self):
+        """The joint with a bushing that may be pressed at the start."""
+        point = self.point if self.point_name is None else self.point_name
+        return type(self)(self.bodies, point, self.axis, self.model, starts_concentric=False)
 
     def requirements(self) -> list[Requirement]:
         """A finite point, a direction, and a model for such a joint."""
@@ -71,7 +87,7 @@ class AbstractAxialJoint(AbstractPairJoint):
         coincides, right_angles = self._equations(bodies, axis, tuple((b, on_second) for b in across))
         normals = () if coincides else across
         ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,))
-        return with_model(ideal, self.model, bodies, axis)
+        return with_model(ideal, self.model, self.starts_concentric, bodies, axis)
 
     @abc.abstractmethod
     def _equations(self, bodies, axis, axis_stays) -> tuple[bool, RightAngles]:
@@ -93,12 +109,21 @@ class Revolute(AbstractAxialJoint):
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
+            False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = True
 
-    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
-        super().__init__(bodies, point, axis, model)
+    def __init__(
+        self,
+        bodies: tuple[str, str],
+        point,
+        axis,
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
+    ):
+        super().__init__(bodies, point, axis, model, starts_concentric)
 
     def _equations(self, bodies, axis, axis_stays):
         return True, axis_stays
@@ -112,12 +137,21 @@ class Cylindrical(AbstractAxialJoint):
         point: a point on the axis, world axes at the start [m], shape (3,), or its name `"body.point"`.
         axis: direction of the axis, world axes at the start, any length, shape (3,).
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
+            False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = True
 
-    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
-        super().__init__(bodies, point, axis, model)
+    def __init__(
+        self,
+        bodies: tuple[str, str],
+        point,
+        axis,
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
+    ):
+        super().__init__(bodies, point, axis, model, starts_concentric)
 
     def _equations(self, bodies, axis, axis_stays):
         return False, axis_stays
@@ -132,12 +166,21 @@ class Prismatic(AbstractAxialJoint):
             `"body.point"`; reactions are about it.
         axis: direction of sliding, world axes at the start, any length, shape (3,).
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
+            False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = False
 
-    def __init__(self, bodies: tuple[str, str], point, axis, model: AbstractSphericalModel | None = None):
-        super().__init__(bodies, point, axis, model)
+    def __init__(
+        self,
+        bodies: tuple[str, str],
+        point,
+        axis,
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
+    ):
+        super().__init__(bodies, point, axis, model, starts_concentric)
 
     def _equations(self, bodies, axis, axis_stays):
         return False, right_angles_of_all_axes(bodies, self.bodies, axis)

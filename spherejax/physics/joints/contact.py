@@ -229,6 +229,7 @@ def contact_effects(model: Any, first: str, elastic: AbstractNormalLaw) -> tuple
 
 
 def contact_law_requirements(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> list[Requirement]:
-    """What the laws of a contact require, with the law's name in front of each field."""
+    """What the laws of a contact require, with the law's name in front of each number."""
     laws = [normal, *([] if friction is None else [friction])]
-    return [r._replace(field=f"{type(law).__name__}.{r.field}") for law in laws for r in law.requirements()]
+    required = [(law, requirement) for law in laws for requirement in law.requirements()]
+    return [r if r.value is law else r._replace(field=f"{type(law).__name__}.{r.field}") for law, r in required]

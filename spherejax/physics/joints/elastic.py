@@ -15,15 +15,17 @@ from spherejax.physics.joints.spherical import PlacedSpherical
 def with_model(
     ideal: AbstractPlacedJoint,
     model: AbstractSphericalModel,
+    starts_concentric: bool,
     bodies: Mapping[str, Body],
     axis: Numeric | None = None,
     second_axis: Numeric | None = None,
 ) -> AbstractPlacedJoint:
-    """A placed joint with a model: itself where the model is ideal, else a ball in a socket that starts like it.
+    """A placed joint with a model: itself where the model is ideal, else a ball in a socket with axes.
 
     Args:
         ideal: the ideal joint.
         model: how it resists.
+        starts_concentric: whether it starts as if it were ideal.
         bodies: the scene's bodies.
         axis: where z of the joint's axes points, world axes at the start; None: they are those of its first body.
         second_axis: where x points, as nearly as it can; any direction across the axis where it is None.
@@ -32,7 +34,7 @@ def with_model(
         return ideal
     start = relative_start(bodies, *ideal.bodies)
     frame = None if axis is None else frame_along(bodies, ideal.bodies[0], axis, second_axis)
-    return PlacedSpherical(ideal.bodies, *ideal.points, start, model, True, frame, ideal)
+    return PlacedSpherical(ideal.bodies, *ideal.points, start, model, starts_concentric, frame, ideal)
 
 
 def model_requirements(model: AbstractSphericalModel, *, turns_freely: bool) -> list[Requirement]:

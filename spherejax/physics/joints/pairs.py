@@ -33,6 +33,8 @@ class Universal(AbstractPairJoint):
         second_axis: the arm that is fixed in the second body, perpendicular to the first.
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the first arm
             and x along the second at the start.
+        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
+            False leaves the bodies, and their velocities, as they are described.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -41,15 +43,28 @@ class Universal(AbstractPairJoint):
     first_axis: Numeric
     second_axis: Numeric
     model: AbstractSphericalModel
+    starts_concentric: bool = eqx.field(static=True)
 
     def __init__(
-        self, bodies: tuple[str, str], point, first_axis, second_axis, model: AbstractSphericalModel | None = None
+        self,
+        bodies: tuple[str, str],
+        point,
+        first_axis,
+        second_axis,
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
     ):
         self.bodies = (bodies[0], bodies[1])
         self.point_name, self.point = split_point(point)
         self.first_axis = numbers(first_axis)
         self.second_axis = numbers(second_axis)
         self.model = Ideal() if model is None else model
+        self.starts_concentric = starts_concentric
+
+    def as_described(self):
+        """The joint with a bushing that may be pressed at the start."""
+        point = self.point if self.point_name is None else self.point_name
+        return Universal(self.bodies, point, self.first_axis, self.second_axis, self.model, False)
 
     def requirements(self) -> list[Requirement]:
         """A finite point, two perpendicular directions, and a model."""
@@ -75,7 +90,7 @@ class Universal(AbstractPairJoint):
         first = turned(bodies, self.bodies[0], unit(self.first_axis))
         second = turned(bodies, self.bodies[1], unit(self.second_axis))
         ideal = PlacedPair(self.bodies, places, True, (), ((first, second),), (second,))
-        return with_model(ideal, self.model, bodies, self.first_axis, self.second_axis)
+        return with_model(ideal, self.model, self.starts_concentric, bodies, self.first_axis, self.second_axis)
 
 
 RIGHT_ANGLE_TOLERANCE = 1e-3
@@ -94,17 +109,32 @@ class Fixed(AbstractPairJoint):
         point: a point of both, about which reactions are given, world axes at the start [m], shape (3,), or its name
             `"body.point"`.
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in the axes of the first body.
+        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
+            False leaves the bodies, and their velocities, as they are described.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
     point: Numeric | None
     point_name: str | None = eqx.field(static=True)
     model: AbstractSphericalModel
+    starts_concentric: bool = eqx.field(static=True)
 
-    def __init__(self, bodies: tuple[str, str], point, model: AbstractSphericalModel | None = None):
+    def __init__(
+        self,
+        bodies: tuple[str, str],
+        point,
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
+    ):
         self.bodies = (bodies[0], bodies[1])
         self.point_name, self.point = split_point(point)
         self.model = Ideal() if model is None else model
+        self.starts_concentric = starts_concentric
+
+    def as_described(self):
+        """The joint with a bushing that may be pressed at the start."""
+        point = self.point if self.point_name is None else self.point_name
+        return Fixed(self.bodies, point, self.model, False)
 
     def requirements(self) -> list[Requirement]:
         """A finite point and a model."""
@@ -114,7 +144,8 @@ class Fixed(AbstractPairJoint):
         """The points coincide and three right angles stay."""
         places = places_of(bodies, find, self.bodies, self.point_name, self.point)
         angles = right_angles_of_all_axes(bodies, self.bodies, numbers((0.0, 0.0, 1.0)))
-        return with_model(PlacedPair(self.bodies, places, True, (), angles, ()), self.model, bodies)
+        ideal = PlacedPair(self.bodies, places, True, (), angles, ())
+        return with_model(ideal, self.model, self.starts_concentric, bodies)
 
 
 class PointOnPlane(AbstractJoint):

@@ -92,6 +92,10 @@ class AbstractJoint(eqx.Module):
     def requirements(self) -> list[Requirement]:
         """What the joint's numbers must satisfy."""
 
+    def as_described(self) -> "AbstractJoint":
+        """The joint without a concentric start of its model: a start that the load has pressed stays so."""
+        return self
+
 
 class AbstractPairJoint(AbstractJoint):
     """A joint that names its two bodies; what is fixed in the first one guides the second."""

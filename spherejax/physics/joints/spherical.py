@@ -31,6 +31,10 @@ class Spherical(AbstractJoint):
     model: AbstractSphericalModel = eqx.field(default_factory=Ideal)
     starts_concentric: bool = eqx.field(static=True, default=True)
 
+    def as_described(self):
+        """The joint with a ball that starts where the bodies put it."""
+        return Spherical(self.socket, self.ball, self.model, starts_concentric=False)
+
     def requirements(self) -> list[Requirement]:
         """What the model requires."""
         return self.model.requirements()
@@ -93,17 +97,17 @@ class PlacedSpherical(AbstractPlacedJoint):
 
     def assembly_rows(self, t, motions):
         """The centers coincide at the start, unless the user placed the ball elsewhere."""
-        if self.ideal is not None:
-            return self.ideal.assembly_rows(t, motions)
-        return self.coincidence(motions) if self.model.is_ideal or self.starts_concentric else None
+        if not (self.model.is_ideal or self.starts_concentric):
+            return None
+        return self.coincidence(motions) if self.ideal is None else self.ideal.assembly_rows(t, motions)
 
     def as_if_ideal(self):
         """The ideal joint; None where the ball stays where the user placed it."""
-        if self.ideal is not None:
-            return self.ideal
-        if self.model.is_ideal or not self.starts_concentric:
-            return self if self.model.is_ideal else None
-        return eqx.tree_at(lambda joint: joint.model, self, Ideal())
+        if self.model.is_ideal:
+            return self
+        if not self.starts_concentric:
+            return None
+        return self.ideal if self.ideal is not None else eqx.tree_at(lambda joint: joint.model, self, Ideal())
 
     def coincidence(self, motions: Motions) -> ConstraintRows:
         """The equations of the ideal joint, whatever the model."""

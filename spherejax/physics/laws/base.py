@@ -53,9 +53,14 @@ def at_least(field: str, value, bound_field: str, bound) -> Requirement:
         field,
         value,
         (x >= numeric(bound)) & (x < np.inf),
-        f"be at least {bound_field}",
+        f"be at least {bound_field}{_value_of(bound)}",
         f"Raise {field} or lower {bound_field}.",
     )
+
+
+def _value_of(bound) -> str:
+    """The number behind a name, where it is known."""
+    return f" = {float(bound):.6g}" if is_concrete(bound) and np.ndim(bound) == 0 else ""
 
 
 def above(field: str, value, bound_field: str, bound) -> Requirement:
@@ -65,6 +70,6 @@ def above(field: str, value, bound_field: str, bound) -> Requirement:
         field,
         value,
         (x > numeric(bound)) & (x < np.inf),
-        f"be above {bound_field}",
+        f"be above {bound_field}{_value_of(bound)}",
         f"Raise {field} or lower {bound_field}.",
     )

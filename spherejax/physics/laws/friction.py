@@ -99,10 +99,12 @@ class Coulomb(AbstractStaticFriction):
         return [
             Requirement(
                 "friction",
-                "Coulomb",
+                self,
                 self.simulable,
-                "be defined at zero sliding, and Coulomb's law is not",
-                "Use Threlfall, BengisuAkay, Ambrosio, BrownMcPhee or LuGre instead.",
+                "be a law whose force vanishes with the sliding velocity: Coulomb's jumps at zero sliding, where no "
+                "integration can follow it, and serves as a curve for plots only",
+                "Take friction=Threlfall(mu=..., v1=1e-3), which is Coulomb's law beyond twice the threshold velocity "
+                "v1 [m/s], or BengisuAkay, Ambrosio, BrownMcPhee or LuGre.",
             )
         ]
 

@@ -264,7 +264,7 @@ class ExactRestitution(AbstractHysteresisLaw):
 
     Limits: chi = 3 (1 - c_r)/2 + ... near 1 (Hunt-Crossley), 1/c_r as c_r -> 0 (Gonthier).
 
-    Source: `spherejax.physics.laws.impact.exact_hysteresis_factor`.
+    Source: `exact_hysteresis_factor`.
     """
 
     restitution: Number

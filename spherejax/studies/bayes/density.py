@@ -79,7 +79,7 @@ def priors_for(unknowns: Unknowns, given: Mapping[str, Prior] | None) -> dict[st
         if not callable(prior):
             raise SceneError(
                 f"the prior of {name!r} must be a function from the parameter to its log density, such as "
-                f"sj.studies.bayes.Normal(mean, deviation); it is {prior!r}"
+                f"sj.priors.Normal(mean, deviation); it is {prior!r}"
             )
     chosen = {part.name: (given or {}).get(part.name, _default(part)) for part in unknowns.parts}
     for part in unknowns.parts:

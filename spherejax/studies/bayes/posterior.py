@@ -37,8 +37,8 @@ def posterior(
         fitted: a fit; or its problem, which is then taken to begin at the estimates.
 
     Other args:
-        priors: log densities by parameter: `Normal`, `LogNormal`, `Uniform`, `LogUniform` of `sj.studies.bayes`, or
-            functions. Without one a parameter in an interval, or without bounds, is uniform; a positive one is uniform
+        priors: log densities by parameter: those of `sj.priors`, e.g. `sj.priors.Normal(1e5, 1e4)`, or functions of the
+            parameter. Without one a parameter in an interval, or without bounds, is uniform; a positive one is uniform
             in its logarithm.
         n_samples: draws that are kept, of each chain.
         n_chains: chains; they run on all cores.

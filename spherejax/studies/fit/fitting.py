@@ -10,6 +10,7 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.many import Build
+from spherejax.runtime import interrupts_kept
 from spherejax.studies.fit.columns import tables_of, widths_of
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.methods import Course, Ending, Method, Seen, Watch
@@ -64,7 +65,7 @@ def fit(
             factor of ten away (positive parameters) or `log(10)` scales (others), within the bounds.
         horizon: how much of the record is looked at. With None the record grows: rough fits of its first parts, each
             twice as long, lead into the whole; a start whose vibration is out of step with the measured one would
-            otherwise end in a wrong minimum. `sj.studies.fit.Whole()` begins with all of it.
+            otherwise end in a wrong minimum. `sj.Whole()` begins with all of it.
         rtol, atol, solver, max_steps: of the runs, as in `simulate`. An explicit solver controls the errors of the
             derivatives too. A run that fails within the fit is a step taken back.
         level: of the confidence intervals in the report.
@@ -85,7 +86,7 @@ def fit(
     experiments = experiments_from(measured)
     problem = problem_of(build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps)
     us = _starts(problem, starts, seed)
-    with reporting(progress, problem, method.max_iterations) as report:
+    with interrupts_kept(), reporting(progress, problem, method.max_iterations) as report:
         watch = Watch(report, problem, method.max_iterations)
         problem, courses = _minimized(problem, method, horizon or Grown(), us, watch)
     return Fit(problem, courses, level, determined_within, time.monotonic() - began, build)

@@ -41,7 +41,7 @@ EXPONENTIAL = 3.0
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class SensitivityHistory:
     """Size of the sensitivities of one experiment along time.
 
     Attributes:
@@ -85,7 +85,7 @@ class Growth:
         has_grown: whether the fit let the record grow.
     """
 
-    sensitivities: dict[str, Sensitivity]
+    sensitivities: dict[str, SensitivityHistory]
     names: list[str]
     steps: list[Followed]
     start: Followed | None
@@ -172,7 +172,7 @@ def _end(problem: Problem) -> float:
     return max(float(each.measured.ts[-1]) for each in problem.experiments)
 
 
-def _sensitivities(problem: Problem, knowledge: Knowledge) -> dict[str, Sensitivity]:
+def _sensitivities(problem: Problem, knowledge: Knowledge) -> dict[str, SensitivityHistory]:
     found, at = {}, 0
     for experiment in problem.experiments:
         instants = instants_of(experiment)
@@ -180,7 +180,7 @@ def _sensitivities(problem: Problem, knowledge: Knowledge) -> dict[str, Sensitiv
         at += instants.size
         ts = np.unique(instants)
         by_instant = [rows[instants == t] for t in ts]
-        found[str(experiment.measured.name)] = Sensitivity(
+        found[str(experiment.measured.name)] = SensitivityHistory(
             ts,
             np.stack([np.linalg.norm(each, axis=0) for each in by_instant]),
             np.array([np.linalg.norm(each, 2) for each in by_instant]),
@@ -229,7 +229,7 @@ def _begin(problem: Problem) -> float:
     return min(each.measured.t0 for each in problem.experiments)
 
 
-def _quarters(sensitivity: Sensitivity) -> tuple[float, float]:
+def _quarters(sensitivity: SensitivityHistory) -> tuple[float, float]:
     """Medians of the sizes in the second and in the last quarter of the record: a start at rest shows nothing.
 
     An instant within a contact is far more sensitive than its neighbors: medians pass over it.
@@ -241,7 +241,7 @@ def _quarters(sensitivity: Sensitivity) -> tuple[float, float]:
     return early, float(np.median(late)) if late.size else 0.0
 
 
-def _e_folding_time(sensitivity: Sensitivity) -> float:
+def _e_folding_time(sensitivity: SensitivityHistory) -> float:
     """From the median of the slopes between all instants (Theil and Sen), for the same reason."""
     ts, sizes = sensitivity.ts, sensitivity.sizes
     later = (ts >= (ts[0] + ts[-1]) / 2) & (sizes > 0)

@@ -87,7 +87,9 @@ def law_figures() -> dict[str, Callable]:
     rubbing = [Coulomb(), Threlfall(), BengisuAkay(), Ambrosio(), BrownMcPhee()]
     return {
         "fig06_normal_laws": lambda: laws.impact_loops(families, stiffness=1.508882e11),
-        "fig07_friction_laws": lambda: laws.friction_curves(rubbing),
+        "fig07_friction_laws": lambda: laws.friction_curves(
+            rubbing, "Friction laws in steady sliding, parameters of Table 3"
+        ),
         "fig08_hybrid_film": lambda: laws.hybrid_force(joint),
     }
 

@@ -1,0 +1,123 @@
+"""What users copy stands on public names: notebooks, documentation pages and the README reach no private module."""
+
+import ast
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from documentation import DOCS, README, program
+
+import spherejax as sj
+
+ROOT = Path(__file__).parent.parent
+MODULES = {
+    "spherejax": sj.__all__,
+    "spherejax.gallery": sj.gallery.__all__,
+    "spherejax.plot": sj.plot.__all__,
+    "spherejax.priors": sj.priors.__all__,
+    "spherejax.runtime": ["configure", "require_float64"],
+}
+"""Public modules with their names; the reference in docs/api describes them."""
+
+examples = program("examples")
+PAGES = sorted({*examples.pages(), README})
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+FENCED = re.compile(r"^```(?:python|py)\b[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def code_of(path: Path) -> str:
+    """All Python of a page or a notebook."""
+    if path.suffix == ".ipynb":
+        cells = nbformat.read(path, as_version=4).cells
+        lines = [line for cell in cells if cell.cell_type == "code" for line in cell.source.splitlines()]
+        return "\n".join(line for line in lines if not line.startswith("%"))  # magic commands are no Python
+    return "\n\n".join(FENCED.findall(path.read_text()))
+
+
+def private_names(code: str) -> list[str]:
+    """Names of spherejax that a program imports, or reaches by dots, and that are not public."""
+    tree, found = ast.parse(code), []
+    stands_for = {"spherejax": "spherejax"}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.partition(".")[0] == "spherejax":
+                    stands_for[alias.asname or "spherejax"] = alias.name if alias.asname else "spherejax"
+                    found += [] if alias.name in MODULES else [alias.name]
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "spherejax":
+            for alias in node.names:
+                name = f"{node.module}.{alias.name}"
+                if alias.name not in MODULES.get(node.module or "", ()):
+                    found.append(name)
+                elif name in MODULES:
+                    stands_for[alias.asname or alias.name] = name
+    return found + [
+        f"{module}.{node.attr}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and (module := _module_of(node.value, stands_for)) in MODULES
+        if node.attr not in MODULES[module]
+    ]
+
+
+def _module_of(node: ast.expr, stands_for: dict[str, str]) -> str:
+    """The module of spherejax that an expression is; empty for other things."""
+    if isinstance(node, ast.Name):
+        return stands_for.get(node.id, "")
+    if isinstance(node, ast.Attribute) and (owner := _module_of(node.value, stands_for)):
+        return f"{owner}.{node.attr}"
+    return ""
+
+
+@pytest.mark.parametrize("path", [*PAGES, *NOTEBOOKS], ids=lambda path: str(path.relative_to(ROOT)))
+def test_only_public_names_are_used(path):
+    code = code_of(path)
+    assert "spherejax" in code or path.suffix == ".md"
+    assert not private_names(code)
+
+
+@pytest.mark.parametrize(
+    ("code", "private"),
+    [
+        ("import spherejax as sj\nsj.plot.letter, sj.gallery.four_bar, sj.Dry(1e-4).clearance", []),
+        ("from spherejax import plot, Dry\nplot.letter", []),
+        ("from spherejax.plot import letter\nimport spherejax.gallery\nspherejax.gallery.hip", []),
+        ("from spherejax.output.plot.style import letter", ["spherejax.output.plot.style.letter"]),
+        ("from spherejax import studies", ["spherejax.studies"]),
+        ("import spherejax.physics.laws as laws", ["spherejax.physics.laws"]),
+        ("import spherejax as sj\nsj.studies.fit.Whole()", ["spherejax.studies"]),
+        ("from spherejax import plot as p\np.dress", ["spherejax.plot.dress"]),
+        ("import spherejax\nspherejax.plot.style", ["spherejax.plot.style"]),
+    ],
+)
+def test_private_names_are_found(code, private):
+    assert private_names(code) == private
+
+
+def test_the_pages_are_read():
+    assert README in PAGES
+    assert len(PAGES) > 20
+    assert all("import spherejax as sj" in code_of(path) for path in (README, DOCS / "getting_started.md"))
+
+
+@pytest.mark.parametrize("module", [sj.plot, sj.priors], ids=lambda module: module.__name__)
+def test_public_modules_say_what_they_hold(module):
+    assert module.__doc__
+    public = {name: getattr(module, name) for name in module.__all__}
+    assert not [name for name, thing in public.items() if callable(thing) and not inspect.getdoc(thing)]
+    if module is sj.plot:
+        assert all(f"`{name}`" in module.__doc__ for name in public if name not in ("Curves", "Shade"))
+
+
+def test_plot_is_offered_and_imported_when_it_is_first_used():
+    code = (
+        "import sys, spherejax as sj; print('plot' in dir(sj), 'matplotlib' in sys.modules);"
+        "sj.plot.new_figure; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.split() == ["True", "False", "True", "False"]
+    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
+        sj.no_such_name  # noqa: B018
