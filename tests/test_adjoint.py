@@ -10,7 +10,7 @@ from identification import ball_in_socket
 
 import spherejax as sj
 from spherejax.motion import adjoint
-from spherejax.studies.fit import problem_of
+from spherejax.studies.fit import Whole, problem_of
 
 
 def assert_gradient(problem, within, u=None):
@@ -140,7 +140,7 @@ def test_a_run_that_cannot_be_made_says_why():
 
 # Many parameters ----------------------------------------------------------------------------------------------------
 
-KNOTS = np.linspace(0.0, 1.0, 41)
+KNOTS = np.linspace(0.0, 1.0, 21)
 
 
 class AlongX(eqx.Module):
@@ -158,14 +158,15 @@ def pushed(forces):
     return sj.Scene({"body": sj.Body(2.0, (1e-3,) * 3)}, {}, forces={"push": push}, gravity=(0.0, 0.0, 0.0))
 
 
-def test_descent_recovers_a_history_of_forty_numbers():
-    truth = np.sin(5 * KNOTS) + 0.3 * np.cos(17 * KNOTS)
-    ts = np.linspace(0.0, 1.0, 81)
+@pytest.mark.slow
+def test_descent_recovers_a_history_of_many_numbers():
+    truth = np.sin(5 * KNOTS) + 0.3 * np.cos(9 * KNOTS)
+    ts = np.linspace(0.0, 1.0, 41)
     run = sj.simulate(pushed(truth), ts)
     values = {"acceleration.body.x": run.acceleration("body")[:, 0], "position.body.x": run.position("body")[:, 0]}
     measured = sj.Measured(ts, {name: np.asarray(value) for name, value in values.items()})
-    start = {"forces": sj.Parameter(np.zeros(41), positive=False, scale=1.0)}
-    method = sj.Descent(optax.adam(optax.exponential_decay(0.1, 300, 1e-2)), n_steps=300, tolerance=1e-9)
+    start = {"forces": sj.Parameter(np.zeros(21), positive=False, scale=1.0)}
+    method = sj.Descent(optax.adam(optax.exponential_decay(0.1, 300, 1e-2)), n_steps=300, tolerance=1e-9, reverse=True)
     noise = {"acceleration.body.x": 1e-2, "position.body.x": 1e-2}
-    fitted = sj.fit(pushed, start, measured, noise=noise, method=method)
+    fitted = sj.fit(pushed, start, measured, noise=noise, method=method, horizon=Whole())
     np.testing.assert_allclose(fitted.estimates["forces"], truth, atol=0.02)

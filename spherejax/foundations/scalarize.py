@@ -121,14 +121,19 @@ class ScalarProgram:
 
 
 def _reader(flat):
-    """A function that reads entries of flat arguments by position, each once."""
+    """A function that reads entries of flat arguments by position; an argument is taken apart once, when it is read.
+
+    By one operation for all its entries: in reverse mode their derivatives are then put together by one as well, and
+    not summed from as many arrays of its size.
+    """
     entries: dict = {}
 
     def read(position):
-        if position not in entries:
-            argument, index = position
-            entries[position] = jax.lax.index_in_dim(flat[argument].reshape(-1), index, keepdims=False)
-        return entries[position]
+        argument, index = position
+        if argument not in entries:
+            array = flat[argument].reshape(-1)
+            entries[argument] = jax.lax.split(array, [1] * array.size)
+        return entries[argument][index].reshape(())
 
     return read
 

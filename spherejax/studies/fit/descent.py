@@ -1,7 +1,8 @@
 """First-order descent with optax, for many parameters.
 
 Each step needs the gradient of the cost alone. With few unknowns it is J^T r from the forward sensitivities; with many
-it comes from one sweep in reverse, whose time does not grow with their number.
+it comes from one sweep in reverse, back along the kept steps of each run, whose time does not grow with their number:
+see `motion.adjoint`.
 """
 
 from collections.abc import Callable
