@@ -102,7 +102,9 @@ def pushed_pair() -> sj.Scene:
     """Two bodies with full inertia matrices in one dry joint, with applied wrenches; no ground."""
     inertia = np.array([[2e-3, 1e-4, 2e-4], [1e-4, 3e-3, -1e-4], [2e-4, -1e-4, 2.5e-3]])
     first = sj.Body(1.0, inertia, points={"socket": (0.05, 0.0, 0.0)}, angular_velocity=(1.0, 2.0, 3.0))
-    second = sj.Body(0.5, inertia / 2, position=(0.1, 0.0, 0.0), points={"ball": (-0.05, 0.0, 0.0)})
+    second = sj.Body(
+        0.5, inertia / 2, position=(0.1, 0.0, 0.0), velocity=(0.0, 0.15, -0.1), points={"ball": (-0.05, 0.0, 0.0)}
+    )
     forces = {
         "push": sj.AppliedWrench("first", force=(1.0, 2.0, 3.0), moment=(0.1, 0.0, 0.2), place=(0.01, 0.02, 0.0)),
         "thrust": sj.AppliedWrench("second", force=(0.0, 0.0, 2.0), in_body_axes=True),

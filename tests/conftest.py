@@ -1,6 +1,7 @@
 """Session set-up: JAX as spherejax configures it, a compilation cache, and one thread for each parallel worker."""
 
 import os
+import signal
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -14,6 +15,7 @@ import spherejax  # noqa: F401 - before any other use of JAX, so that its compil
 
 # isort: split
 import jax
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -24,3 +26,11 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     # Two workers may write the same entry at the same time; JAX then compiles again, which is all that matters.
     config.addinivalue_line("filterwarnings", "ignore:.*persistent compilation cache.*:UserWarning")
+
+
+@pytest.fixture
+def hears_interrupts():
+    """SIGINT raises `KeyboardInterrupt`; a shell tells what it starts in the background to ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -39,7 +39,7 @@ def bob(stiffness, damping, length, speed=0.0):
     length = jnp.asarray(length)
     ball = -length * jnp.array([1.0, 0.0, 0.0])
     body = sj.Body(0.1, (1e-4,) * 3, position=-ball, velocity=speed * jnp.array([0.0, 1.0, 0.0]), points={"ball": ball})
-    joint = sj.Spherical("ground.hook", "bob.ball", sj.Bushing(stiffness, damping))
+    joint = sj.Spherical("ground.hook", "bob.ball", sj.Bushing(stiffness, damping), starts_concentric=not speed)
     return sj.Scene({"bob": body}, {"hook": joint}, ground_points={"hook": (0.0, 0.0, 0.0)})
 
 
@@ -90,7 +90,7 @@ STIFF = {"stiffness": 1e6, "damping": 1e-2}
 
 
 def stiff(stiffness, damping):
-    return bob(stiffness, damping, 0.05, speed=0.5)
+    return bob(stiffness, damping, 0.05)
 
 
 @pytest.mark.parametrize("solver", [sj.Rodas5P(), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"])

@@ -124,6 +124,7 @@ def test_an_interrupt_exits_with_130(capsys, monkeypatch):
     assert capsys.readouterr().err == "spherejax: interrupted\n"
 
 
+@pytest.mark.usefixtures("hears_interrupts")
 def test_an_interrupt_in_a_collection_of_garbage_is_heard(capsys, monkeypatch):
     """Python drops what is raised in a callback, and JAX has one for each collection of garbage."""
 

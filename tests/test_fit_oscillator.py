@@ -338,6 +338,7 @@ def test_a_start_that_fails_is_told():
         found.standard_deviations  # noqa: B018
 
 
+@pytest.mark.usefixtures("hears_interrupts")
 def test_an_interrupt_keeps_the_best_so_far(fitted):
     def interrupt(now):
         if now.iteration == 4:
@@ -353,6 +354,7 @@ def test_an_interrupt_keeps_the_best_so_far(fitted):
     assert "interrupted" in str(found)
 
 
+@pytest.mark.usefixtures("hears_interrupts")
 def test_an_interrupt_while_the_record_grows_reports_the_whole():
     def interrupt(now):
         if now.iteration == 2:

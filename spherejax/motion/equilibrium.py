@@ -47,8 +47,8 @@ class Equilibrium(NamedTuple):
 
     Attributes:
         scene: the scene, starting there at rest: loaded bushings are as they are, and points, axes and rest angles
-            that joints and forces give in world axes belong to the position that was described
-            (`Body.reference_position`).
+            that joints and forces give in world axes belong to the position that was described (the bodies'
+            reference position).
         residual: what remains of accelerations and constraints, as a share of the scene's length [-].
     """
 
