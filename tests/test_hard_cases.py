@@ -234,7 +234,7 @@ FILM_SMOOTH = {
     "viscosity 1e-3": (2e-3, {"vx": 1e-3, "viscosity": 1e-3}),
 }
 FILM_NOT_REACHED = ("film alone to the wall", "into the wall and back, thin transition")
-"""Where sensitivities under error control would need more steps than they have, or shorter ones than there are."""
+NOT_REACHED = pytest.mark.xfail(strict=True, reason="sensitivities need more steps than they have, or shorter ones")
 
 # Sensitivities by all numbers, the place and the velocity in every direction among them, need many more steps than the
 # motion, and those of a film at its center and at its wall most: up to 750,000 at this tolerance.
@@ -242,14 +242,15 @@ FILM_GRADIENT = hard.Family(_film, FILM.numbers, max_steps=1_000_000)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FILM_SMOOTH, *FILM_CASES])
+@pytest.mark.parametrize(
+    "name",
+    [*FILM_SMOOTH, *(pytest.param(n, marks=[NOT_REACHED] * (n in FILM_NOT_REACHED)) for n in FILM_CASES)],
+)
 def test_gradient_of_a_film(name):
     names = ["clearance", "viscosity", "mass", "gravity", "vx"]
     if name in FILM_CASES:
         t_end, changes = FILM_CASES[name]
-        found = hard.gradient(FILM_GRADIENT, names, t_end, rtol=1e-6, **changes)
-        # What is not reached is not a number, in whole.
-        assert (np.isnan if name in FILM_NOT_REACHED else np.isfinite)(found).all()
+        assert np.isfinite(hard.gradient(FILM_GRADIENT, names, t_end, rtol=1e-6, **changes)).all()
         return
     t_end, changes = FILM_SMOOTH[name]
     found = hard.gradient(FILM_GRADIENT, names, t_end, rtol=1e-7, **changes)

@@ -34,7 +34,15 @@ from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit_rows import solver_with_fixed_matrix
-from spherejax.motion.integrate import Options, Parameters, Plan, contacts_of, correction_for, example_of
+from spherejax.motion.integrate import (
+    Options,
+    Parameters,
+    Plan,
+    contacts_of,
+    correction_for,
+    example_of,
+    parameters_from,
+)
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.sensitivities import integrate_rows, start_of_rows
 from spherejax.motion.sensitivity_rows import delay_weights, linearized
@@ -123,14 +131,10 @@ def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start
     began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
     mixture = _mixture(directions.shape[0])
 
-    def parameters_of(values):
-        theta = plan.theta(values, known)
-        return Parameters(theta, rate.ahead(theta))
-
     found = integrate_rows(
         plan,
         options,
-        linearized(parameters_of, values, mixture @ directions),
+        linearized(partial(parameters_from, plan, rate, known), values, mixture @ directions),
         jnp.concatenate([began.y0[None], mixture @ began.slopes]),
         ts,
         began,
@@ -194,11 +198,7 @@ def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
     step, event = _step_of(plan, solver, rate), _event_of(plan, rate)
 
-    def parameters_of(values):
-        theta = plan.theta(values, known)
-        return Parameters(theta, rate.ahead(theta))
-
-    parameters, to_values = jax.vjp(parameters_of, values)
+    parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
 
     def back(turn, found):
         by_parameters, by_state = found

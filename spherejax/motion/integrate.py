@@ -21,7 +21,7 @@ from spherejax.motion.contacts import crossings, initial_memory, memory_after_st
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
 from spherejax.motion.longest_step import longest_step
-from spherejax.motion.programs import program_for
+from spherejax.motion.programs import Program, program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
@@ -77,6 +77,12 @@ class Parameters(NamedTuple):
 
     theta: Float[Array, " p"]
     ahead: Any
+
+
+def parameters_from(plan: Plan, rate: Program, known, values) -> Parameters:
+    """What the right-hand side is given, from the traced numbers and the known ones."""
+    theta = plan.theta(values, known)
+    return Parameters(theta, rate.ahead(theta))
 
 
 class Outcome(eqx.Module):

@@ -3,6 +3,7 @@ error control; see `sensitivity_rows` for their equations.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -20,13 +21,13 @@ from spherejax.motion.implicit_rows import solver_of_rows
 from spherejax.motion.integrate import (
     Options,
     Outcome,
-    Parameters,
     Plan,
     beginning,
     contacts_of,
     correction_for,
     integrate,
     landing_controller,
+    parameters_from,
     samples,
     wrapped,
 )
@@ -187,13 +188,11 @@ def _controlled(
     """Integrate the state and its sensitivities together, with the errors of both controlled."""
     rate = program_for(state_rate, plan.structure, plan.scalar)
 
-    def parameters_of(values):
-        theta = plan.theta(values, known)
-        return Parameters(theta, rate.ahead(theta))
-
     began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
     rows0 = jnp.concatenate([began.y0[None], began.slopes])
-    found = integrate_rows(plan, options, linearized(parameters_of, values, directions), rows0, ts, began)
+    found = integrate_rows(
+        plan, options, linearized(partial(parameters_from, plan, rate, known), values, directions), rows0, ts, began
+    )
     slopes = jnp.moveaxis(found.rows[:, 1:], 1, 0)
     return StatesAndSlopes(
         found.rows[:, 0], slopes, began.assembly, began.assembly_slopes, found.status, found.t_reached, found.n_steps
