@@ -5,30 +5,31 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.solvers.landing import LANDING_WINDOW, crossing_fraction
+from spherejax.motion.solvers.crossing_search import crossing_fraction
+from spherejax.motion.solvers.landing import LANDING_WINDOW
 
 SPEED, CLEARANCE = 0.1, 1e-4
 
 
-def _numbers(*values):
-    return [jnp.asarray(value) for value in values]
+def _fraction(*values) -> float:
+    return float(crossing_fraction(*(jnp.asarray(value) for value in values), LANDING_WINDOW))
 
 
 def test_a_straight_crossing_is_found():
-    assert float(crossing_fraction(*_numbers(-0.3, 1.0, 0.7, 1.0))) == pytest.approx(0.3, abs=LANDING_WINDOW)
+    assert _fraction(-0.3, 1.0, 0.7, 1.0) == pytest.approx(0.3, abs=LANDING_WINDOW)
 
 
 def test_the_fraction_lands_behind_the_crossing_of_a_cubic():
     g = np.polynomial.Polynomial([-0.2, 0.1, 0.5, 0.4])
     slope = g.deriv()
-    fraction = float(crossing_fraction(*_numbers(g(0.0), slope(0.0), g(1.0), slope(1.0))))
+    fraction = _fraction(g(0.0), slope(0.0), g(1.0), slope(1.0))
     assert 0 < g(fraction) < LANDING_WINDOW
 
 
 def test_a_hump_inside_the_step_is_found():
     g = np.polynomial.Polynomial([-0.1, 1.0, -1.0])  # positive between 0.113 and 0.887
     slope = g.deriv()
-    fraction = float(crossing_fraction(*_numbers(g(0.0), slope(0.0), g(1.0), slope(1.0))))
+    fraction = _fraction(g(0.0), slope(0.0), g(1.0), slope(1.0))
     assert fraction == pytest.approx(0.5 - np.sqrt(0.15), abs=1e-7)
 
 
@@ -38,7 +39,7 @@ def test_a_hump_inside_the_step_is_found():
     ids=["rising below", "low hump", "landed"],
 )
 def test_no_landing_is_asked_for(values):
-    assert float(crossing_fraction(*_numbers(*values))) == 1.0
+    assert _fraction(*values) == 1.0
 
 
 def _scene(n_balls: int) -> sj.Scene:

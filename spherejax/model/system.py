@@ -83,6 +83,11 @@ class System(eqx.Module):
         """Names of the joints whose contact onsets must be located."""
         return tuple(name for name in self.force_joints if self.spherical(name).model.detects_onsets)
 
+    @property
+    def touching_forces(self) -> tuple[str, ...]:
+        """Names of the force elements that press from one side, whose touches must be located."""
+        return tuple(name for name, force in self.forces.items() if force.n_touches)
+
     def spherical(self, name: str) -> PlacedSpherical:
         """A joint that is known to be spherical."""
         joint = self.joints[name]

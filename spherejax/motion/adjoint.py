@@ -287,7 +287,7 @@ def _rosenbrock_step(plan: Plan, solver: Any, rate: Program) -> Callable:
 def _event_of(plan: Plan, rate: Program) -> Callable | None:
     """What contact onsets and releases at the end of a step do to the state there; None without contacts."""
     contacts = contacts_of(plan.structure, plan.scalar)
-    if contacts is None:
+    if contacts is None or not contacts.onset_entries:
         return None
     n_motion = example_of(plan.structure).layout.memory_start
 
@@ -300,7 +300,7 @@ def _event_of(plan: Plan, rate: Program) -> Callable | None:
             weights = delay_weights(contacts, parameters, t, y, end, updated)
             flight, contact = (rate.inside(parameters.theta, parameters.ahead, t, each) for each in (end, updated))
             weights, jump = jax.lax.stop_gradient((weights, flight - contact))
-            here = contacts.crossings(parameters, t, end).value
+            here = contacts.crossings(parameters, t, end).value[: contacts.n_contacts]
             delay = jnp.sum(weights * (here - jax.lax.stop_gradient(here)))  # 0, but for its derivatives
             return updated + delay * jump
 

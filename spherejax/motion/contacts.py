@@ -23,10 +23,19 @@ def relative_motions(system: System, y: Float[Array, " size"]) -> dict[str, Rela
 
 
 def crossings(system: System, t: Scalar, y: Float[Array, " size"]) -> Crossing:
-    """Crossing functions of all contacts and their rates, each of shape (n_contacts,)."""
-    del t
-    each = [system.spherical(name).model.crossing(m) for name, m in relative_motions(system, y).items()]
-    return Crossing(jnp.stack([c.value for c in each]), jnp.stack([c.rate for c in each]))
+    """Crossing functions of all contacts, then of all touches of one-sided forces, with a leading axis.
+
+    A touch is located as a contact is, but remembers nothing; its depth [m] is the crossing function.
+    """
+    motions = body_motions(system, unpack(system.layout, y))
+    each = [
+        contact.model.crossing(contact.relative_motion(motions))
+        for contact in map(system.spherical, system.contact_joints)
+    ]
+    for name in system.touching_forces:
+        for depth, rate in system.forces[name].touches(t, motions):
+            each.append(Crossing(depth, rate, rate * jnp.array([1.0, 0.0, 0.0])))
+    return Crossing(*(jnp.stack(parts) for parts in zip(*each, strict=True)))
 
 
 def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> Float[Array, " n_memory"]:

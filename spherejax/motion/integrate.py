@@ -24,7 +24,7 @@ from spherejax.motion.longest_step import longest_step
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
-from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of
+from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of, without_memory
 from spherejax.motion.status import Status, status_of
 from spherejax.motion.trajectory import Statistics
 
@@ -138,7 +138,7 @@ def integrate(
             saveat=diffrax.SaveAt(
                 subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
             ),
-            stepsize_controller=landing_controller(options.controller, contacts, plan, ts),
+            stepsize_controller=landing_controller(options, solver, contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,
@@ -153,10 +153,13 @@ def integrate(
     return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
 
 
-def landing_controller(controller, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]) -> LandingController:
+def landing_controller(
+    options: Options, solver: diffrax.AbstractSolver, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]
+) -> LandingController:
     """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
     longest = longest_step(plan.structure, ts, scalar=plan.scalar)
-    return LandingController(controller, contacts, longest)  # pyright: ignore[reportCallIssue]
+    interpolation: Any = solver.interpolation_cls
+    return LandingController(options.controller, contacts, interpolation, longest)  # pyright: ignore[reportCallIssue]
 
 
 def correction_for(plan: Plan) -> Callable | None:
@@ -189,12 +192,18 @@ def beginning(
 
 @lru_cache(maxsize=64)
 def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
-    """The contacts of a system as programs, for the integrator; None for a system without."""
+    """The contacts and touches of a system as programs, for the integrator; None for a system without."""
     example = example_of(structure)
-    if not example.contact_joints:
+    if not example.contact_joints and not example.touching_forces:
         return None
-    layout, n_contacts = example.layout, len(example.contact_joints)
     crossing = program_for(crossings, structure, scalar)
+
+    def crossing_at(args, t, y):
+        return crossing(args.theta, t, y)
+
+    if not example.contact_joints:
+        return without_memory(crossing_at)
+    layout, n_contacts = example.layout, len(example.contact_joints)
     slopes = program_for(onset_slopes, structure, scalar)
     update = program_for(memory_after_step, structure, scalar, 2 * layout.size + n_contacts)
 
@@ -210,9 +219,6 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
             return update(theta, t, jnp.concatenate([y_start, y_end, slope]))
 
         return memory(*primals), jax.jvp(with_slope, primals, tangents)[1]
-
-    def crossing_at(args, t, y):
-        return crossing(args.theta, t, y)
 
     def updated(args, t, y_start, y_end):
         now = memory(args.theta, jnp.asarray(t, jnp.float64), y_start, y_end)

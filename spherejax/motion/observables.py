@@ -10,7 +10,7 @@ from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System
-from spherejax.motion.body_motions import between
+from spherejax.motion.body_motions import BodyMotions, between
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import Body, inertia_in_world
@@ -86,9 +86,9 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
         eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
         parts={name: load.response.parts for name, load in evaluation.loads.items()},
         elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
-        kinetic_energy=jnp.sum(over_lanes(_kinetic_energy, stacks_of(system).bodies, evaluation.motions.moving)),
+        kinetic_energy=kinetic_energy(system, evaluation.motions),
         forces={name: _force_results(force, t, evaluation) for name, force in system.forces.items()},
-        potential_energy=_potential_energy(system, t, evaluation),
+        potential_energy=potential_energy(system, t, evaluation.motions),
         constraint_violation=position_violation,
         velocity_violation=velocity_violation,
     )
@@ -136,6 +136,11 @@ def _driving_power(evaluation: Evaluation, name: str) -> Scalar:
     return evaluation.solution.multipliers[name] @ evaluation.constraints.rows[name].rate_at_rest
 
 
+def kinetic_energy(system: System, motions: BodyMotions) -> Scalar:
+    """Kinetic energy of all bodies [J]."""
+    return jnp.sum(over_lanes(_kinetic_energy, stacks_of(system).bodies, motions.moving))
+
+
 def _kinetic_energy(body: Body, motion: BodyMotion) -> Scalar:
     w = motion.angular_velocity
     rotational = w @ (inertia_in_world(body.inertia, motion.rotation) @ w)
@@ -148,11 +153,11 @@ def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> d
     return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
 
 
-def _potential_energy(system: System, t: Scalar, evaluation: Evaluation) -> Scalar:
-    bodies, motions = stacks_of(system).bodies, evaluation.motions.moving
-    total = jnp.sum(over_lanes(_weight_energy, bodies, motions, shared=(system.gravity,)))
+def potential_energy(system: System, t: Scalar, motions: BodyMotions) -> Scalar:
+    """Potential energy of weight and force elements [J]."""
+    total = jnp.sum(over_lanes(_weight_energy, stacks_of(system).bodies, motions.moving, shared=(system.gravity,)))
     for force in system.forces.values():
-        total = total + force.potential_energy(t, evaluation.motions)
+        total = total + force.potential_energy(t, motions)
     return total
 
 

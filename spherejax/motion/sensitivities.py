@@ -3,6 +3,7 @@ error control; see `sensitivity_rows` for their equations.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -283,17 +284,19 @@ def integrate_rows(
     correct = correcting_rows(correction_for(plan))
     t1 = jnp.where(began.may_run, ts[-1], ts[0])
     saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
+    solver = solver_of_rows(options.solver, plan.structure, rate)
+    judging = replace(options, controller=judging_rows(options.controller))
     with without_host_checks():
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
-            wrapped(solver_of_rows(options.solver, plan.structure, rate), correct, contacts),
+            wrapped(solver, correct, contacts),
             t0=ts[0],
             t1=t1,
             dt0=None,
             y0=rows0,
             args=parameters,
             saveat=diffrax.SaveAt(subs=saved),
-            stepsize_controller=landing_controller(judging_rows(options.controller), contacts, plan, ts),
+            stepsize_controller=landing_controller(judging, solver, contacts, plan, ts),
             adjoint=options.adjoint,
             max_steps=options.max_steps,
             throw=False,

@@ -99,8 +99,15 @@ def correcting_rows(correct: Callable | None) -> Callable | None:
 def with_rows(contacts: Contacts, rate: Program) -> Contacts:
     """Contacts of the state in the first row; at an onset the sensitivities below it jump."""
 
+    def crossings_of_state(parameters, t, y):
+        return contacts.crossings(parameters.value, t, y)
+
     def crossings(parameters, t, rows):
-        return contacts.crossings(parameters.value, t, rows[0])
+        return crossings_of_state(parameters, t, rows[0])
+
+    first_row = (lambda array: array[..., 0, :], crossings_of_state)
+    if not contacts.onset_entries:
+        return contacts._replace(crossings=crossings, first_row=first_row)
 
     def updated(parameters, t, start, end):
         """The rows with the memory updated, and how much later the onset comes with each number."""
@@ -135,7 +142,8 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
 
         return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
 
-    return Contacts(crossings, update, update_lanes, tuple((0, entry) for entry in contacts.onset_entries))
+    entries = tuple((0, entry) for entry in contacts.onset_entries)
+    return Contacts(crossings, update, update_lanes, entries, first_row)
 
 
 def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:
@@ -154,7 +162,7 @@ def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -
     began = ~contacts.is_touching(start) & contacts.is_touching(updated)
     onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
     counts = began & (onset_rate > GRAZING_RATE)
-    rates = jnp.where(counts, contacts.crossings(parameters, t, end).rate, 1.0)
+    rates = jnp.where(counts, contacts.crossings(parameters, t, end).rate[: contacts.n_contacts], 1.0)
     return -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
 
 
@@ -162,7 +170,7 @@ def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Flo
     """Derivatives of the crossing functions at the end of a step."""
 
     def value(numbers, y):
-        return contacts.crossings(numbers, t, y).value
+        return contacts.crossings(numbers, t, y).value[: contacts.n_contacts]
 
     return rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.lanes import in_lanes
-from spherejax.motion.solvers.landing import LandingController
+from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
 
 
 class Judgment(NamedTuple):
@@ -44,7 +44,7 @@ class Step(NamedTuple):
         t0, t1: start and end [s].
         y0, y1: states there.
         error: estimate of the error of y1.
-        k: increments of the stages, shape (n_stages, ..., n_lanes); None where the solver does not give them.
+        dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
     """
 
@@ -53,7 +53,7 @@ class Step(NamedTuple):
     y0: Float[Array, "... n_lanes"]
     y1: Float[Array, "... n_lanes"]
     error: Float[Array, "... n_lanes"]
-    k: Float[Array, "n_stages ... n_lanes"] | None
+    dense_info: Any
     parameters: Any
 
 
@@ -65,7 +65,10 @@ class Repeating:
 
     def _controller(self, parameters) -> LandingController:
         problem = self.problem
-        return LandingController(problem.controller_of(parameters), problem.contacts, problem.longest_step)  # pyright: ignore[reportCallIssue]
+        interpolation = problem.solver.interpolation_cls
+        return LandingController(
+            problem.controller_of(parameters), problem.contacts, interpolation, problem.longest_step
+        )  # pyright: ignore[reportCallIssue]
 
     def init(self, term, t0, t_end, y0, parameters):
         """The end of the first step [s], and the control's state, of one lane."""
@@ -78,17 +81,18 @@ class Repeating:
 
     def judge(self, step: Step, state, was_jump) -> Judgment:
         """What becomes of the trial steps."""
-        return in_lanes(self._judge)(step._replace(k=None), state, was_jump)
+        return in_lanes(self._judge)(step, state, was_jump)
 
     def _judge(self, step: Step, state, was_jump) -> Judgment:
         contacts, y = self.problem.contacts, step.y1
-        began = jnp.zeros(0, bool)
+        began, error = jnp.zeros(0, bool), step.error
         if self.problem.correct is not None:
             y = self.problem.correct(step.parameters, step.t1, y)
         if contacts is not None:
             y = contacts.update(step.parameters, step.t1, step.y0, y)
             began = ~contacts.is_touching(step.y0) & contacts.is_touching(y)
+            error = ErrorAndInside(error, step.dense_info)
         keep, t, t_next, made_jump, state, verdict = self._controller(step.parameters).adapt_step_size(
-            step.t0, step.t1, step.y0, y, step.parameters, step.error, self.order, state
+            step.t0, step.t1, step.y0, y, step.parameters, error, self.order, state
         )
         return Judgment(keep, t, t_next, y, state, jnp.where(keep, made_jump, was_jump), verdict, began)

@@ -210,7 +210,7 @@ class _Queue:
         """The lanes after trial steps: corrected, with their contact events, kept or to be repeated."""
         problem = self.problem
         error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info.get("k"), lane.parameters)
+        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )

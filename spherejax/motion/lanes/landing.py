@@ -1,7 +1,8 @@
 """Steps of explicit Runge-Kutta methods that end on contact events inside them; a run needs half of the steps so.
 
 * A flight is smooth far beyond the contact surface. So a trial step may go far beyond it, and ends on it: the crossing
-  is found on the states inside the step, and one of them is the step's end where that is accurate enough.
+  is found on the states inside the step, and one of them is the step's end where that is accurate enough. A step
+  without an event is certified to have none (`solvers.crossing_search`).
 * Contact begins like the power 3/2 of time, which no method's order survives. In the root of time it is smooth, and the
   first step in contact is made in it: with t = t0 + h x^2 the same stages integrate dy/dx = 2 h x f.
 * Contact ends with the same power. Where the motion of the last step says that a contact will end within the next one,
@@ -22,12 +23,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.lanes.control import Judgment, Step
-from spherejax.motion.lanes.crossing_search import WINDOW, Found, first_event
-from spherejax.motion.solvers.landing import Contacts, crossing_fraction, shortest_step
+from spherejax.motion.solvers.crossing_search import Found, crossing_fraction, first_event
+from spherejax.motion.solvers.landing import LANDING_WINDOW, Contacts, longest_flight_step, shortest_step
 from spherejax.physics.joints.base import Crossing
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
 """Of the change of a step's size, as in diffrax."""
+
+WINDOW = 0.1 * LANDING_WINDOW
+"""An event inside a step is exact when the crossing function is within this beyond zero."""
 
 _ACCURATE_INSIDE = 1e-6
 """States inside a step are as accurate as its end where the scaled error is below this..."""
@@ -46,7 +50,8 @@ class Pace(NamedTuple):
     """State of `Landing`.
 
     Attributes:
-        value, rate: crossing functions at the start of the coming step, and their rates [1/s].
+        start: crossing functions at the start of the coming step.
+        acceleration: how fast their velocities changed in the step before [1/s^2]; negative where that says nothing.
         expected: sizes [s] of the first and second step after a release (first row) and after an onset; 0 if unknown.
         n_since: steps since the latest event.
         duration: time since the latest event [s].
@@ -54,8 +59,8 @@ class Pace(NamedTuple):
         in_root: whether the coming step is made in the root of time.
     """
 
-    value: Float[Array, "n_contacts n_lanes"]
-    rate: Float[Array, "n_contacts n_lanes"]
+    start: Crossing
+    acceleration: Float[Array, "n n_lanes"]
     expected: Float[Array, "2 2 n_lanes"]
     n_since: Int[Array, " n_lanes"]
     duration: Float[Array, " n_lanes"]
@@ -83,11 +88,13 @@ class Landing:
         t1, _ = problem.controller_of(parameters).init(
             term, t0, t_end, y0, None, parameters, problem.solver.func, self.order
         )
-        value = rate = jnp.zeros(0)
+        start = Crossing(jnp.zeros(0), jnp.zeros(0), jnp.zeros((0, 3)))
         if self.contacts is not None:
-            value, rate = self.contacts.crossings(parameters, t0, y0)
+            start = self.contacts.crossings(parameters, t0, y0)
         no = jnp.array(False)
-        pace = Pace(value, rate, jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, no)
+        pace = Pace(
+            start, -jnp.ones_like(start.value), jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, no
+        )
         return t0 + self._limited(t1 - t0), pace
 
     def in_root_of_time(self, state: Pace) -> Bool[Array, " n_lanes"]:
@@ -122,8 +129,9 @@ class Landing:
         """The judgment, with the coming step's size [s] in place of its end."""
         size, passes = step.t1 - step.t0, error < 1
         was_touching = contacts.is_touching(step.y0)
-        found = self._event(contacts, step, state, was_touching, passes)
-        share = jnp.where(state.in_root, found.x**2, found.x)
+        was_pressing = contacts.is_pressing(step.y0, state.start)
+        found = self._event(contacts, step, state, was_pressing, passes)
+        share = found.x
         is_accurate = (error < _ACCURATE_INSIDE) | (share > _NEAR_END)
         up_to_event = size * jnp.minimum(share * _BEYOND, 0.999)
         # Where the rounding of time leaves no instant between start and end, the end is the event.
@@ -132,7 +140,7 @@ class Landing:
         repeats = passes & found.crosses & ~lands & can_repeat
         keep = passes & ~repeats
         t = jnp.where(lands, step.t0 + size * share, step.t1)
-        y = jax.lax.cond(jnp.any(lands), self._landed, lambda step, *_: step.y1, step, state, lands, found.x)
+        y = jax.lax.cond(jnp.any(lands), self._landed, lambda step, *_: step.y1, step, state, lands, share)
         y = contacts.update_lanes(step.parameters, t, step.y0, y)
         end = in_lanes(contacts.crossings)(step.parameters, t, y)
         is_touching = contacts.is_touching(y)
@@ -141,15 +149,18 @@ class Landing:
         mode, mode_now = (jnp.any(each, axis=0).astype(jnp.int64) for each in (was_touching, is_touching))
         duration = state.duration + jnp.where(keep, t - step.t0, 0.0)
         expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
-        may_release = was_touching & is_touching & ~is_event
+        may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
         following = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
+        acceleration = found.bend / size**2
+        longest = longest_flight_step(end, acceleration, is_touching)
+        following = jnp.minimum(following, longest)
         # A step that was too long only because it went far beyond the event is right up to there.
         is_event_to_blame = found.crosses & (share * _BEYOND < _NEAR_END)
         again = jnp.where(passes | is_event_to_blame, up_to_event, longer)
         coming = jnp.where(keep, following, jnp.maximum(again, shortest))
         state = Pace(
-            jnp.where(keep, end.value, state.value),
-            jnp.where(keep, end.rate, state.rate),
+            jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
+            jnp.where(keep, jnp.where(is_event, -1.0, acceleration), state.acceleration),
             expected,
             jnp.where(is_event, 0, state.n_since + keep),
             jnp.where(is_event, 0.0, duration),
@@ -158,9 +169,9 @@ class Landing:
         )
         return Judgment(keep, t, coming, y, state, is_event, None, began & keep)
 
-    def _landed(self, step: Step, state: Pace, lands, x) -> Float[Array, "... n_lanes"]:
+    def _landed(self, step: Step, state: Pace, lands, share) -> Float[Array, "... n_lanes"]:
         """The states inside the steps that end there, those at the ends of the others."""
-        return jnp.where(lands, self._state_inside(step, state, x), step.y1)
+        return jnp.where(lands, self._state_inside(step, state, share), step.y1)
 
     def _expected(self, state: Pace, keep, mode, longer, has_flown, duration) -> Float[Array, "2 2 n_lanes"]:
         """Sizes of the first steps after an event: what this step should have been, such a step is to be next time."""
@@ -179,47 +190,48 @@ class Landing:
         following = jnp.where(is_event & (first > 0), first, by_error)
         return following * self._share_to_release(state, end, size, following, may_release)
 
-    def _event(self, contacts: Contacts, step: Step, state: Pace, was_touching, passes) -> Found:
+    def _event(self, contacts: Contacts, step: Step, state: Pace, was_pressing, passes) -> Found:
         """The first contact event inside the steps, on the states inside them."""
         size = step.t1 - step.t0
 
-        def by_fraction(crossing: Crossing, x) -> Crossing:
-            return Crossing(crossing.value, crossing.rate * size * jnp.where(state.in_root, 2 * x, 1.0))
+        def by_fraction(crossing: Crossing) -> Crossing:
+            return crossing._replace(rate=crossing.rate * size, velocity=crossing.velocity * size)
 
-        def inside(x) -> Crossing:
-            t, y = self._instant(step, state, x), self._state_inside(step, state, x)
-            return by_fraction(in_lanes(contacts.crossings)(step.parameters, t, y), x)
+        def inside(share) -> Crossing:
+            y = self._state_inside(step, state, share)
+            return by_fraction(in_lanes(contacts.crossings)(step.parameters, step.t0 + size * share, y))
 
-        start = Crossing(state.value, state.rate)
         end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
-        found = first_event(by_fraction(start, 0.0), by_fraction(end, 1.0), inside, was_touching, passes)
+        numbers = by_fraction(state.start), by_fraction(end)
+        before = state.acceleration * size**2
+        found = first_event(*numbers, inside, was_pressing, passes, WINDOW, contacts.n_contacts, before)
         return found._replace(x=jax.lax.stop_gradient(found.x))
 
     def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
         """The share of the following step that ends just behind a release, as the motion of the last one has it."""
         ratio = following / size
-        slope0, slope1 = state.rate * size, end.rate * size
-        c3 = 2 * (state.value - end.value) + slope0 + slope1
-        c2 = 3 * (end.value - state.value) - 2 * slope0 - slope1 + 3 * c3
+        start = state.start
+        slope0, slope1 = start.rate * size, end.rate * size
+        c3 = 2 * (start.value - end.value) + slope0 + slope1
+        c2 = 3 * (end.value - start.value) - 2 * slope0 - slope1 + 3 * c3
         value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))
         slope = slope1 + ratio * (2 * c2 + ratio * 3 * c3)
         fractions = crossing_fraction(-end.value, -slope1 * ratio, -value, -slope * ratio, WINDOW)
         shares = jnp.where(may_release & (fractions < 1), jnp.minimum(fractions * _BEYOND, 1.0), 1.0)
         return jnp.min(shares, axis=0)
 
-    def _instant(self, step: Step, state: Pace, x) -> Float[Array, " n_lanes"]:
-        return step.t0 + (step.t1 - step.t0) * jnp.where(state.in_root, x**2, x)
-
-    def _state_inside(self, step: Step, state: Pace, x) -> Float[Array, "... n_lanes"]:
-        """The states at a fraction of the steps."""
+    def _state_inside(self, step: Step, state: Pace, share) -> Float[Array, "... n_lanes"]:
+        """The states after a share of the steps' time."""
+        x = jnp.where(state.in_root, jnp.sqrt(share), share)
         n, degree = self.inside.shape
         coefficients = jnp.asarray(self.inside.T[::-1])
         # A loop: XLA would evaluate the polynomials again for every entry of the state.
         weights = jax.lax.fori_loop(
             0, degree, lambda m, weights: (weights + coefficients[m, :, None]) * x, jnp.zeros((n, *x.shape))
         )
-        y = step.y0 + sum(weights[i] * step.k[i] for i in range(n) if self.inside[i].any())  # pyright: ignore[reportOptionalSubscript]
-        return self._corrected(step.parameters, self._instant(step, state, x), y)
+        k = step.dense_info["k"]
+        y = step.y0 + sum(weights[i] * k[i] for i in range(n) if self.inside[i].any())
+        return self._corrected(step.parameters, step.t0 + (step.t1 - step.t0) * share, y)
 
     def _corrected(self, parameters, t, y) -> Float[Array, "... n_lanes"]:
         return y if self.correct is None else in_lanes(self.correct)(parameters, t, y)

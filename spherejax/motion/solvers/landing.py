@@ -2,8 +2,9 @@
 the contact memory there. Both wrap any diffrax controller and solver; `diffrax.diffeqsolve` is used as it is.
 
 Within a step the contact's mode (flight or contact) is frozen: a trial step from flight feels no contact force even
-beyond the surface. So the motion is smooth up to the onset, which is found on the cubic Hermite interpolant of the
-crossing function; the step is then taken again to end just behind it.
+beyond the surface. So the motion is smooth up to the onset, which is found on the states inside the step
+(`crossing_search`); the step is then taken again to end just behind it. A step without an event is one that the search
+has certified to have none.
 """
 
 from collections.abc import Callable
@@ -15,34 +16,82 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.motion.solvers.crossing_search import Found, first_event
 from spherejax.motion.solvers.wrapping import AbstractForwardingController, AbstractForwardingSolver
+from spherejax.physics.joints.base import Crossing
 
 LANDING_WINDOW = 1e-8
 """A step has landed when the crossing function is within this of zero, on the far side: for a clearance of 0.1 mm
 a penetration of 1e-12 m, at which the contact force is below a micronewton."""
 
-_NEWTON_STEPS = 6
-_SMALLEST_FRACTION = 1e-6
+LONGEST_FLIGHT_STEP = 4.0
+"""A step in flight is as long as the ball takes to this many clearances, at most. Free flight has no error that would
+bound its steps; a way across the socket and back again is as long."""
 
 
 class Contacts(NamedTuple):
-    """What the integrator must know of a system's contacts; functions take (parameters, t, y).
+    """What the integrator must know of a system's contacts, and of what presses from one side without a memory (stops,
+    tyres: "touches"); functions take (parameters, t, y).
 
     Attributes:
-        crossings: values and rates of the crossing functions, each of shape (n_contacts,).
+        crossings: the crossing functions, contacts first, then touches.
         update: the flat state at the end of a step with its memory updated; takes (parameters, t, y_start, y_end).
         update_lanes: the same of a block of lanes, all arguments and results with their lanes on the last axis.
         onset_entries: index in the state of each contact's onset rate, which is zero in flight (static).
+        first_row: picks, from arrays whose last axes are those of what is integrated, what belongs to the state: its
+            first row, where sensitivities are rows below it. With it come the crossing functions of the state alone.
     """
 
     crossings: Callable
     update: Callable
     update_lanes: Callable
     onset_entries: tuple[Any, ...]
+    first_row: tuple[Callable, Callable] | None = None
 
-    def is_touching(self, y: Float[Array, " size"]) -> Bool[Array, " n_contacts"]:
+    def of_state(self, array: Array) -> Array:
+        """What of an array belongs to the state alone."""
+        return array if self.first_row is None else self.first_row[0](array)
+
+    def crossings_of_state(self, parameters: Any, t, y) -> Crossing:
+        """The crossing functions of a state without rows below it."""
+        return (self.crossings if self.first_row is None else self.first_row[1])(parameters, t, y)
+
+    def is_touching(self, y: Float[Array, " ..."]) -> Bool[Array, "n_contacts *lanes"]:
         """Which contacts are in contact mode."""
+        if not self.onset_entries:
+            return jnp.zeros((0, *y.shape[self.n_axes :]), bool)
         return jnp.stack([y[entry] > 0 for entry in self.onset_entries])
+
+    def is_pressing(self, y: Float[Array, " ..."], crossing: Crossing) -> Bool[Array, "n *lanes"]:
+        """Which contacts are in contact mode, and which touches press."""
+        return jnp.concatenate([self.is_touching(y), crossing.value[self.n_contacts :] > 0])
+
+    @property
+    def n_contacts(self) -> int:
+        """Number of contacts, which remember; touches of one-sided forces come behind them."""
+        return len(self.onset_entries)
+
+    @property
+    def n_axes(self) -> int:
+        """Number of axes of what is integrated."""
+        return 1 if self.first_row is None else 2
+
+
+def without_memory(crossings: Callable) -> Contacts:
+    """Touches of one-sided forces alone: nothing happens to the state where they begin or end."""
+
+    def unchanged(parameters, t, start, end):
+        del parameters, t, start
+        return end
+
+    return Contacts(crossings, unchanged, unchanged, ())
+
+
+class ErrorAndInside(NamedTuple):
+    """What a solver with contacts reports of a step: its error, and what the states inside it are made from."""
+
+    error: Any
+    dense_info: Any
 
 
 class MemorySolver(AbstractForwardingSolver):
@@ -67,7 +116,7 @@ class MemorySolver(AbstractForwardingSolver):
         y1, error, dense_info, inner_state, result = self.solver.step(terms, t0, t1, y0, args, inner_state, made_jump)
         updated = self.contacts.update(args, t1, y0, y1)
         began = ~self.contacts.is_touching(y0) & self.contacts.is_touching(updated)
-        return updated, error, dense_info, (inner_state, n_onsets + began), result
+        return updated, ErrorAndInside(error, dense_info), dense_info, (inner_state, n_onsets + began), result
 
 
 class LandingState(NamedTuple):
@@ -78,12 +127,16 @@ class LandingState(NamedTuple):
         first_steps: size of the first step after the latest release and after the latest onset [s]; 0 when unknown.
         is_first: whether the coming step is the first after a landing.
         is_landing: whether the coming step was shortened to land.
+        start: crossing functions at the start of the coming step.
+        acceleration: how fast their velocities changed in the step before [1/s^2]; negative where that says nothing.
     """
 
     inner: object
     first_steps: Float[Array, "2"]
     is_first: Bool[Array, ""]
     is_landing: Bool[Array, ""]
+    start: Crossing | None
+    acceleration: Float[Array, " n"]
 
 
 class LandingController(AbstractForwardingController):
@@ -96,27 +149,32 @@ class LandingController(AbstractForwardingController):
     Attributes:
         controller: the controller that judges errors.
         contacts: the system's contacts, or None for a system without.
+        interpolation: the solver's `interpolation_cls`.
         longest: the longest step [s], whatever the wrapped controller says, or None; see `motion.longest_step`.
     """
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
     contacts: Contacts | None = eqx.field(static=True)
+    interpolation: Callable = eqx.field(static=True)
     longest: Float[Array, ""] | None = None
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""
-        controller = self.controller.wrap(direction)
-        return LandingController(controller, self.contacts, self.longest)  # pyright: ignore[reportCallIssue]
+        return eqx.tree_at(lambda own: own.controller, self, self.controller.wrap(direction))
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """The wrapped controller's first step."""
         first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return self._limited(t0, first), LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False))
+        start = None if self.contacts is None else jax.lax.stop_gradient(self.contacts.crossings(args, t0, y0))
+        unknown = jnp.zeros(0) if start is None else -jnp.ones_like(start.value)
+        state = LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False), start, unknown)
+        return self._limited(t0, first), state
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """Judge the step's error, then whether it may end where it ends."""
+        error, inside = y_error if isinstance(y_error, ErrorAndInside) else (y_error, None)
         keep, next_t0, next_t1, made_jump, inner, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state.inner
+            t0, t1, y0, y1_candidate, args, error, error_order, controller_state.inner
         )
         next_t1 = self._limited(next_t0, next_t1)
         size, shortest = t1 - t0, shortest_step(t0, t1)
@@ -127,104 +185,77 @@ class LandingController(AbstractForwardingController):
         if self.contacts is None:
             state = controller_state._replace(inner=inner)
             return keep, next_t0, next_t1, made_jump, state, result
-        was_touching = self.contacts.is_touching(y0)
-        fraction = _fraction_to_crossing(self.contacts, t0, t1, y0, y1_candidate, args, was_touching)
+        contacts, start = self.contacts, controller_state.start
+        was_touching = contacts.is_touching(y0)
+        end = contacts.crossings(args, t1, y1_candidate)
+        bend_before = controller_state.acceleration * size**2
+        found = self._event(t0, t1, start, end, inside, args, contacts.is_pressing(y0, start), keep, bend_before)
         # Where the rounding of time leaves no instant between the start and the end, the step has landed.
-        landing = t0 + jnp.maximum(fraction * size, shortest)
-        must_land = keep & (fraction < 1) & (landing < t1)
+        landing = t0 + jnp.maximum(found.x * size, shortest)
+        must_land = keep & found.crosses & (landing < t1)
         keep = keep & ~must_land
-        is_touching = self.contacts.is_touching(y1_candidate)
+        is_touching = contacts.is_touching(y1_candidate)
         has_landed = keep & jnp.any(was_touching != is_touching)
         state = controller_state
         mode_now = jnp.any(was_touching).astype(jnp.int64)
         records = keep & state.is_first & ~state.is_landing
         first_steps = jnp.where(records & (jnp.arange(2) == mode_now), size, state.first_steps)
         first_after = jnp.where(jnp.any(is_touching), first_steps[1], first_steps[0])
+        next_t1 = jnp.where(has_landed & (first_after != 0), t1 + first_after, next_t1)
+        acceleration = found.bend / size**2
+        longest = longest_flight_step(end, acceleration, is_touching)
         next_t0 = jnp.where(must_land, t0, next_t0)
-        next_t1 = jnp.where(
-            must_land,
-            landing,
-            jnp.where(has_landed & (first_after != 0), t1 + first_after, next_t1),
-        )
+        next_t1 = jnp.where(must_land, landing, jnp.where(keep, jnp.minimum(next_t1, t1 + longest), next_t1))
         state = LandingState(
             inner,
             first_steps,
             is_first=has_landed | (state.is_first & ~records),
             is_landing=jnp.asarray(must_land),
+            start=jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
+            acceleration=jnp.where(keep, jnp.where(has_landed, -1.0, acceleration), state.acceleration),
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
+
+    def _event(self, t0, t1, start: Crossing, end: Crossing, dense_info, args, was_pressing, keep, before) -> Found:
+        """The first contact event inside the step, on the states inside it."""
+        contacts = self.contacts
+        assert contacts is not None
+        states = self.interpolation(t0=t0, t1=t1, **jax.tree.map(contacts.of_state, dense_info))
+
+        def by_fraction(crossing: Crossing) -> Crossing:
+            return crossing._replace(rate=crossing.rate * (t1 - t0), velocity=crossing.velocity * (t1 - t0))
+
+        def inside(x) -> Crossing:
+            t = t0 + x * (t1 - t0)
+            return by_fraction(contacts.crossings_of_state(args, t, states.evaluate(t)))
+
+        numbers = by_fraction(start), by_fraction(end)
+        return first_event(*numbers, inside, was_pressing, keep, LANDING_WINDOW, contacts.n_contacts, before)
 
     def _limited(self, t0, t1):
         """The end of a step, no later than the longest step allows."""
         return t1 if self.longest is None else jnp.minimum(t1, t0 + self.longest)
 
 
+def longest_flight_step(crossing: Crossing, acceleration, is_touching) -> Float[Array, " *lanes"]:
+    """The longest step [s] for balls in flight: U h + A h^2 / 2 = `LONGEST_FLIGHT_STEP`; infinite without one.
+
+    Args:
+        crossing: where the step starts; U = |velocity| [1/s]. Touches behind the contacts limit nothing.
+        acceleration: A [1/s^2], as the last step had it.
+        is_touching: contacts that are no flight.
+    """
+    n = is_touching.shape[0]
+    square, acceleration = jnp.sum(crossing.velocity[:n] ** 2, axis=1), acceleration[:n]
+    way = 2 * LONGEST_FLIGHT_STEP
+    rate = jnp.sqrt(square) + jnp.sqrt(square + acceleration * way)
+    longest = jnp.where(is_touching | (rate <= 0), jnp.inf, way / jnp.where(rate > 0, rate, 1.0))
+    return jnp.min(longest, axis=0, initial=jnp.inf)
+
+
 def shortest_step(t0, t1) -> Float[Array, ""]:
     """Steps of at most this [s] are lost in the rounding of time: four units in the last place."""
     return 4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
-
-
-def _fraction_to_crossing(contacts: Contacts, t0, t1, y0, y1, args, was_touching) -> Float[Array, ""]:
-    """The fraction of the step at which the first contact changes mode; 1 when none does, or when it has landed."""
-    start, end = contacts.crossings(args, t0, y0), contacts.crossings(args, t1, y1)
-    sign = jnp.where(was_touching, -1.0, 1.0)
-    fractions = crossing_fraction(
-        sign * start.value, sign * start.rate * (t1 - t0), sign * end.value, sign * end.rate * (t1 - t0)
-    )
-    return jax.lax.stop_gradient(jnp.min(fractions))
-
-
-def crossing_fraction(g0, slope0, g1, slope1, window: float = LANDING_WINDOW):
-    """Where in (0, 1) a function first becomes positive, by its cubic Hermite interpolant.
-
-    Args:
-        g0: value at the start, not positive (a positive one counts as zero).
-        slope0: derivative by the fraction at the start.
-        g1: value at the end.
-        slope1: derivative by the fraction at the end.
-        window: values up to this count as landed.
-
-    Returns:
-        The fraction at which the interpolant reaches half the landing window; 1 where it stays negative, or where the
-        end is within the window. A hump inside the step is found as well.
-    """
-    top = fraction_of_maximum(g0, slope0, g1, slope1)
-    has_hump = (g1 <= 0) & (top < 1) & (_hermite(top, g0, slope0, g1, slope1)[0] > window)
-    crosses = (g1 > window) | has_hump
-    low, high = jnp.zeros_like(g0), jnp.where(has_hump, top, 1.0)
-    rise = _hermite(high, g0, slope0, g1, slope1)[0] - g0
-    x = high * jnp.clip(-g0 / jnp.where(rise > 0, rise, 1.0), 0.05, 0.95)
-
-    def safeguarded_newton_step(_, bracket):
-        low, high, x = bracket
-        value, slope = _hermite(x, g0, slope0, g1, slope1)
-        value = value - window / 2
-        low, high = jnp.where(value < 0, x, low), jnp.where(value < 0, high, x)
-        newton = x - value / jnp.where(slope == 0, 1.0, slope)
-        return low, high, jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
-
-    # A loop, not unrolled steps: XLA evaluates what several consumers read once for each, and nested steps multiply.
-    _, _, x = jax.lax.fori_loop(0, _NEWTON_STEPS, safeguarded_newton_step, (low, high, x))
-    return jnp.where(crosses, jnp.clip(x, _SMALLEST_FRACTION, 1 - _SMALLEST_FRACTION), 1.0)
-
-
-def _hermite(x, g0, slope0, g1, slope1):
-    """Value and derivative of the cubic Hermite interpolant at a fraction x."""
-    c2 = 3 * (g1 - g0) - 2 * slope0 - slope1
-    c3 = 2 * (g0 - g1) + slope0 + slope1
-    return g0 + x * (slope0 + x * (c2 + x * c3)), slope0 + x * (2 * c2 + x * 3 * c3)
-
-
-def fraction_of_maximum(g0, slope0, g1, slope1):
-    """Fraction of the interpolant's maximum when it rises at the start and falls at the end, else 1."""
-    c2 = 3 * (g1 - g0) - 2 * slope0 - slope1
-    c3 = 2 * (g0 - g1) + slope0 + slope1
-    is_hump = (slope0 > 0) & (slope1 < 0)
-    # Root of slope0 + 2 c2 x + 3 c3 x^2 in the form that does not cancel; slope changes sign, so it is real.
-    discriminant = jnp.where(is_hump, c2 * c2 - 3 * c3 * slope0, 1.0)
-    denominator = -c2 + jnp.sqrt(jnp.maximum(discriminant, 0.0))
-    x = slope0 / jnp.where(is_hump & (denominator > 0), denominator, 1.0)
-    return jnp.where(is_hump, jnp.clip(x, 0.0, 1.0), 1.0)
 
 
 def count_of(solver_state) -> Int[Array, " n_contacts"]:

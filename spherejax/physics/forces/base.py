@@ -54,6 +54,18 @@ class Wrench(NamedTuple):
     moment: Vector3
 
 
+class Touch(NamedTuple):
+    """How deep a surface is pressed in that presses back and never pulls.
+
+    Attributes:
+        depth: [m or rad], negative without a touch; a smooth function of time.
+        rate: its time derivative.
+    """
+
+    depth: Scalar
+    rate: Scalar
+
+
 class AbstractForce(eqx.Module):
     """A force element. One of your own is `wrenches` in `jnp`, and `potential_energy` if it has one:
 
@@ -89,6 +101,19 @@ class AbstractForce(eqx.Module):
         """Energy stored in the element [J]; zero unless the element says otherwise."""
         del t, motions
         return jnp.zeros(())
+
+    @property
+    def n_touches(self) -> int:
+        """Number of surfaces that the element presses on from one side (static)."""
+        return 0
+
+    def touches(self, t: Scalar, motions: Motions) -> tuple[Touch, ...]:
+        """How deep each of those surfaces is pressed in; a step ends where one begins or ceases to press.
+
+        Without it a touch that is shorter than a step can be missed.
+        """
+        del t, motions
+        return ()
 
     def parts(self, t: Scalar, motions: Motions) -> dict[str, Array]:
         """Named results for inspection, e.g. `length` [m], `force` [N]; see `Trajectory.force`."""

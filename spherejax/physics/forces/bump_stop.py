@@ -6,9 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement
+from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.bodies import numbers
+from spherejax.physics.forces.base import Touch
 from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, two_ends
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, as_function
@@ -77,15 +78,27 @@ class BumpStop(AbstractLineForce):
         """Tension and stored energy; a stop at the shortest length answers with a negative tension."""
         del t
         total = Pull(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
-        for limit, side in ((self.shortest, -1.0), (self.longest, 1.0)):
-            if limit is not None:
-                press = self._law.press(side * (length - limit), side * rate)
-                total = Pull(
-                    total.force + side * press.force,
-                    total.elastic + side * press.elastic,
-                    total.energy + press.energy,
-                )
+        for limit, side in self._limits:
+            press = self._law.press(side * (length - limit), side * rate)
+            total = Pull(
+                total.force + side * press.force,
+                total.elastic + side * press.elastic,
+                total.energy + press.energy,
+            )
         return total
+
+    @property
+    def n_touches(self) -> int:
+        """One for each limit."""
+        return len(self._limits)
+
+    def touches(self, t, motions):
+        """How far the length is beyond each limit."""
+        del t
+        if self.attachment is None:
+            raise SceneError("the stop is not in a scene yet: its ends are known once the scene is compiled")
+        stretch = self.attachment.stretch(motions)
+        return tuple(Touch(side * (stretch.length - limit), side * stretch.rate) for limit, side in self._limits)
 
     def requirements(self) -> list[Requirement]:
         """Two bodies, shortest below longest, and the law's own requirements."""
@@ -100,6 +113,12 @@ class BumpStop(AbstractLineForce):
             remedy = "Between the two the stop is free."
             rows.append(Requirement("longest", self.longest, ordered, "be above shortest", remedy))
         return [*rows, *self._law.requirements()]
+
+    @property
+    def _limits(self) -> tuple[tuple[Number, float], ...]:
+        """Each limit, and the direction in which the length passes it."""
+        both = ((self.shortest, -1.0), (self.longest, 1.0))
+        return tuple((limit, side) for limit, side in both if limit is not None)
 
     @property
     def _law(self) -> OneSided:

@@ -19,7 +19,7 @@ from jaxtyping import Array
 from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
+from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Touch, Wrench, body_of, place_of
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -132,6 +132,16 @@ class Tyre(AbstractForce):
         load = self._law.press(tread.compression, tread.compression_rate).force
         force = load * self._direction(tread.road_slope)
         return {body_of(self.center): Wrench(force, jnp.cross(tread.center.arm, force))}
+
+    @property
+    def n_touches(self) -> int:
+        """The road."""
+        return 1
+
+    def touches(self, t, motions):
+        """How deep the tyre is pressed in."""
+        tread = self.tread(t, motions)
+        return (Touch(tread.compression, tread.compression_rate),)
 
     def potential_energy(self, t, motions):
         """Energy stored in the tyre [J]."""

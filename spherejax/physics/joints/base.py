@@ -40,10 +40,12 @@ class Crossing(NamedTuple):
         value: g = (|e|^2 / c^2 - 1) / 2, dimensionless: -1/2 for a concentric ball, 0 at contact, and about
             penetration / clearance beyond. Unlike |e| - c it is smooth when the ball passes the socket's center.
         rate: its time derivative [1/s].
+        velocity: e_dot / c [1/s], whose changes say how much the path in the socket bends.
     """
 
     value: Scalar
     rate: Scalar
+    velocity: Vector3
 
 
 class Effect(NamedTuple):

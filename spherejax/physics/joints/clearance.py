@@ -10,7 +10,6 @@ from spherejax.physics.joints.contact import (
     contact_crossing,
     contact_memory_at_onset,
     contact_memory_names,
-    has_memory,
 )
 from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material
 
@@ -48,13 +47,13 @@ class AbstractClearanceModel(AbstractSphericalModel):
 
     @property
     def memory_names(self) -> tuple[str, ...]:
-        """The onset rate, and bristles, only for laws that use them."""
-        return contact_memory_names(self.normal, self.friction)
+        """The onset rate, 0 in flight, for every law: it says that the ball touches; and bristles of laws with them."""
+        return contact_memory_names(self.friction)
 
     @property
     def detects_onsets(self) -> bool:
-        """Only for laws that remember."""
-        return has_memory(self.normal, self.friction)
+        """For every law: a step that flies through the wall would not feel it."""
+        return True
 
     def penetration(self, motion):
         """|e| - c [m]."""

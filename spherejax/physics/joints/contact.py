@@ -150,12 +150,9 @@ def contact_forces(
     penetration_rate = motion.eccentricity_rate @ n
     stiffness = stiffness_of(normal, surfaces)
     n_bristle = 0 if friction is None else friction.bristle_size
-    onset_rate: Number = 0.0
-    is_touching = penetration > 0
-    if has_memory(normal, friction):
-        onset_rate = memory[0]
-        is_touching = onset_rate > 0
-        penetration = jnp.where(is_touching, penetration, -surfaces.clearance)
+    onset_rate = memory[0]
+    is_touching = onset_rate > 0
+    penetration = jnp.where(is_touching, penetration, -surfaces.clearance)
     normal_force = share * normal.force(penetration, penetration_rate, onset_rate, stiffness)
     if friction is None:
         zero = jnp.zeros(3)
@@ -183,15 +180,8 @@ def contact_moments(motion: RelativeMotion, surfaces: Surfaces, friction: Vector
     )
 
 
-def has_memory(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> bool:
-    """Whether the contact must remember its onset: for the normal law's sake, or to set bristles free."""
-    return normal.remembers_onset or (friction is not None and friction.bristle_size > 0)
-
-
-def contact_memory_names(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
-    """Memory entries of a contact: nothing for a law that needs none."""
-    if not has_memory(normal, friction):
-        return ()
+def contact_memory_names(friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
+    """Memory entries of a contact: the onset rate, which says that it touches, and bristles of laws that have them."""
     bristles = ("bristle_x", "bristle_y", "bristle_z")
     return ("onset_rate", *(bristles if friction is not None and friction.bristle_size else ()))
 
@@ -203,9 +193,9 @@ def contact_memory_at_onset(names: tuple[str, ...], onset_rate: Scalar) -> Float
 
 
 def contact_crossing(motion: RelativeMotion, clearance: Number) -> Crossing:
-    """g = (|e|^2 / c^2 - 1) / 2 and its rate e . e_dot / c^2."""
-    e, square = motion.eccentricity, clearance * clearance
-    return Crossing((e @ e / square - 1) / 2, e @ motion.eccentricity_rate / square)
+    """g = (|e|^2 / c^2 - 1) / 2, its rate e . e_dot / c^2, and e_dot / c."""
+    e, e_rate, square = motion.eccentricity, motion.eccentricity_rate, clearance * clearance
+    return Crossing((e @ e / square - 1) / 2, e @ e_rate / square, e_rate / clearance)
 
 
 def contact_effects(model: Any, first: str, elastic: AbstractNormalLaw) -> tuple[Effect, ...]:

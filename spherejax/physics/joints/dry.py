@@ -75,13 +75,12 @@ class Dry(AbstractClearanceModel):
         surfaces = self.surfaces
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction)
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
-        onset_rate_rate = jnp.zeros(1 if self.memory_names else 0)
         penetration = self.penetration(motion)
         return Response(
             force=contact.force,
             ball_moment=ball_moment,
             socket_moment=socket_moment,
-            memory_rate=jnp.concatenate([onset_rate_rate, contact.bristle_rate]),
+            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
             elastic_energy=self.normal.elastic_energy(penetration, stiffness_of(self.normal, surfaces)),
             parts={
                 "penetration": penetration,

@@ -124,12 +124,11 @@ class Lubricated(AbstractClearanceModel):
         )
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
         penetration = self.penetration(motion)
-        onset_rate_rate = jnp.zeros(1 if self.memory_names else 0)
         return Response(
             force=film + contact.force,
             ball_moment=ball_moment,
             socket_moment=socket_moment,
-            memory_rate=jnp.concatenate([onset_rate_rate, contact.bristle_rate]),
+            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
             elastic_energy=self._elastic_energy(penetration),
             parts={
                 "penetration": penetration,

@@ -35,8 +35,7 @@ class AbstractNormalLaw(AbstractLaw):
     subclass this and give `force` and `requirements`.
 
     Attributes:
-        remembers_onset: whether `force` uses the onset rate; the joint carries no memory for a law that
-            does not.
+        remembers_onset: whether `force` uses the onset rate.
         stiffness: K [N/m**n]; `None` takes it from the joint's radii and materials (Eq. 24).
         exponent: n [-], 1.5 for spheres (Hertz).
     """
@@ -134,7 +133,7 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
 class Hertz(AbstractNormalLaw):
     """Purely elastic contact, f_n = K delta**n.
 
-    Neither the rate nor the memory of the onset enters the compiled program.
+    Neither the rate nor the onset's enters the force.
 
     Attributes:
         stiffness: K [N/m**n], or `None` for Eq. 24.

@@ -1,0 +1,208 @@
+"""Every run audits itself: what cannot be, at the end of any step, ends it with a status of its own.
+
+    energy      a scene that nothing drives and whose parts cannot create energy never has more than it had before
+    flight      no ball is beyond its socket's surface while it counts as flying
+    constraints  the constraint equations hold
+    quaternions  have unit norm
+
+Whether energy may rise is asked of each part (`never_adds_energy`): drivers, applied forces, roads that pass below and
+parts of a user's own may add some, and then energy is not audited. Balance by the work of the joints alone would not
+do: a ball that flies through its socket does no work on it, and gains energy when it is caught outside.
+
+The limits are those of a run that is wrong, far above what the tolerance of a run that is right explains.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.types import Number, Scalar
+from spherejax.model.system import Structure, System
+from spherejax.motion.body_motions import body_motions
+from spherejax.motion.constraints import constraint_set
+from spherejax.motion.loads import joint_loads
+from spherejax.motion.observables import kinetic_energy, potential_energy
+from spherejax.motion.programs import program_for
+from spherejax.motion.tolerances import energy_scale, length_scale
+from spherejax.physics.joints import PlacedSpherical
+from spherejax.physics.state import unpack
+
+ENERGY_SHARE = 1e-3
+"""Energy may rise above its lowest value by this share of what moves, and by..."""
+
+TOLERANCES = 100.0
+"""... so many relative tolerances: errors of many steps add up."""
+
+LARGEST_SHARE = 0.1
+"""Loose tolerances allow no more than this."""
+
+LEAST_ENERGY = 1e-3
+"""Of the scale m V^2 of the scene: what moves counts as no less, for in a scene at rest all is rounding."""
+
+CONSTRAINT_SHARE = 1e-2
+"""Constraint equations hold to this share of the scene's length, or of 1 where they are of directions."""
+
+NORM = 1e-2
+"""| |q|^2 - 1 | of quaternions."""
+
+OUTSIDE = 1e-6
+"""(|e|^2 / c^2 - 1) / 2 of a ball in flight; steps end within 1e-8."""
+
+CHECKS = ("energy", "flight", "constraints", "quaternions")
+
+
+class Vitals(NamedTuple):
+    """What is looked at, at one instant.
+
+    Attributes:
+        potential: energy of weight and force elements [J].
+        agitation: kinetic energy, and what the joints store [J].
+        outside: (|e|^2 / c^2 - 1) / 2 of the outermost ball in flight; -1/2 without one.
+        violation: largest entry of the constraint equations [m or 1].
+        norm: largest | |q|^2 - 1 |.
+    """
+
+    potential: Scalar
+    agitation: Scalar
+    outside: Scalar
+    violation: Scalar
+    norm: Scalar
+
+
+def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
+    """What is looked at, of one state."""
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
+    outside, stored = [jnp.asarray(-0.5)], jnp.zeros(())
+    if system.force_joints:
+        loads = joint_loads(system, motions, state.memory)
+        stored = sum((load.response.elastic_energy for load in loads.values()), stored)
+    for slot in system.memory_slots:
+        if slot.joint in system.contact_joints:
+            joint = system.spherical(slot.joint)
+            g = joint.model.crossing(joint.relative_motion(motions)).value
+            outside.append(jnp.where(state.memory[slot.start] > 0, -0.5, g))
+    constraints = constraint_set(system, t, motions)
+    residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
+    norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
+    return Vitals(
+        potential_energy(system, t, motions),
+        kinetic_energy(system, motions) + stored,
+        jnp.max(jnp.stack(outside)),
+        jnp.max(residual),
+        jnp.max(jnp.abs(norms - 1)),
+    )
+
+
+class Watch(NamedTuple):
+    """What an audit keeps of the steps so far.
+
+    Attributes:
+        lowest: the lowest energy [J].
+        bottom, top: the lowest and the highest potential energy [J].
+        agitation: the highest agitation [J].
+        worst: of each of `CHECKS` the worst, as a share of its limit, shape (4,): above 1 the run is wrong.
+    """
+
+    lowest: Array
+    bottom: Array
+    top: Array
+    agitation: Array
+    worst: Float[Array, "4"]
+
+    @property
+    def is_sound(self) -> Bool[Array, ""]:
+        """Whether all limits are kept."""
+        return jnp.all(self.worst <= 1)
+
+
+class Limits(eqx.Module):
+    """From where on a run is wrong.
+
+    Attributes:
+        energy: largest share of the energy that may have come from nowhere; infinite where energy may rise.
+        least: what counts as moving at least [J].
+        violation: of the constraint equations.
+    """
+
+    energy: Number
+    least: Number
+    violation: Number
+
+    def begun(self, now: Vitals) -> Watch:
+        """An audit at the start of a run."""
+        energy = now.potential + now.agitation
+        watch = Watch(energy, now.potential, now.potential, now.agitation, jnp.zeros(len(CHECKS)))
+        return self.seen(watch, now)
+
+    def seen(self, watch: Watch, now: Vitals) -> Watch:
+        """The audit after another step."""
+        energy = now.potential + now.agitation
+        lowest = jnp.minimum(watch.lowest, energy)
+        bottom, top = jnp.minimum(watch.bottom, now.potential), jnp.maximum(watch.top, now.potential)
+        agitation = jnp.maximum(watch.agitation, now.agitation)
+        moving = jnp.maximum(agitation + (top - bottom), self.least)
+        shares = [
+            (energy - lowest) / (moving * self.energy),
+            jnp.maximum(now.outside, 0.0) / OUTSIDE,
+            now.violation / self.violation,
+            now.norm / NORM,
+        ]
+        return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))
+
+
+class Audit(NamedTuple):
+    """How a run is audited (static functions).
+
+    Attributes:
+        look: the vitals; takes (parameters, t, y).
+        limits: takes the parameters.
+    """
+
+    look: Callable
+    limits: Callable
+
+    def begun(self, parameters, t, y) -> Watch:
+        """The audit at the start of a run."""
+        return self.limits(parameters).begun(self.look(parameters, t, y))
+
+    def seen(self, parameters, watch: Watch, t, y) -> Watch:
+        """The audit after a step to the state y."""
+        return self.limits(parameters).seen(watch, self.look(parameters, t, y))
+
+    def of_rows(self) -> "Audit":
+        """The same, of the state in the first row of a matrix, with `Linearized` parameters."""
+
+        def look(parameters, t, rows):
+            return self.look(parameters.value, t, rows[0])
+
+        return Audit(look, self.limits)
+
+
+def limits_of(system: System, rtol) -> Limits:
+    """The limits for the scales of a scene and a relative tolerance; None where it is not known."""
+    share: Number = LARGEST_SHARE
+    if rtol is not None:
+        xp = np if is_concrete(rtol) else jnp
+        share = xp.minimum(ENERGY_SHARE + TOLERANCES * xp.max(xp.asarray(rtol)), LARGEST_SHARE)
+    energy = share if never_adds_energy(system) else np.inf
+    length = jnp.minimum(length_scale(system), 1.0)
+    return Limits(energy, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)
+
+
+def never_adds_energy(system: System) -> bool:
+    """Whether no part of a system can add energy (static)."""
+    if system.is_driven:
+        return False
+    models = [joint.model for joint in system.joints.values() if isinstance(joint, PlacedSpherical)]
+    return all(part.never_adds_energy for part in [*models, *system.forces.values()])
+
+
+def look_of(structure: Structure, scalar: bool | None) -> Callable:
+    """The vitals of a system as a program (theta, t, y)."""
+    return program_for(vitals, structure, scalar)
