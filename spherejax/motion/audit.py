@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
@@ -54,6 +53,25 @@ OUTSIDE = 1e-6
 """(|e|^2 / c^2 - 1) / 2 of a ball in flight; steps end within 1e-8."""
 
 CHECKS = ("energy", "flight", "constraints", "quaternions")
+"""What is audited, in the order of `run.stats.audit`."""
+
+FINDINGS = {
+    "energy": "the energy rose, though nothing in the scene can add any",
+    "flight": "a ball was outside its socket without contact",
+    "constraints": "the joints' equations were violated",
+    "quaternions": "a body's quaternion lost its norm",
+}
+"""What a failed check says."""
+
+
+def findings(shares) -> str:
+    """What an audit has found, in words; empty for a sound run.
+
+    Args:
+        shares: the worst of each of `CHECKS` as a share of its limit, shape (4,).
+    """
+    found = [(check, share) for check, share in zip(CHECKS, np.asarray(shares), strict=True) if not share <= 1]
+    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times the limit)" for check, share in found)
 
 
 class Vitals(NamedTuple):
@@ -186,11 +204,8 @@ class Audit(NamedTuple):
 
 def limits_of(system: System, rtol) -> Limits:
     """The limits for the scales of a scene and a relative tolerance; None where it is not known."""
-    share: Number = LARGEST_SHARE
-    if rtol is not None:
-        xp = np if is_concrete(rtol) else jnp
-        share = xp.minimum(ENERGY_SHARE + TOLERANCES * xp.max(xp.asarray(rtol)), LARGEST_SHARE)
-    energy = share if never_adds_energy(system) else np.inf
+    share = LARGEST_SHARE if rtol is None else ENERGY_SHARE + TOLERANCES * jnp.max(jnp.asarray(rtol))
+    energy = jnp.minimum(share, LARGEST_SHARE) if never_adds_energy(system) else np.inf
     length = jnp.minimum(length_scale(system), 1.0)
     return Limits(energy, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)
 

@@ -16,6 +16,7 @@ from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
+from spherejax.motion.audit import Audit, Limits, limits_of, look_of
 from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
@@ -23,6 +24,7 @@ from spherejax.motion.implicit import with_structure
 from spherejax.motion.longest_step import longest_step
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.projection import correction_of
+from spherejax.motion.solvers.auditing import AuditingSolver, of_audited, watch_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of, without_memory
 from spherejax.motion.status import Status, status_of
@@ -73,10 +75,12 @@ class Parameters(NamedTuple):
     Attributes:
         theta: all numbers of the system.
         ahead: what follows from them alone, evaluated once before the integration.
+        limits: of the audit; None where nothing is audited with them.
     """
 
     theta: Float[Array, " p"]
     ahead: Any
+    limits: Any = None
 
 
 def parameters_from(plan: Plan, rate: Program, known, values) -> Parameters:
@@ -129,12 +133,12 @@ def integrate(
     with without_host_checks():
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
-            wrapped(solver, correct, contacts),
+            wrapped(solver, correct, contacts, audit_of(plan)),
             t0=ts[0],
             t1=t1,
             dt0=None,
             y0=y0,
-            args=Parameters(theta, rate.ahead(theta)),
+            args=Parameters(theta, rate.ahead(theta), audit_limits(plan, options, theta)),
             saveat=diffrax.SaveAt(
                 subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
             ),
@@ -162,16 +166,31 @@ def landing_controller(
     return LandingController(options.controller, contacts, interpolation, longest)  # pyright: ignore[reportCallIssue]
 
 
+def audit_of(plan: Plan) -> Audit:
+    """What is looked at, at the end of each step."""
+    look = look_of(plan.structure, plan.scalar)
+    return Audit(lambda parameters, t, y: look(parameters.theta, t, y), lambda parameters: parameters.limits)
+
+
+def audit_limits(plan: Plan, options: Options, theta: Float[Array, " p"]) -> Limits:
+    """From where on a run is wrong."""
+    limits = limits_of(plan.structure.system(theta), getattr(options.controller, "rtol", None))
+    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits))
+
+
 def correction_for(plan: Plan) -> Callable | None:
     """The drift control's correction of a state, a function of (parameters, t, y); None where it corrects nothing."""
     n_corrections = example_of(plan.structure).drift.n_corrections
     return correction_of(plan.structure, plan.scalar, n_corrections) if n_corrections else None
 
 
-def wrapped(solver: diffrax.AbstractSolver, correct: Callable | None, contacts: Contacts | None):
-    """The solver with what happens at the end of each step: the drift control's correction, then contact events."""
+def wrapped(
+    solver: diffrax.AbstractSolver, correct: Callable | None, contacts: Contacts | None, audit: Audit
+) -> AuditingSolver:
+    """The solver with what happens at the end of each step: correction of drift, contact events, the audit."""
     solver = solver if correct is None else CorrectingSolver(solver, correct)
-    return solver if contacts is None else MemorySolver(solver, contacts)
+    solver = solver if contacts is None else MemorySolver(solver, contacts)
+    return AuditingSolver(solver, audit)
 
 
 def samples(ts: Float[Array, " n"], correct: Callable | None) -> diffrax.SubSaveAt:
@@ -249,13 +268,15 @@ def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
 
 def _statistics(solution: diffrax.Solution, solver, contacts: Contacts | None) -> Statistics:
     n_steps = solution.stats["num_steps"]
-    n_onsets = jnp.zeros(0, jnp.int64) if contacts is None else count_of(solution.solver_state)
+    inner: Any = of_audited(solution.solver_state)
+    n_onsets = jnp.zeros(0, jnp.int64) if contacts is None else count_of(inner)
     return Statistics(
         n_steps,
         solution.stats["num_accepted_steps"],
         solution.stats["num_rejected_steps"],
         n_steps * stages_of(solver),
         n_onsets,
+        watch_of(solution.solver_state).worst,
     )
 
 

@@ -65,8 +65,8 @@ def start_of_rows(start_of: Callable, values: Float[Array, " p"]) -> Any:
     """The start of one run with rows below its state, and with the slopes of what the right-hand side is given."""
     scale = scales_of(values)
     start, slopes = linearized(start_of, values, jnp.diag(scale))
-    value, its_slopes = (replace(numbers, tolerances=None) for numbers in (start.numbers, slopes.numbers))
-    numbers = LaneNumbers(value, its_slopes, scale, start.numbers.tolerances)
+    value, its_slopes = (replace(each, tolerances=None, limits=None) for each in (start.numbers, slopes.numbers))
+    numbers = LaneNumbers(value, its_slopes, scale, start.numbers.tolerances, start.numbers.limits)
     return start._replace(numbers=numbers, y0=jnp.concatenate([start.y0[None], slopes.y0]))
 
 
@@ -78,12 +78,14 @@ class LaneNumbers(NamedTuple):
         slopes: its scaled derivatives.
         scale: of each parameter.
         tolerances: relative and absolute, where they depend on the run.
+        limits: of the audit.
     """
 
     value: Any
     slopes: Any
     scale: Float[Array, " p"]
     tolerances: Any
+    limits: Any
 
 
 def problem_of_rows(problem: LaneProblem, structure: Structure, rate: Program) -> LaneProblem:
@@ -103,6 +105,7 @@ def problem_of_rows(problem: LaneProblem, structure: Structure, rate: Program) -
         correct=correcting_rows(problem.correct),
         contacts=None if problem.contacts is None else with_rows(problem.contacts, rate),
         watch=None if problem.watch is None else watch,
+        audit=None if problem.audit is None else problem.audit.of_rows(),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -16,9 +17,10 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, compile_scene, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
+from spherejax.motion.audit import limits_of
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
-from spherejax.motion.integrate import Plan, beginning, contacts_of, correction_for, stages_of
+from spherejax.motion.integrate import Plan, audit_of, beginning, contacts_of, correction_for, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.longest_step import longest_step
 from spherejax.motion.many_sensitivities import problem_of_rows, start_of_rows
@@ -62,11 +64,13 @@ class Numbers(eqx.Module):
         theta: all numbers of the system.
         ahead: what follows from them alone.
         tolerances: relative and absolute, where they depend on the run.
+        limits: of the audit.
     """
 
     theta: Float[Array, " p"]
     ahead: Any
     tolerances: Any
+    limits: Any
 
 
 class Start(NamedTuple):
@@ -125,7 +129,8 @@ class Prepared:
         legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
         closed = assembly.residual_after < CLOSING_TOLERANCE
         status = jnp.where(legal, jnp.where(closed, Status.SUCCEEDED, Status.START_NOT_CLOSED), Status.BAD_VALUE)
-        numbers = Numbers(theta, program_for(state_rate, structure, scalar).ahead(theta), own)
+        audited = jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits_of(system, tolerances.rtol)))
+        numbers = Numbers(theta, program_for(state_rate, structure, scalar).ahead(theta), own, audited)
         return Start(numbers, y0, legal & closed & jnp.all(jnp.isfinite(y0)), status, assembly)
 
     def problem(self) -> LaneProblem:
@@ -147,6 +152,7 @@ class Prepared:
             method.max_steps,
             watching(plan.structure, method.watch),
             longest_step(plan.structure, self.ts),
+            audit_of(plan),
         )
         return problem_of_rows(problem, plan.structure, rate) if method.by else problem
 
@@ -161,6 +167,7 @@ class Prepared:
             outcome.n_rejected,
             n_steps * stages_of(self.method.choice.solver),
             outcome.n_onsets,
+            outcome.audit,
             self.explanation,
         )
         return Trajectory(

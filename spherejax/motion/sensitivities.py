@@ -23,6 +23,8 @@ from spherejax.motion.integrate import (
     Options,
     Outcome,
     Plan,
+    audit_limits,
+    audit_of,
     beginning,
     contacts_of,
     correction_for,
@@ -35,6 +37,7 @@ from spherejax.motion.integrate import (
 from spherejax.motion.programs import program_for
 from spherejax.motion.sensitivity_rows import (
     Linearized,
+    RowParameters,
     correcting_rows,
     judging_rows,
     linearized,
@@ -69,12 +72,17 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         ys, assembly = jax.tree.map(lambda j: j @ tangents[0], jacobian)
         # Samples that the run did not reach are NaN, and constant.
         ys = jnp.where(jnp.isnan(outcome.ys), 0.0, ys)
-        counts = jax.tree.map(lambda x: np.zeros(x.shape, jax.dtypes.float0), (outcome.status, outcome.stats))
+        counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
         still = jnp.zeros_like(outcome.t_reached), jnp.zeros_like(outcome.y_reached)
         return outcome, Outcome(ys, *still, counts[0], counts[1], assembly)
 
     arrays = jax.lax.stop_gradient(arrays)
     return run(values, arrays, known, jax.lax.stop_gradient(ts), start, values_are_legal)
+
+
+def _no_tangent(x: Array):
+    """The tangent of what is constant."""
+    return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.floating) else np.zeros(x.shape, jax.dtypes.float0)
 
 
 def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
@@ -289,12 +297,12 @@ def integrate_rows(
     with without_host_checks():
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
-            wrapped(solver, correct, contacts),
+            wrapped(solver, correct, contacts, audit_of(plan).of_rows()),
             t0=ts[0],
             t1=t1,
             dt0=None,
             y0=rows0,
-            args=parameters,
+            args=RowParameters(*parameters, audit_limits(plan, options, parameters.value.theta)),
             saveat=diffrax.SaveAt(subs=saved),
             stepsize_controller=landing_controller(judging, solver, contacts, plan, ts),
             adjoint=options.adjoint,

@@ -1,6 +1,7 @@
 """How a run ended: a value, with a diagnosis and a remedy."""
 
 import enum
+from collections.abc import Callable
 
 import diffrax
 import jax.numpy as jnp
@@ -27,6 +28,7 @@ class Status(enum.IntEnum):
     BAD_VALUE = 3
     START_NOT_CLOSED = 4
     SOLVER_FAILED = 5
+    AUDIT_FAILED = 6
 
 
 REMEDIES = {
@@ -46,11 +48,18 @@ REMEDIES = {
         "the joints cannot be closed at the start. Simulate this lane alone, outside jit and vmap, to get the error "
         "that names the joint"
     ),
+    Status.AUDIT_FAILED: (
+        "the audit found what cannot be (`run.audit` says what); the motion is wrong there, and may be from shortly "
+        "before. Tighten rtol, choose another solver or drift control, and check the laws and forces of your own"
+    ),
     Status.SOLVER_FAILED: (
         "the solver could not make a step (a linear or nonlinear solve failed). Choose another solver or loosen rtol"
     ),
 }
 
+
+AUDIT_RESULT = diffrax.RESULTS.internal_error
+"""What a solver says where the audit of its step failed; diffrax, whose results cannot be added to, does not use it."""
 
 STOPPED_IN_MOTION = (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL, Status.SOLVER_FAILED)
 """Endings that the motion itself may have brought about, for instance a singular configuration."""
@@ -62,25 +71,28 @@ def status_of(result: diffrax.RESULTS, values_are_legal: Flag, start_is_closed: 
     failed = jnp.where(result == results.successful, Status.SUCCEEDED, Status.SOLVER_FAILED)
     failed = jnp.where(result == results.max_steps_reached, Status.TOO_MANY_STEPS, failed)
     failed = jnp.where(result == results.dt_min_reached, Status.STEP_TOO_SMALL, failed)
+    failed = jnp.where(result == AUDIT_RESULT, Status.AUDIT_FAILED, failed)
     failed = jnp.where(start_is_closed, failed, Status.START_NOT_CLOSED)
     return jnp.where(values_are_legal, failed, Status.BAD_VALUE)
 
 
-def diagnosis(status, t_reached, t_end) -> str:
+def diagnosis(status, t_reached, t_end, found: Callable[[tuple], str] = lambda lane: "") -> str:
     """What happened, in one sentence a lane; empty when all lanes succeeded.
 
     Args:
         status: integers, any shape (one an entry is a lane).
         t_reached: times reached [s], same shape.
         t_end: times asked for [s], same shape.
+        found: what the audit of a lane found, by its index.
     """
     status, t_reached, t_end = (np.atleast_1d(np.asarray(value)) for value in (status, t_reached, t_end))
     sentences = []
     for lane in np.argwhere(status != Status.SUCCEEDED):
         index = tuple(lane)
         which = "" if status.size == 1 else f"lane {', '.join(map(str, index))}: "
+        ended = Status(status[index])
+        why = f"{found(index)}: " if ended == Status.AUDIT_FAILED and found(index) else ""
         sentences.append(
-            f"{which}stopped at t = {t_reached[index]:.9g} s of {t_end[index]:.9g} s: "
-            f"{REMEDIES[Status(status[index])]}."
+            f"{which}stopped at t = {t_reached[index]:.9g} s of {t_end[index]:.9g} s: {why}{REMEDIES[ended]}."
         )
     return "\n".join(sentences)

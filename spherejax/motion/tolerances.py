@@ -77,6 +77,12 @@ def time_scale(system: System) -> Numeric:
     return length / speed
 
 
+def energy_scale(system: System) -> Numeric:
+    """The energy that the mechanism has at its own speed, m V^2 [J]; see `component_tolerances`."""
+    _, speed, _ = _scales(system)
+    return sum(body.mass for body in system.bodies.values()) * speed * speed
+
+
 def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
     """The flat vector with one number for each kind of component."""
     layout = system.layout

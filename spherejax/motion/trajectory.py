@@ -14,6 +14,7 @@ from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.assembly import Assembly
+from spherejax.motion.audit import CHECKS, findings, never_adds_energy
 from spherejax.motion.modes import modes
 from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
@@ -34,6 +35,8 @@ class Statistics(eqx.Module):
         n_rejected: steps repeated, for their error or to land on a contact onset or release.
         n_evaluations: evaluations of the right-hand side; for an implicit method without its Newton iterations.
         n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
+        audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, shape (4,): above 1
+            the run has failed. `run.audit` says it in words.
         explanation: which method and which tolerances were used, and why (static).
     """
 
@@ -42,6 +45,7 @@ class Statistics(eqx.Module):
     n_rejected: Int[Array, ""]
     n_evaluations: Int[Array, ""]
     n_onsets: Int[Array, " n_contacts"]
+    audit: Float[Array, "4"]
     explanation: str = eqx.field(static=True, default="")
 
 
@@ -96,7 +100,7 @@ class Trajectory(eqx.Module):
 
         Of a single run that its constraints have stopped, it names the joints whose equations become dependent there.
         """
-        text = diagnosis(self.status, self.t_reached, np.asarray(self.ts)[..., -1])
+        text = diagnosis(self.status, self.t_reached, np.asarray(self.ts)[..., -1], self._found)
         if np.ndim(self.status) or not text or int(self.status) not in STOPPED_IN_MOTION:
             return text
         start = (float(self.ts[0]), np.asarray(self.assembly.y))
@@ -108,6 +112,19 @@ class Trajectory(eqx.Module):
             "configuration, which a driver cannot pass where the mechanism reaches no further. Check the reach of what "
             "is driven, or start or drive it otherwise."
         )
+
+    @property
+    def audit(self) -> str:
+        """What the run's audit of itself has looked at and found, in words. For one run; `stats.audit` for many."""
+        if np.ndim(self.status):
+            raise SceneError("audit reports on a single run; take one lane of the batch first")
+        shares = np.asarray(self.stats.audit)
+        looked = [check for check in CHECKS if check != "energy" or never_adds_energy(self.system)]
+        worst = ", ".join(f"{check} {shares[CHECKS.index(check)]:.1e}" for check in looked)
+        text = f"at every step, as shares of what is allowed: {worst}"
+        if "energy" not in looked:
+            text += "; energy is not audited: a driver, a force, or a part of your own may add some"
+        return f"{findings(shares)}; {text}" if findings(shares) else text
 
     @property
     def constraints(self) -> ConstraintReport:
@@ -292,6 +309,10 @@ class Trajectory(eqx.Module):
         from spherejax.motion.dataset import to_dataset
 
         return to_dataset(self, every=every)
+
+    def _found(self, lane: tuple) -> str:
+        """What the audit of a lane has found."""
+        return findings(np.asarray(self.stats.audit)[lane if np.ndim(self.status) else ()])
 
     # Names -------------------------------------------------------------------------------------------------------
 

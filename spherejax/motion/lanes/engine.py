@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.audit import CHECKS, Audit, Watch
 from spherejax.motion.lanes.control import Repeating, Step
 from spherejax.motion.lanes.landing import Landing
 from spherejax.motion.lanes.stages import ExplicitStages, Trial, steps_of
@@ -48,6 +49,7 @@ class LaneProblem(NamedTuple):
         max_steps: largest number of steps of a run.
         watch: numbers (t, y, parameters) whose largest values at the ends of all steps are kept, or None.
         longest_step: of every run [s], or None.
+        audit: what is looked at, at the end of each step, or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -58,6 +60,7 @@ class LaneProblem(NamedTuple):
     max_steps: int
     watch: Callable | None = None
     longest_step: Array | None = None
+    audit: Audit | None = None
 
 
 class Lane(NamedTuple):
@@ -80,6 +83,7 @@ class Lane(NamedTuple):
         peaks: largest values of what is watched.
         n_samples: samples taken.
         status: integer of `Status`.
+        watch: of the audit.
     """
 
     job: Array
@@ -98,6 +102,7 @@ class Lane(NamedTuple):
     peaks: Array
     n_samples: Array
     status: Array
+    watch: Watch | None
 
 
 class LaneOutcome(NamedTuple):
@@ -113,6 +118,7 @@ class LaneOutcome(NamedTuple):
         touching: time in contact [s], shape (n_jobs, n_contacts).
         peaks: largest values of what is watched, shape (n_jobs, n_watched).
         y_reached: states at `t_reached`, shape (n_jobs, ...).
+        audit: the worst of each of `audit.CHECKS`, as a share of its limit, shape (n_jobs, 4).
         n_lane_steps: steps that the block made, those of idle lanes included.
     """
 
@@ -125,6 +131,7 @@ class LaneOutcome(NamedTuple):
     touching: Float[Array, "n_jobs n_contacts"]
     peaks: Float[Array, "n_jobs n_watched"]
     y_reached: Float[Array, "n_jobs ..."]
+    audit: Float[Array, "n_jobs 4"]
     n_lane_steps: Int[Array, ""]
 
     @property
@@ -204,6 +211,7 @@ class _Queue:
             peaks=self._watched(t0, y0, parameters),
             n_samples=none,
             status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
+            watch=None if self.problem.audit is None else self.problem.audit.begun(parameters, t0, y0),
         )
 
     def judged(self, lane: Lane, trial: Trial) -> Lane:
@@ -227,6 +235,12 @@ class _Queue:
         def kept(new, old):
             return jnp.where(keep, new, old)
 
+        watch = lane.watch
+        if problem.audit is not None:
+            seen = in_lanes(problem.audit.seen)(lane.parameters, watch, t, y)
+            watch = jax.tree.map(kept, seen, watch)
+            told = jnp.where((told == Status.SUCCEEDED) & ~in_lanes(_is_sound)(watch), Status.AUDIT_FAILED, told)
+
         return lane._replace(
             t=t,
             t_next=_clipped(t, t_next, lane.t_end, keep),
@@ -240,6 +254,7 @@ class _Queue:
             touching=lane.touching + self._time_in_contact(lane, t, keep),
             peaks=kept(jnp.maximum(lane.peaks, in_lanes(self._watched)(t, y, lane.parameters)), lane.peaks),
             status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
+            watch=watch,
         )
 
     def _watched(self, t, y, parameters) -> Float[Array, " n_watched"]:
@@ -265,7 +280,8 @@ class _Queue:
         lanes = self.block_of(jnp.arange(width))
         ys = jnp.full((self.n_jobs, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
         size = self.y0[0].size
-        account = jnp.zeros((self.n_jobs, 4 + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
+        n_checks = 0 if self.problem.audit is None else len(CHECKS)
+        account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
         carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64)
         narrow = min(block.narrow, width)
 
@@ -347,8 +363,10 @@ class _Queue:
 
     def _outcome(self, ys, account, n_lane_steps) -> LaneOutcome:
         n = 4 + self.n_contacts
-        ends = [1, n, n + self.n_contacts, account.shape[1] - self.y0[0].size]
-        t_reached, counts, touching, peaks, y_reached = jnp.split(account, ends, axis=1)
+        n_checks = 0 if self.problem.audit is None else len(CHECKS)
+        last = account.shape[1] - self.y0[0].size
+        ends = [1, n, n + self.n_contacts, last - n_checks, last]
+        t_reached, counts, touching, peaks, audit, y_reached = jnp.split(account, ends, axis=1)
         status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
         return LaneOutcome(
             ys=ys,
@@ -360,6 +378,7 @@ class _Queue:
             touching=touching,
             peaks=peaks,
             y_reached=y_reached.reshape(self.y0.shape),
+            audit=audit,
             n_lane_steps=n_lane_steps,
         )
 
@@ -367,8 +386,13 @@ class _Queue:
 def _account(lane: Lane) -> Float[Array, " k"]:
     """What a run reports besides its samples, as numbers in a row."""
     counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
-    numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, lane.y.ravel()]
+    audit = jnp.zeros(0) if lane.watch is None else lane.watch.worst
+    numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, audit, lane.y.ravel()]
     return jnp.concatenate([each.astype(jnp.float64) for each in numbers])
+
+
+def _is_sound(watch: Watch):
+    return watch.is_sound
 
 
 def _told(keep, result, verdict) -> Int[Array, ""]:

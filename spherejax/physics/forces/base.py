@@ -103,6 +103,14 @@ class AbstractForce(eqx.Module):
         return jnp.zeros(())
 
     @property
+    def never_adds_energy(self) -> bool:
+        """Whether the element only stores and dissipates, and reports all that it stores (static).
+
+        Of a scene whose parts all say so every run checks that its energy does not rise.
+        """
+        return False
+
+    @property
     def n_touches(self) -> int:
         """Number of surfaces that the element presses on from one side (static)."""
         return 0

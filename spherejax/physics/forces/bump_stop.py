@@ -10,7 +10,7 @@ from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import Touch
-from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, two_ends
+from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, stores_all, two_ends
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, as_function
 from spherejax.physics.functions.shapes import finite
@@ -86,6 +86,11 @@ class BumpStop(AbstractLineForce):
                 total.energy + press.energy,
             )
         return total
+
+    @property
+    def never_adds_energy(self) -> bool:
+        """With numbers for damping, and a spring that knows its integral."""
+        return stores_all(self.spring, self.damper)
 
     @property
     def n_touches(self) -> int:

@@ -207,6 +207,11 @@ def two_ends(ends) -> tuple[str, str]:
     return ends[0], ends[1]
 
 
+def stores_all(spring, damper) -> bool:
+    """Whether the work of both functions is known not to add energy: a spring with an integral, and no damper."""
+    return damper is None and (spring is None or spring.knows_primitive)
+
+
 def elastic_part(function, x: Number) -> tuple[Scalar, Scalar, Scalar]:
     """f(x), the part of it that has a potential, and the energy counted from x = 0; zeros without a function."""
     if function is None:

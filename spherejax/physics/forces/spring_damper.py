@@ -8,7 +8,15 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.bodies import numbers
-from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, elastic_part, line_requirements, two_ends
+from spherejax.physics.forces.line import (
+    AbstractLineForce,
+    Attachment,
+    Pull,
+    elastic_part,
+    line_requirements,
+    stores_all,
+    two_ends,
+)
 from spherejax.physics.forces.one_sided import smooth_rise
 from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -72,6 +80,11 @@ class SpringDamper(AbstractLineForce):
         self.law = None if law is None else Given(law)
         self.direction = None if direction is None else numbers(direction)
         self.attachment = None
+
+    @property
+    def never_adds_energy(self) -> bool:
+        """With numbers for damping, and a spring that knows its integral."""
+        return self.law is None and stores_all(self.spring, self.damper)
 
     def pull(self, length: Scalar, rate: Scalar, t: Scalar) -> Pull:
         """Tension and stored energy."""

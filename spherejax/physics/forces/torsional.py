@@ -22,7 +22,7 @@ from spherejax.foundations.rotation import conjugate, normalized, quaternion_pro
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench
-from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion
+from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
 from spherejax.physics.functions import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
 from spherejax.physics.laws.base import non_negative
@@ -107,6 +107,11 @@ class TorsionalSpring(AbstractForce):
         self.spring = as_function(spring)
         self.damper = as_function(damper)
         self.attachment = None
+
+    @property
+    def never_adds_energy(self) -> bool:
+        """With numbers for damping, and a spring that knows its integral."""
+        return stores_all(self.spring, self.damper)
 
     def twist(self, motions: Motions) -> Twist:
         """Angle, rate and direction of the placed element."""

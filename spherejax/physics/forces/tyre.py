@@ -20,6 +20,7 @@ from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
 from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Touch, Wrench, body_of, place_of
+from spherejax.physics.forces.line import stores_all
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -132,6 +133,11 @@ class Tyre(AbstractForce):
         load = self._law.press(tread.compression, tread.compression_rate).force
         force = load * self._direction(tread.road_slope)
         return {body_of(self.center): Wrench(force, jnp.cross(tread.center.arm, force))}
+
+    @property
+    def never_adds_energy(self) -> bool:
+        """On a flat road, with numbers for damping, and a spring that knows its integral."""
+        return self.road is None and stores_all(self.spring, self.damper)
 
     @property
     def n_touches(self) -> int:

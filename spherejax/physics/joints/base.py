@@ -80,6 +80,14 @@ class AbstractSphericalModel(eqx.Module):
         return False
 
     @property
+    def never_adds_energy(self) -> bool:
+        """Whether the joint only stores and dissipates, and reports all that it stores (static).
+
+        Of a scene whose parts all say so every run checks that its energy does not rise.
+        """
+        return self.is_ideal
+
+    @property
     def effects(self) -> tuple[Effect, ...]:
         """The physical effects that the model brings in, one upon the other, for `sj.effects`."""
         return () if self.is_ideal else (Effect(type(self).__name__, self),)

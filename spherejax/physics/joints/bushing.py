@@ -23,6 +23,11 @@ class Bushing(AbstractSphericalModel):
 
     law: AbstractElastomer
 
+    @property
+    def never_adds_energy(self) -> bool:
+        """Where its law does not."""
+        return self.law.never_adds_energy
+
     def __init__(
         self,
         stiffness: Number | None = None,

@@ -55,6 +55,12 @@ class AbstractClearanceModel(AbstractSphericalModel):
         """For every law: a step that flies through the wall would not feel it."""
         return True
 
+    @property
+    def never_adds_energy(self) -> bool:
+        """Where its laws do not."""
+        laws = [self.normal, *([] if self.friction is None else [self.friction])]
+        return all(law.never_adds_energy for law in laws)
+
     def penetration(self, motion):
         """|e| - c [m]."""
         return safe_norm(motion.eccentricity) - self.clearance

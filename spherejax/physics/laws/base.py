@@ -1,6 +1,7 @@
 """What every force law has in common, and how it states which values are legal."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -11,7 +12,14 @@ from spherejax.foundations.checks import Requirement, is_concrete
 
 
 class AbstractLaw(eqx.Module):
-    """A force law: physical numbers as leaves, pure functions as methods."""
+    """A force law: physical numbers as leaves, pure functions as methods.
+
+    Attributes:
+        never_adds_energy: whether the law only stores and dissipates, and reports what it stores; a law of your own may
+            say so, and every run then checks it.
+    """
+
+    never_adds_energy: ClassVar[bool] = False
 
     @abc.abstractmethod
     def requirements(self) -> list[Requirement]:

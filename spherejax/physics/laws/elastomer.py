@@ -96,6 +96,8 @@ class RadialElastomer(AbstractPivotElastomer):
     Source: Rodrigues da Silva et al. (2022), Eq. 41, after Ambrosio and Verissimo (2009).
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     stiffness: Number
     damping: Number
     isotropic: ClassVar[bool] = True
@@ -126,6 +128,8 @@ class VectorElastomer(AbstractPivotElastomer):
 
     Source: Rodrigues da Silva et al. (2022), Eq. 41, with the rate of the vector in place of the radial one.
     """
+
+    never_adds_energy: ClassVar[bool] = True
 
     stiffness: Number
     damping: Number

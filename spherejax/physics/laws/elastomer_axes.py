@@ -72,6 +72,8 @@ class HingeElastomer(AbstractAxisElastomer):
     elastic moment is taken as 0.
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     stiffness: Matrix3
     damping: Matrix3
     conical_stiffness: Number
@@ -154,6 +156,8 @@ class CrossElastomer(AbstractAxisElastomer):
 
     Limits: at beta = pi/2, where n has no direction, the moment is 0.
     """
+
+    never_adds_energy: ClassVar[bool] = True
 
     stiffness: Matrix3
     damping: Matrix3

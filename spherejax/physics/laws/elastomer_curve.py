@@ -36,6 +36,8 @@ class CurveElastomer(AbstractPivotElastomer):
     the place of k delta in Eq. 41 of Rodrigues da Silva et al. (2022).
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     deflections: Float[np.ndarray, " n"]
     forces: Float[np.ndarray, " n"]
     damping: Number

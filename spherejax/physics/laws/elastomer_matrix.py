@@ -47,6 +47,8 @@ class MatrixElastomer(AbstractElastomer):
     the exact J is added.
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     stiffness: Matrix3
     damping: Matrix3
     rotational_stiffness: Matrix3 | None = None

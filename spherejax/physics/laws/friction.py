@@ -83,6 +83,8 @@ class Coulomb(AbstractStaticFriction):
     Source: Rodrigues da Silva et al. (2022), Eqs. 30 and 31.
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     mu: Number = 0.1
     simulable: ClassVar[bool] = False
 
@@ -122,6 +124,8 @@ class Threlfall(AbstractStaticFriction):
     exponential. Defaults: Table 3.
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     mu: Number = 0.1
     v1: Number = 1e-3
     simulable: ClassVar[bool] = True
@@ -149,6 +153,8 @@ class BengisuAkay(AbstractStaticFriction):
 
     Source: Bengisu and Akay (1994) as in Rodrigues da Silva et al. (2022), Eq. 33. Defaults: Table 3.
     """
+
+    never_adds_energy: ClassVar[bool] = True
 
     mu_kinetic: Number = 0.1
     mu_static: Number = 0.15
@@ -189,6 +195,8 @@ class Ambrosio(AbstractStaticFriction):
     Source: Ambrosio (2003) as in Rodrigues da Silva et al. (2022), Eq. 35. Defaults: Table 3.
     """
 
+    never_adds_energy: ClassVar[bool] = True
+
     mu: Number = 0.1
     v0: Number = 1e-4
     v1: Number = 1e-3
@@ -224,6 +232,8 @@ class BrownMcPhee(AbstractStaticFriction):
 
     Source: Brown and McPhee (2016) as in Rodrigues da Silva et al. (2022), Eq. 36. Defaults: Table 3.
     """
+
+    never_adds_energy: ClassVar[bool] = True
 
     mu_kinetic: Number = 0.1
     mu_static: Number = 0.15
@@ -276,6 +286,8 @@ class LuGre(AbstractFrictionLaw):
     unit mass, read per newton of normal force; the friction coefficients and v_s are those of Table 3 of
     Rodrigues da Silva et al. (2022).
     """
+
+    never_adds_energy: ClassVar[bool] = True
 
     mu_kinetic: Number = 0.1
     mu_static: Number = 0.15

@@ -97,6 +97,7 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
 
     restitution: eqx.AbstractVar[Number]
     remembers_onset: ClassVar[bool] = True
+    never_adds_energy: ClassVar[bool] = True
 
     @abc.abstractmethod
     def hysteresis_factor(self) -> Number:
@@ -145,6 +146,7 @@ class Hertz(AbstractNormalLaw):
     stiffness: Number | None = None
     exponent: Number = 1.5
     remembers_onset: ClassVar[bool] = False
+    never_adds_energy: ClassVar[bool] = True
 
     def hysteresis_factor(self) -> Number:
         """Zero: no hysteresis."""

@@ -317,7 +317,7 @@ def _run_of(frame: Frame, setting: Setting, values, ys, assembly) -> Trajectory:
         ts=setting.ts,
         ys=ys,
         system=frame.plan.structure.system(theta),
-        stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64)),
+        stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64), jnp.zeros(4)),
         status=nothing,
         t_reached=setting.ts[-1],
         y_reached=ys[-1],

@@ -189,7 +189,7 @@ def observable_run(prepared: Prepared, theta: Float[Array, " n_numbers"], ys: Fl
         ts=ts,
         ys=ys,
         system=prepared.plan.structure.system(theta),
-        stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64)),
+        stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64), jnp.zeros(4)),
         status=nothing,
         t_reached=ts[-1],
         y_reached=ys[-1],
