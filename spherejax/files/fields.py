@@ -2,6 +2,7 @@
 
 import abc
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,5 +111,8 @@ def words_of(family: type) -> str:
 
 def shown(value: Any) -> str:
     """A value for a message, not too long."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4,300 digits
+        return f"a number of more than {sys.get_int_max_str_digits()} digits"
     return text if len(text) < 60 else f"{text[:57]}..."

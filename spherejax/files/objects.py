@@ -11,6 +11,7 @@ import numpy as np
 from spherejax.files.fields import Context
 from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
 from spherejax.files.place import Place, one_of
+from spherejax.files.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, SceneError, enforce, is_concrete
 from spherejax.physics.functions import UserFunction
 from spherejax.physics.functions.base import Given
@@ -176,9 +177,23 @@ def _is_numeric(value: Any) -> bool:
 
 
 def _numbers_of(parameters: Mapping[str, inspect.Parameter], table: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers of a table, or their defaults, that the units of its other numbers may refer to."""
+    """Numbers of a table, or their defaults, that the units of its other numbers may refer to.
+
+    A text is one as well, `exponent = "1.5"`: without it, the unit would be unknown and any dimension would pass.
+    """
     values = {name: table.get(name, parameter.default) for name, parameter in parameters.items()}
-    return {name: f"{value:g}" for name, value in values.items() if type(value) in (int, float)}
+    return {name: text for name, value in values.items() if (text := _power_in_unit(value)) is not None}
+
+
+def _power_in_unit(value: Any) -> str | None:
+    """A number as it stands in the unit of another, `N/m^{exponent}`; None for what is no power of a unit."""
+    if isinstance(value, str):
+        try:
+            value = in_si(value, PURE)
+        except UnitError:
+            return None
+    is_power = type(value) in (int, float) and abs(value) < 1e6
+    return f"{value:g}" if is_power else None
 
 
 def _no_table(made: Any, family: type) -> str:
