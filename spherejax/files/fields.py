@@ -22,6 +22,7 @@ class Context(NamedTuple):
             units of its argument and its value (`of_argument`, `of_value`).
         build: makes the object that a table describes: from a family, a value, a place and a context.
         describe: the reverse: from an object, a family and a context to a table.
+        allow_code: whether kinds of users' own, which run Python code, may be read.
     """
 
     folder: Path
@@ -29,6 +30,7 @@ class Context(NamedTuple):
     words: Mapping[str, Any]
     build: Callable[..., Any]
     describe: Callable[..., Any]
+    allow_code: bool = False
 
     def unit(self, unit: str | None) -> str | None:
         """A unit with its words filled in; None when one of them is not known."""

@@ -8,6 +8,8 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from spherejax.files.code import reported
+from spherejax.files.dimensions import FIELDS
 from spherejax.files.fields import Context
 from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
 from spherejax.files.place import Place, one_of
@@ -34,7 +36,7 @@ def build(family: type, value: Any, place: Place, context: Context) -> Any:
     kind = table.pop(KIND, next(iter(members)) if len(members) == 1 else None)
     if not isinstance(kind, str):
         place.fail(f'has no kind; write kind = "{next(iter(members), "my_file.py:MyClass")}"; {one_of(members, "")}')
-    cls = class_named(kind, family, context.folder, place / KIND if isinstance(value, dict) else place)
+    cls = class_named(kind, family, context, place / KIND if isinstance(value, dict) else place)
     if inspect.isfunction(cls):
         for key in table:
             (place / key).fail(f"the function {cls.__name__} has no numbers; write a class to give it some")
@@ -44,7 +46,8 @@ def build(family: type, value: Any, place: Place, context: Context) -> Any:
 
 def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -> Any:
     """An object of a class from the arguments in a table, its values checked."""
-    fields, parameters = fields_of(cls), parameters_of(cls)
+    with reported(place, f"the arguments of {cls.__name__} are not known"):
+        fields, parameters = fields_of(cls), parameters_of(cls)
     for key in table:
         if key not in fields:
             (place / key).fail(f"unknown key of {cls.__name__}; {one_of(fields, key)}")
@@ -54,6 +57,11 @@ def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -
         place.fail(f"{cls.__name__} needs {name}, {fields[name].what}; add {name} = ...")
     inside = context._replace(words={**context.words, **_numbers_of(parameters, table)})
     arguments = {name: fields[name].read(value, place / name, inside) for name, value in table.items()}
+    if cls not in FIELDS:
+        with reported(place, f"{cls.__name__} cannot be made"):
+            made = called(cls, arguments)
+            check(made, place)
+        return made
     try:
         made = called(cls, arguments)
     except (TypeError, ValueError) as error:
