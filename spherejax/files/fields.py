@@ -81,6 +81,8 @@ class Plain(Field):
         del context
         if type(value) is not self.kind:
             place.fail(f"{shown(value)} is not {self.what}")
+        if self.kind is int and abs(value) >= 2**63:
+            place.fail(f"{shown(value)} is larger than any whole number of 64 bits, 9.2e18")
         return value
 
     def write(self, value, context):

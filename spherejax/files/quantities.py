@@ -44,6 +44,9 @@ class Quantity(Field):
     def read(self, value, place, context):
         """A float, or a float64 array."""
         unit = context.unit(self.si)
+        if isinstance(value, str) and self.shapes is not None and () not in self.shapes:
+            example = "[0, 0, 1]" if self.shapes == ((3,),) else "[...]"
+            place.fail(f"{shown(value)} is one text; {self._expected(unit)} expected, written {example}")
         factor = None
         if isinstance(value, dict):
             if set(value) != {"values", "unit"} or not isinstance(value["unit"], str):
@@ -174,5 +177,5 @@ def _shape_text(shape: tuple[int, ...]) -> str:
     if not shape:
         return "one number"
     if len(shape) == 1:
-        return "a list of numbers" if shape[0] == -1 else f"{shape[0]} numbers"
+        return {-1: "a list of numbers", 1: "a list of one number"}.get(shape[0], f"{shape[0]} numbers")
     return f"{shape[0]} rows of {shape[1]} numbers" if len(shape) == 2 else f"numbers of shape {shape}"
