@@ -106,7 +106,7 @@ FORMS = {
         lambda: FOUR_BAR(sj.Dry(1e-4, normal=sj.Hertz)), "model.normal = <class", "must be a normal law", "Hertz(...)"
     ),
     "a law as text": (
-        lambda: FOUR_BAR(sj.Dry(1e-4, friction="threlfall")), "model.friction = 'threlfall'", "friction law", "LuGre(...)"
+        lambda: FOUR_BAR(sj.Dry(1e-4, friction="threlfall")), "model.friction = 'threlfall'", "LuGre(...)"
     ),
     "a law as a number": (lambda: FOUR_BAR(sj.Dry(1e-4, friction=0.1)), "model.friction = 0.1 must be a friction law"),
     "clearance as text": (
@@ -136,13 +136,13 @@ FORMS = {
         lambda: pushed(sj.AppliedWrench("ball", force=(1.0, 2.0))), "force 'push': force = [1. 2.]", "three"
     ),
     "stiffness as text": (
-        lambda: pushed(sj.SpringDamper(("ground", "ball"), stiffness="1e3")), "force 'push': stiffness = '1e3'", "quotes"
+        lambda: pushed(sj.SpringDamper(("ground", "ball"), stiffness="1e3")), "'push': stiffness = '1e3'", "quotes"
     ),
     "a function's number": (
         lambda: pinned(sj.RotationDriver(("ground", "arm"), (0, 0, 1), sj.Linear("1"))), "angle.slope = '1' must be one"
     ),
     "the class of a function": (
-        lambda: pushed(sj.SpringDamper(("ground", "ball"), spring=sj.Linear)), "Linear alone is no function", "Linear(...)"
+        lambda: pushed(sj.SpringDamper(("ground", "ball"), spring=sj.Linear)), "Linear alone is no function", "Linear("
     ),
 }  # fmt: skip
 """What has another form than its field: NumPy reads numbers into many of these."""

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Union, get_args, get_origin
 
 import equinox as eqx
 import jax
+import jax.core
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, SceneError, shown

@@ -23,6 +23,9 @@ class Shaped(NamedTuple):
     shapes: tuple[tuple[int, ...], ...]
 
 
+Single = Annotated[Numeric, Shaped(((),))]
+"""One physical number, as the user gave it."""
+
 Triple = Annotated[Numeric, Shaped(((3,),))]
 """Three physical numbers, as the user gave them: a vector, a place."""
 
