@@ -41,6 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 2 for a request that makes no sense, 3 for a failed run, 130 when interrupted.
     """
     import spherejax as sj
+    from spherejax.files.code import described_error, line_of
 
     try:
         options = parser().parse_args(argv)
@@ -60,6 +61,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if argv is None:
             _leave(INTERRUPTED)
         return INTERRUPTED
+    except (Exception, SystemExit) as error:
+        # Code beside a scene file, run by --allow-code: its errors are the user's, and no traceback of ours.
+        at = line_of(error)
+        if at is None:
+            raise
+        print(f"spherejax: {' '.join(described_error(error).split())}", file=sys.stderr)
+        return BAD_REQUEST
 
 
 def parser() -> argparse.ArgumentParser:

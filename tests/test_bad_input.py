@@ -1,10 +1,12 @@
 """Bad input: one readable error each, that names the thing, the value and the remedy."""
 
+import datetime
 import os
 import subprocess
 import sys
 
 import cases
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -45,6 +47,128 @@ def loose():
 def unclosable():
     scene = FOUR_BAR()
     return eqx.tree_at(lambda s: s.bodies["crank"].points["pin"], scene, np.array([0.0, 0.0, 1.0]))
+
+
+def alone(**changes):
+    return sj.Scene({"ball": sj.Body(**{"mass": 1.0, "inertia": (1.0, 1.0, 1.0), **changes})})
+
+
+def pinned(joint):
+    body = sj.Body(1.0, (1.0, 1.0, 1.0), points={"pin": (0.0, 0.0, 0.0)})
+    return sj.Scene({"arm": body}, {"hinge": joint}, ground_points={"pin": (0.0, 0.0, 0.0)})
+
+
+def pushed(force):
+    return sj.Scene({"ball": sj.Body(1.0, (1.0, 1.0, 1.0))}, {}, {"push": force})
+
+
+def hinge(bodies=("ground", "arm"), point=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0), **others):
+    return pinned(sj.Revolute(bodies, point, axis, **others))
+
+
+FORMS = {
+    "mass as text": (lambda: alone(mass="0.8"), "body 'ball': mass = '0.8' must be one number", "without quotes"),
+    "mass with a unit": (lambda: alone(mass="0.8 kg"), "body 'ball': mass = '0.8 kg'", "scene files"),
+    "mass as a list": (lambda: alone(mass=[0.8]), "body 'ball': mass = [0.8] must be one number, not of shape (1,)"),
+    "mass of shape (1,)": (lambda: alone(mass=np.array([1.0])), "mass = [1.] must be one number, not of shape (1,)"),
+    "mass as a truth value": (lambda: alone(mass=True), "mass = True must be one number", "truth value"),
+    "complex mass": (lambda: alone(mass=1 + 1j), "mass = (1+1j)", "real part"),
+    "mass None": (lambda: alone(mass=None), "mass = None must be one number", "Give the number"),
+    "mass of 400 digits": (lambda: alone(mass=10**400), "mass = 1000", "64 bits"),
+    "mass of 6,000 digits": (lambda: alone(mass=10**6000), "mass = a number of thousands of digits", "64 bits"),
+    "inertia of two": (lambda: alone(inertia=(1.0, 1.0)), "body 'ball': inertia = [1. 1.]", "three", "(2,)"),
+    "inertia of one": (lambda: alone(inertia=1.0), "body 'ball': inertia = 1 must", "three"),
+    "inertia as texts": (lambda: alone(inertia=("1", "1", "1")), "inertia = ('1', '1', '1')", "without quotes"),
+    "ragged inertia": (lambda: alone(inertia=[[1, 2], [3]]), "inertia = [[1, 2], [3]]", "different lengths"),
+    "velocity of two": (
+        lambda: alone(velocity=(1.0, 0.0)), "velocity = [1. 0.] must be three numbers, not of shape (2,)"
+    ),
+    "velocity of one": (
+        lambda: alone(velocity=1.0), "velocity = 1 must be three numbers", "Write e.g. (0.0, 0.0, 1.0)"
+    ),
+    "spin of one": (lambda: alone(angular_velocity=[1.0]), "angular_velocity = [1.] must be three numbers"),
+    "complex velocity": (lambda: alone(velocity=np.array([1j, 0, 0])), "velocity = array(", "real part"),
+    "velocity in time": (lambda: alone(velocity=np.array([1, 2, 3], "m8[s]")), "velocity = array(", "seconds"),
+    "position of four": (lambda: alone(position=(1, 2, 3, 4)), "position = [1. 2. 3. 4.] must be three numbers"),
+    "quaternion of three": (
+        lambda: alone(quaternion=(1.0, 0.0, 0.0)), "quaternion = [1. 0. 0.]", "four", "scalar part"
+    ),
+    "point of two": (
+        lambda: alone(points={"tip": (1, 2)}), "body 'ball': points['tip'] = [1. 2.] must be three numbers"
+    ),
+    "points as a list": (lambda: alone(points=[(1, 2, 3)]), "points = [[1 2 3]] must be a dict by name", "Write"),
+    "scalar gravity": (
+        lambda: sj.Scene(alone().bodies, gravity=9.81), "scene: gravity = 9.81 must be three numbers", "Write e.g."
+    ),
+    "ground point of two": (lambda: sj.Scene(alone().bodies, ground_points={"hook": (0, 0)}), "ground_points['hook']"),
+    "the class of a model": (lambda: FOUR_BAR(sj.Ideal), "joint 'coupler_rocker': model = <class", "Ideal(...)"),
+    "the class of a law": (
+        lambda: FOUR_BAR(sj.Dry(1e-4, normal=sj.Hertz)), "model.normal = <class", "must be a normal law", "Hertz(...)"
+    ),
+    "a law as text": (
+        lambda: FOUR_BAR(sj.Dry(1e-4, friction="threlfall")), "model.friction = 'threlfall'", "LuGre(...)"
+    ),
+    "a law as a number": (lambda: FOUR_BAR(sj.Dry(1e-4, friction=0.1)), "model.friction = 0.1 must be a friction law"),
+    "clearance as text": (
+        lambda: FOUR_BAR(sj.Dry("0.1 mm")), "'coupler_rocker': model.clearance = '0.1 mm' must be one"
+    ),
+    "ball radius as text": (lambda: sj.Dry(ball_radius="0.0099"), "ball_radius = '0.0099' must be one number"),
+    "a law's number as text": (
+        lambda: FOUR_BAR(sj.Dry(1e-4, friction=sj.Threlfall(mu="0.1"))), "model.friction.mu = '0.1' must be one number"
+    ),
+    "axis as a letter": (lambda: hinge(axis="z"), "joint 'hinge': axis = 'z' must be three numbers", "(0.0, 0.0, 1.0)"),
+    "axis of two": (lambda: hinge(axis=(0, 1)), "joint 'hinge': axis = [0. 1.] must be three numbers"),
+    "place of two": (lambda: hinge(point=(0, 0)), "joint 'hinge': point = [0. 0.] must be three numbers"),
+    "bodies as text": (lambda: hinge(bodies="ground"), "bodies = 'ground' must be two names", '("ground", "arm")'),
+    "three bodies": (lambda: hinge(bodies=("ground", "arm", "rod")), "must be two names"),
+    "joint as text": (lambda: pinned("revolute"), "joint 'hinge' = 'revolute' is no joint", "sj.Revolute(...)"),
+    "joint as a class": (lambda: pinned(sj.Revolute), "joint 'hinge' = <class", "is no joint"),
+    "a model as joint": (lambda: pinned(sj.Ideal()), "joint 'hinge' = Ideal() is no joint", "sj.Spherical("),
+    "joints as a list": (lambda: sj.Scene(alone().bodies, ["hinge"]), "joints = ['hinge'] must be a dict by name"),
+    "socket as a number": (lambda: pinned(sj.Spherical(3, "arm.pin")), "joint 'hinge': socket = 3 must be a name"),
+    "a word for a truth value": (
+        lambda: pinned(sj.Spherical("ground.pin", "arm.pin", sj.Dry(1e-4), starts_concentric="no")),
+        "joint 'hinge': starts_concentric = 'no' must be True or False",
+    ),
+    "body as text": (lambda: sj.Scene({"ball": "box"}), "body 'ball' = 'box' is no body", "sj.Body(mass, inertia)"),
+    "force as text": (lambda: pushed("gravity"), "force 'push' = 'gravity' is no force", "SpringDamper"),
+    "force of two": (
+        lambda: pushed(sj.AppliedWrench("ball", force=(1.0, 2.0))), "force 'push': force = [1. 2.]", "three"
+    ),
+    "stiffness as text": (
+        lambda: pushed(sj.SpringDamper(("ground", "ball"), stiffness="1e3")), "'push': stiffness = '1e3'", "quotes"
+    ),
+    "a function's number": (
+        lambda: pinned(sj.RotationDriver(("ground", "arm"), (0, 0, 1), sj.Linear("1"))), "angle.slope = '1' must be one"
+    ),
+    "the class of a function": (
+        lambda: pushed(sj.SpringDamper(("ground", "ball"), spring=sj.Linear)), "Linear alone is no function", "Linear("
+    ),
+}  # fmt: skip
+"""What has another form than its field: NumPy reads numbers into many of these."""
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_what_has_another_form_is_named_with_its_place_and_a_remedy(name):
+    build, *words = FORMS[name]
+    with pytest.raises(sj.SceneError) as caught:
+        sj.compile_scene(build())
+    for word in words:
+        assert word in str(caught.value), (word, str(caught.value))
+
+
+def test_a_form_is_judged_where_numbers_are_traced_too():
+    with pytest.raises(sj.SceneError, match=r"body 'ball': velocity = \(traced\) must be three numbers"):
+        jax.jit(lambda v: sj.simulate(alone(velocity=v), TS).ys)(jnp.ones(2))
+
+
+def test_what_python_has_for_numbers_is_taken():
+    from decimal import Decimal
+    from fractions import Fraction
+
+    scene = alone(mass=Fraction(1, 2), inertia=[Decimal("1"), np.float32(1), np.int8(1)], velocity=range(3))
+    body = sj.compile_scene(scene).system.bodies["ball"]
+    assert (float(body.mass), *np.asarray(body.velocity)) == (0.5, 0.0, 1.0, 2.0)
 
 
 SCENES = {
@@ -282,6 +406,24 @@ REQUESTS = {
     "atol zero": ({"atol": 0.0}, "atol = 0", "positive"),
     "atol negative": ({"atol": -1.0}, "atol = -1", "positive"),
     "atol NaN": ({"atol": NAN}, "atol = nan", "positive"),
+    "atol infinite": ({"atol": np.inf}, "atol = inf", "any error"),
+    "atol as a list": ({"atol": [1e-8, 1e-9]}, "atol = ", "must be one number"),
+    "rtol too large": ({"rtol": 10}, "rtol = 10", "less than 1"),
+    "rtol as text": ({"rtol": "1e-8"}, "rtol = '1e-8'", "without quotes"),
+    "negative max_steps": ({"max_steps": -1}, "max_steps = -1 must be a whole number, at least 1", "Leave it out"),
+    "max_steps as float": ({"max_steps": 1e5}, "max_steps = 100000 must be a whole number"),
+    "a solver's name": ({"solver": "dopri8"}, "solver = 'dopri8' is no solver", "diffrax.Dopri8()"),
+    "a solver's class": ({"solver": diffrax.Dopri8}, "is no solver", "diffrax.Dopri8()"),
+    "complex times": ({"ts": np.array([0, 1j])}, "ts = ", "holds complex numbers", "real times"),
+    "a list of complex times": ({"ts": [0, 1j]}, "holds complex numbers"),
+    "complex times of JAX": ({"ts": jnp.array([0, 1j])}, "holds complex numbers"),
+    "dates": ({"ts": np.array([0, 5], "M8[ms]")}, "holds dates", "ts - ts[0]"),
+    "times as texts": ({"ts": ["0", "1"]}, "is text", "give numbers"),
+    "truth values as times": ({"ts": [False, True]}, "truth values"),
+    "durations without a unit": ({"ts": np.array([0, 5], "m8")}, "timedelta64 without a unit"),
+    "not a time": ({"ts": np.array(["NaT", 5], "m8[ms]")}, "ts must hold finite times"),
+    "ragged times": ({"ts": [[0], [1, 2]]}, "rows of different lengths"),
+    "times of 400 digits": ({"ts": [0, 10**400]}, "64 bits"),
 }
 
 
@@ -292,6 +434,29 @@ def test_bad_request_is_named(name):
         sj.simulate(FOUR_BAR(), **{"ts": TS, **options})
     for word in words:
         assert word in str(caught.value), (word, str(caught.value))
+
+
+def test_durations_are_converted_to_seconds():
+    """NumPy would take 5 ms for 5 s, and xarray makes such durations of times with the unit "s"."""
+    run = sj.simulate(alone(), np.array([0, 5, 10], "timedelta64[ms]"))
+    np.testing.assert_allclose(run.ts, [0.0, 0.005, 0.01], rtol=1e-15)
+    again = sj.simulate(alone(), [datetime.timedelta(milliseconds=t) for t in (0, 5, 10)])
+    np.testing.assert_array_equal(again.ts, run.ts)
+    measured = sj.Measured(np.array([0, 5, 10], "timedelta64[ms]"), {"position.ball.z": np.zeros(3)})
+    np.testing.assert_array_equal(measured.ts, run.ts)
+
+
+@pytest.mark.parametrize("option", ["chunk", "workers", "max_steps"])
+@pytest.mark.parametrize("value", [-1, 0, 1.5, "2", True])
+def test_a_count_of_a_sweep_is_a_count(option, value):
+    with pytest.raises(sj.SceneError, match=rf"{option} = .* must be a whole number, at least 1\. Leave it out"):
+        sj.sweep(lambda m: alone(mass=m), {"m": [1.0, 2.0]}, TS, record=["final position.ball"], **{option: value})
+
+
+def test_values_of_a_sweep_are_numbers():
+    for given in (["1", "2"], [True, False], np.array([1, 2], "m8[s]")):
+        with pytest.raises(sj.SceneError, match="parameter 'm' must be a list of numbers"):
+            sj.product({"m": given})
 
 
 def test_unknown_names_of_results_are_named():
@@ -351,6 +516,12 @@ def test_bad_lane_is_diagnosed_and_spoils_nothing():
         alone = sj.simulate(FOUR_BAR(sj.Dry(clearance=clearance)), TS).position("rocker")
         # Another batch size is another machine program: equal to rounding, amplified by the impacts.
         np.testing.assert_allclose(lanes[lane], alone, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(("option", "values"), [("rtol", [1e-6, -1e-6, 10.0, np.nan]), ("atol", [1e-8, -1.0, np.inf])])
+def test_a_traced_tolerance_that_cannot_be_is_the_status_of_its_lane(option, values):
+    status = jax.jit(jax.vmap(lambda tol: sj.simulate(alone(), TS, **{option: tol}).status))(jnp.array(values))
+    assert list(map(sj.Status, status.tolist())) == [sj.Status.SUCCEEDED] + [sj.Status.BAD_VALUE] * (len(values) - 1)
 
 
 def test_diagnosis_names_the_lane_and_the_remedy():

@@ -108,6 +108,41 @@ def test_an_unknown_word_exits_with_2(words, capsys):
     assert "usage: spherejax" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--clearance", "0,1"], "argument --clearance: '0,1' is no number; write 0.1"),
+        (["--clearance", "1_0"], "argument --clearance: '1_0' is no number; write 10"),
+        (["--clearance", "nan"], "argument --clearance: 'nan' is no number"),
+        (["--clearance", "0.1mm"], "numbers here are in SI units, without a unit: 0.0001"),
+        (["--stiffness", "1e999"], "argument --stiffness: '1e999' is larger than any number"),
+        (["--t1", "inf"], "argument --t1: 'inf' is no number"),
+        (["--samples", "2.5"], "argument --samples: '2.5' is no whole number"),
+    ],
+)
+def test_a_number_is_a_plain_one_or_the_option_says_what_to_write(words, message, capsys):
+    assert cli.main(["run", "four-bar", "--joint", "dry", *words]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("mu=0,1:0.3:4", "--vary mu=0,1:0.3:4: '0,1' is no number; write 0.1"),
+        ("mu=0.1:0.3:2.5", "N = 2.5 must be a whole number, at least 1"),
+        (
+            "clearance=0.1mm:0.2mm:3",
+            "'0.1mm' is no number; write it like 0.1; numbers here are in SI units, without a un",
+        ),
+        ("mu=0.1;0.2", "'0.1;0.2' is no number"),
+    ],
+)
+def test_a_number_that_is_varied_is_a_plain_one(given, message, capsys, tmp_path):
+    words = ["sweep", "four-bar", "--joint", "friction", "--vary", given, "--out", str(tmp_path / "s.zarr")]
+    assert cli.main(words) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_a_failed_run_exits_with_3_and_says_why(capsys):
     assert cli.main(["run", "four-bar", "--t1", "0.5", "--samples", "5", "--max-steps", "2"]) == 3
     err = capsys.readouterr().err

@@ -28,6 +28,9 @@ def written(tmp_path):
         ("35.9 kN/m", "N/m", 35900.0), ("60 rpm", "rad/s", 2 * np.pi), ("207 GPa", "Pa", 207e9), ("5 %", "1", 0.05),
         ("1e11 N/m^1.5", "N/m^1.5", 1e11), ("1 N*m/deg", "N m/rad", 180 / np.pi), ("+.5 g", "kg", 5e-4),
         ("3 kg/s^2", "N/m", 3.0), ("36 km/h", "m/s", 10.0), ("2 N mm", "N m", 2e-3), ("1 in", None, 0.0254),
+        ("1 m/s/s", "m/s^2", 1.0), ("5 1/s", "1/s", 5.0), ("3 /ms", "1/s", 3e3), ("2 kN/(m s)", "N/(m*s)", 2e3),
+        ("1.5e-3 kg m\N{SUPERSCRIPT TWO}", "kg m^2", 1.5e-3), ("12\N{DEGREE SIGN}", "rad", np.deg2rad(12.0)),
+        ("0.1mm", "m", 1e-4), ("1 m^-1", "1/m", 1.0), ("3", "1", 3.0), ("0 m", "m", 0.0),
     ],
 )  # fmt: skip
 def test_units_are_converted(text, unit, number):
@@ -50,11 +53,66 @@ def test_units_are_converted(text, unit, number):
         ("2 m + 3", "m", "is no number with a unit"),
         ("20 degC", "m", "is no number with a unit"),
         ("1 m m", "m", "but a length [m] is expected"),
+        # Libraries of units read numbers into these: 15 kg, 0 m, 0 N/m, 0.3 kg, 2 kg, 2 m, 6 m, ...
+        ("1,5 kg", "kg", 'its number is not a plain one; write "1.5 kg"'),
+        ("0,3 m", "m", 'write "0.3 m"'),
+        ("1 000 N/m", "N/m", 'write "1000 N/m"'),
+        ("1,000 N/m", "N/m", 'write "1.000 N/m" or "1000 N/m"'),
+        ("1.000,5 m", "m", 'write "1000.5 m"'),
+        ("1.5.2 kg", "kg", "its number is not a plain one; write it like"),
+        ("1(2) kg", "kg", 'write "1 kg"'),
+        ("1 m 2", "m", "a second number, '2', stands in its unit; is a power meant? m^2"),
+        ("2*3 m", "m", "its number is not a plain one"),
+        ("1/2 m", "m", "its number is not a plain one"),
+        ("1e3e2 m", "m", "its number is not a plain one"),
+        ("0x10 m", "m", "its number is not a plain one"),
+        ("1_000 m", "m", 'write "1000 m"'),
+        ("10^3 N", "N", 'write "1e3 N"'),
+        ("2 x 10^-3 N", "N", 'write "2e-3 N"'),
+        ("nan m", "m", "begins with no number"),
+        ("inf m", "m", "begins with no number"),
+        ("1e999 m", "m", "larger than any number of 64 bits"),
+        ("1e-400 m", "m", "smaller than the numbers of 64 bits"),
+        ("1e300 km^12", "m^12", "beyond the numbers of 64 bits in SI units"),
+        ("\N{MINUS SIGN}5 m", "m", 'write "-5 m"'),
+        ("\N{FULLWIDTH DIGIT ONE} m", "m", 'write "1 m"'),
+        ("\N{ARABIC-INDIC DIGIT ONE} m", "m", 'write "1 m"'),
+        ("1 m^400", "m", "to the power '400' is a slip"),
+        ("1 m2", None, 'powers are written "m^2"'),
+        ("1 s-1", None, "powers are written s^-1"),
+        ("1 Nm", "N m", 'write a gap in the product, "N m"'),
+        ("400 mPas", "Pa s", 'write a gap in the product, "mPa s"'),
+        ("5 Ns/m", None, 'write a gap in the product, "N s"'),
+        ("1 W/m K", None, "behind '/' a gap has two readings"),
+        ("3 dB", "1", "is no multiple of a unit"),
+        ("1 m - 2 m", "m", "a second number"),
+        ("1 " + "(" * 5000, "m", "is longer than 100 characters"),
+        ("1 " + "m " * 5000, "m", "is longer than 100 characters"),
+        ("1 __import__('os')", "m", "is no number with a unit"),
     ],
 )
 def test_a_wrong_dimension_is_named_with_the_expected_one(text, unit, message):
     with pytest.raises(UnitError, match=re.escape(message)):
         in_si(text, unit)
+
+
+def test_a_text_is_read_as_it_looks_or_not_at_all():
+    """Random texts of what numbers and units are made of: read ones are those that two regular expressions describe."""
+    number = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*(m|mm)|\s+(Em))\s*", re.ASCII)
+    scale = {"m": 1.0, "mm": 1e-3, "Em": 1e18}
+    random = np.random.default_rng(12)
+    pieces = np.array([*"0123456789", *".,-+eE _'()*/^", "m", "mm", " m", " mm", "x", "1e3", "nan", "\N{MINUS SIGN}"])
+    n_read = 0
+    for _ in range(20_000):
+        text = "".join(random.choice(pieces, random.integers(1, 6))) + random.choice(["", "m", " mm", " m"])
+        found = number.fullmatch(text)
+        if found is None:
+            with pytest.raises(UnitError):
+                pytest.fail(f"{text!r} is read as {in_si(text, 'm')} m")
+        elif 1e-290 < abs(float(found[1])) < 1e290:
+            assert in_si(text, "m") == pytest.approx(float(found[1]) * scale[found[2] or found[3]], rel=1e-14)
+            n_read += 1
+    assert n_read > 1000
 
 
 @pytest.mark.parametrize(
@@ -156,8 +214,51 @@ def test_a_wrong_dimension_is_named_with_the_expected_one(text, unit, message):
         ("samples = 5", "dt = 0.1", "scene.toml:39: simulation.dt: 0.1 must not be above t1 = 0.04 [s]"),
         ("samples = 5", "samples = 5\ndt = 0.1", "samples and dt say the same twice"),
         ('solver = "dopri8"', 'solver = "dopri9"', ":41: simulation.solver: 'dopri9' is unknown; did you mean 'dopri"),
+        ("rtol = 1e-6", "rtol = 10", "scene.toml:40: simulation.rtol: 10.0 allows errors as large as the motion"),
+        ("rtol = 1e-6", "atol = inf", "scene.toml:40: simulation.atol: inf must be positive"),
+        ("samples = 5", "max_steps = -1", "scene.toml:39: simulation.max_steps: -1 must be positive"),
+        ("samples = 5", "samples = " + "9" * 400, "scene.toml:39: simulation.samples: 9999"),
+        (
+            "mass = 0.8",
+            "mass = [0.8]",
+            "scene.toml:14: bodies.lower.mass: a list of one number; a mass [kg] is expected",
+        ),
+        (
+            "mass = 0.8",
+            "mass = 0.8\nvelocity = [1, 0]",
+            "scene.toml:15: bodies.lower.velocity: 2 numbers; a velocity [m/s]",
+        ),
+        ("mass = 0.8", "mass = 0.8\nvelocity = 1", "scene.toml:15: bodies.lower.velocity: a single number; a velocity"),
+        ("mass = 0.8", "mass = " + "9" * 400, "scene.toml:14: bodies.lower.mass: 9999"),
+        ("mass = 0.8", "mass = " + "9" * 6000, "scene.toml:14: a number of thousands of digits"),
+        ("mass = 0.8", "mass = 0x" + "f" * 6000, "scene.toml:14: bodies.lower.mass: a number of more than 4300 digits"),
+        ("mass = 0.8", "mass = " + "[" * 400 + "]" * 400, "scene.toml:14: brackets in brackets, more than 50 deep"),
+        ("mass = 0.8", "mass = " + "[" * 5000 + "]" * 5000, "scene.toml:14: brackets in brackets, more than 50 deep"),
+        ("mass = 0.8", "mass = " + "{a = " * 400 + "1" + "}" * 400, "scene.toml:14: brackets in brackets"),
+        ("mass = 0.8", "mass." + ".".join("a" * 5000) + " = 1", "scene.toml:14: bodies.lower.mass: tables in tables"),
+        (
+            "[ground_points]",
+            "gravity = 9.81\n[ground_points]",
+            "scene.toml:3: gravity: a single number; an acceleration",
+        ),
+        (
+            'rotation = { axis = [0, 1, 0], angle = "90 deg" }',
+            "quaternion = [1, 0, 0]",
+            "bodies.upper.quaternion: 3 numbers; a pure number, 4 numbers",
+        ),
+        ("hook = [0, 0, 0]", 'hook = "z"', "ground_points.hook: 'z' is one text; a length [m], 3 numbers, is expected"),
         ("rtol = 1e-6", "rtoll = 1e-6", "scene.toml:40: simulation.rtoll: unknown key; did you mean 'rtol'?"),
-        ('unit = "cm"', 'unit = "kg"', "bodies.lower.points.top.values[0]: '0 kg' is a mass [kg], but a length [m]"),
+        ('unit = "cm"', 'unit = "kg"', "bodies.lower.points.top.unit: 'kg' is a mass [kg], but a length [m]"),
+        (
+            'unit = "cm"',
+            'unit = "1,5 cm"',
+            "points.top.unit: '1,5 cm' is no unit: write a unit alone, without a number",
+        ),
+        (
+            'mass = "1.2 kg"',
+            'mass = "1,2 kg"',
+            """scene.toml:7: bodies.upper.mass: '1,2 kg' is no number with a unit""",
+        ),
         ('unit = "cm"', "units = 1", "a table of numbers is written { values = [1.0, 2.0]"),
         ("title = ", "titel = ", "scene.toml:1: titel: unknown table or key; did you mean 'title'?"),
     ],
@@ -177,7 +278,7 @@ def test_an_error_names_file_line_key_and_remedy(written, old, new, message):
         ('kind = "my_laws.py:Magnets"', "my_laws.py has no class 'Magnets'; did you mean 'Magnet'?"),
         ('kind = "my_laws.py:Viscous"', "'my_laws.py:Viscous' is no force; derive a class from AbstractForce"),
         ('kind = "my_lows.py:Magnet"', "there is no file"),
-        ('kind = "no_such_module:Magnet"', "cannot be imported: ModuleNotFoundError"),
+        ('kind = "no_such_module:Magnet"', "no module 'no_such_module' is imported, and a scene file imports none"),
         ('kind = "spherejax:AbstractForce"', "is abstract; it lacks wrenches"),
         ('kind = "applied-wrench"\nbody = "uper"', "there is no body 'uper'; did you mean 'upper'?"),
         ('kind = "applied-wrench"\nbody = ["upper"]', "['upper'] is no body's name"),
@@ -188,7 +289,7 @@ def test_a_wrong_force_is_named(written, force, message):
     path = written(TEXT + "\n[forces.push]\n" + force)
     (path.parent / "my_laws.py").write_text(Path(my_laws.__file__).read_text())
     with pytest.raises(sj.SceneError, match=r"scene.toml:4[2-9]: forces.push") as error:
-        sj.load_scene(path)
+        sj.load_scene(path, allow_code=True)
     assert message in str(error.value)
 
 
@@ -236,7 +337,7 @@ def test_a_wrong_function_is_named(written, old, new, message):
     path = written(TEXT + SHOCK, (old, new))
     (path.parent / "my_laws.py").write_text(Path(my_laws.__file__).read_text())
     with pytest.raises(sj.SceneError, match=r"scene.toml:4[2-9]: forces.shock") as error:
-        sj.load_scene(path)
+        sj.load_scene(path, allow_code=True)
     assert message in str(error.value)
 
 

@@ -247,9 +247,17 @@ def test_what_cannot_be_simulated_can_be_left_out(written):
         ),
         (
             two_links("revolute", second=BOX.replace('value="1"', 'value="x"')),
-            "link 'b': could not convert string to float",
+            "link 'b': mass value='x': 'x' is no number",
         ),
         (two_links("revolute", second=BOX.replace('iyy="2" ', "")), "link 'b': ParseError in"),
+        (
+            two_links("revolute", second=BOX.replace('iyy="2"', 'iyy="2,5"')),
+            "inertia iyy='2,5': '2,5' is no number; wri",
+        ),
+        (
+            two_links("revolute", second=BOX.replace('iyy="2"', 'iyy="2_5"')),
+            "link 'b': inertia iyy='2_5': '2_5' is no nu",
+        ),
         (two_links("revolute", second=BOX.replace('iyy="2"', 'iyy="-2"')), "body 'b': inertia = "),
         (
             two_links("revolute", second='<inertial><mass value="1"/></inertial>'),

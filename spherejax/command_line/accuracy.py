@@ -9,6 +9,7 @@ from pathlib import Path
 import spherejax as sj
 from spherejax.command_line.catalog import JOINTS, SOLVERS
 from spherejax.command_line.models import add_joint_options, model_from
+from spherejax.command_line.numbers import real, whole
 from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.scenes import add_scene, chosen, model_name
 
@@ -61,7 +62,7 @@ def add_accuracy(commands) -> None:
         help=f"several models of the studied joint with their defaults, instead of --joint: {', '.join(JOINTS)}",
     )
     study = parser.add_argument_group("what is run")
-    study.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 0.2; quick: 0.05)")
+    study.add_argument("--t1", type=real, metavar="S", help="length of the motion [s] (default: 0.2; quick: 0.05)")
     study.add_argument(
         "--solvers",
         nargs="+",
@@ -70,12 +71,12 @@ def add_accuracy(commands) -> None:
         help=f"integrators: {', '.join(SOLVERS)} (default: tsit5 dopri8 rodas4p rodas5p ros34pw2 kvaerno5)",
     )
     study.add_argument(
-        "--tolerances", nargs="+", type=float, metavar="R", help="relative tolerances (default: 1e-4 1e-5 ... 1e-10)"
+        "--tolerances", nargs="+", type=real, metavar="R", help="relative tolerances (default: 1e-4 1e-5 ... 1e-10)"
     )
-    study.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs of each (default: 5)")
-    study.add_argument("--target", type=float, metavar="M", help="position error to price [m] (default: by the runs)")
+    study.add_argument("--repeats", type=whole, default=5, metavar="N", help="timed runs of each (default: 5)")
+    study.add_argument("--target", type=real, metavar="M", help="position error to price [m] (default: by the runs)")
     study.add_argument(
-        "--max-seconds", type=float, metavar="S", help="budget of a run [s]; more is given up (default: 5; quick: 1)"
+        "--max-seconds", type=real, metavar="S", help="budget of a run [s]; more is given up (default: 5; quick: 1)"
     )
     study.add_argument("--quick", action="store_true", help="shorter motion, three solvers, three tolerances")
     files = parser.add_argument_group("files")

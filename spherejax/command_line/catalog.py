@@ -86,7 +86,8 @@ A * marks a key that must be given. Numbers are in the unit in brackets, or text
 Of a body, rotation may stand instead of quaternion: { axis = [0, 0, 1], angle = "30 deg" }, or
 { sequence = "ZXZ", angles = ["10 deg", "20 deg", 0] } with capital letters for turns about the body's own axes
 and small ones for turns about those of the world. One joint may be marked studied = true: the one that --joint
-is the model of. A class of your own is named by its file: kind = "my_file.py:MyClass"."""
+is the model of. A class of your own is named by its file, kind = "my_file.py:MyClass", which must be in the folder of
+the scene file, and is run only with --allow-code. Numbers have a point for decimals, 1.5 and never 1,5."""
 
 DESCRIPTION = """\
 Name everything that can be asked for: scenes, joint models, force laws with their parameters and

@@ -8,6 +8,7 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
+from spherejax.command_line.numbers import real
 from spherejax.command_line.printing import progress
 from spherejax.command_line.scenes import AS_DESCRIBED, Chosen, add_scene, chosen, model_name
 
@@ -44,10 +45,10 @@ def add_draw(commands) -> None:
     add_scene(parser)
     add_joint_options(parser)
     what = parser.add_argument_group("what is drawn")
-    what.add_argument("--t", type=float, metavar="S", help="time of a picture [s] (default: the assembled start)")
-    what.add_argument("--t1", type=float, metavar="S", help="length of a film's motion [s] (default: 2)")
+    what.add_argument("--t", type=real, metavar="S", help="time of a picture [s] (default: the assembled start)")
+    what.add_argument("--t1", type=real, metavar="S", help="length of a film's motion [s] (default: 2)")
     what.add_argument(
-        "--view", type=float, nargs=2, metavar=("AZ", "EL"), help="azimuth and elevation of the viewer [deg]"
+        "--view", type=real, nargs=2, metavar=("AZ", "EL"), help="azimuth and elevation of the viewer [deg]"
     )
     what.add_argument("--projections", action="store_true", help="front, side and top beside the spatial view")
     what.add_argument("--magnify", nargs="+", metavar="JOINT", help="joints drawn magnified (default: not ideal ones)")
@@ -55,8 +56,8 @@ def add_draw(commands) -> None:
     what.add_argument("--frames", action="store_true", help="the axes of each body")
     what.add_argument("--no-labels", action="store_true", help="a picture without names")
     film = parser.add_argument_group("films")
-    film.add_argument("--fps", type=float, metavar="N", help="frames a second (default: 25)")
-    film.add_argument("--slow", type=float, metavar="X", help="seconds of film for a second of motion (default: by it)")
+    film.add_argument("--fps", type=real, metavar="N", help="frames a second (default: 25)")
+    film.add_argument("--slow", type=real, metavar="X", help="seconds of film for a second of motion (default: by it)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", required=True, metavar="FILE", help="a picture (.png .svg .pdf) or film (.gif .mp4)")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")

@@ -10,6 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
+from spherejax.command_line.numbers import number_of, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scene_numbers import number_at, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
@@ -59,7 +60,7 @@ def add_fit(commands) -> None:
         metavar="[NAME=]SIGMA",
         help="standard deviation of the errors in SI units, of all columns or of one (default: from the residuals)",
     )
-    given.add_argument("--t0", type=float, metavar="S", help="when the motion starts [s] (default: 0)")
+    given.add_argument("--t0", type=real, metavar="S", help="when the motion starts [s] (default: 0)")
     wanted = parser.add_argument_group("what is fitted")
     wanted.add_argument(
         "--start",
@@ -68,12 +69,12 @@ def add_fit(commands) -> None:
         metavar="NAME=VALUE[:LOW:HIGH]",
         help="where to begin, and bounds; once for each parameter. VALUE may be left out (NAME alone): the scene's own",
     )
-    wanted.add_argument("--starts", type=int, default=1, metavar="N", help="further starts around it (default: 1)")
+    wanted.add_argument("--starts", type=whole, default=1, metavar="N", help="further starts around it (default: 1)")
     how = parser.add_argument_group("how")
     how.add_argument("--whole", action="store_true", help="begin with the whole record, not with its first parts")
-    how.add_argument("--max-iterations", type=int, default=100, metavar="N", help="steps (default: 100)")
-    how.add_argument("--level", type=float, default=0.95, help="of the confidence intervals (default: 0.95)")
-    how.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
+    how.add_argument("--max-iterations", type=whole, default=100, metavar="N", help="steps (default: 100)")
+    how.add_argument("--level", type=real, default=0.95, help="of the confidence intervals (default: 0.95)")
+    how.add_argument("--rtol", type=real, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FOLDER", help=f"write {', '.join(FILES)} and pictures to this folder")
@@ -132,7 +133,7 @@ def _starts(options: argparse.Namespace) -> dict[str, Any]:
         parts = given.split(":")
         if not name or len(parts) not in (1, 3):
             raise sj.SceneError(f"--start {text}: write NAME=VALUE or NAME=VALUE:LOW:HIGH, e.g. stiffness=1e4:1e3:1e7")
-        numbers = [_number("--start", text, part) for part in parts]
+        numbers = [number_of("--start", text, part) for part in parts]
         bounds = dict(zip(("lower", "upper"), numbers[1:], strict=False))
         start[name] = sj.Parameter(numbers[0], **bounds)
     return start
@@ -192,21 +193,14 @@ def _noise(options: argparse.Namespace) -> Any:
     if options.noise is None:
         return None
     if len(options.noise) == 1 and "=" not in options.noise[0]:
-        return _number("--noise", options.noise[0], options.noise[0])
+        return number_of("--noise", options.noise[0], options.noise[0])
     noise = {}
     for text in options.noise:
         name, equals, given = text.partition("=")
         if not equals:
             raise sj.SceneError(f"--noise {text}: give one number for all columns, or NAME=SIGMA for each")
-        noise[name] = _number("--noise", text, given)
+        noise[name] = number_of("--noise", text, given)
     return noise
-
-
-def _number(flag: str, text: str, part: str) -> float:
-    try:
-        return float(part)
-    except ValueError as error:
-        raise sj.SceneError(f"{flag} {text}: {part!r} is no number") from error
 
 
 def _print(fitted: sj.Fit) -> None:

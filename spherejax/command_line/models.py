@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import spherejax as sj
 from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS, USUAL, Usual
+from spherejax.command_line.numbers import real
 
 CONTACT = ("dry", "friction", "lubricated")
 
@@ -18,28 +19,28 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         help="model of the studied joint (default: the one that the scene or the file describes)",
     )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
-    gap.add_argument("--clearance", type=float, metavar="M", help="radial clearance [m] (default: 1e-4)")
-    gap.add_argument("--socket-radius", type=float, metavar="M", help="inner radius of the socket [m] (default: 0.010)")
-    gap.add_argument("--youngs-modulus", type=float, metavar="PA", help="of ball and socket [Pa] (default: 207e9)")
+    gap.add_argument("--clearance", type=real, metavar="M", help="radial clearance [m] (default: 1e-4)")
+    gap.add_argument("--socket-radius", type=real, metavar="M", help="inner radius of the socket [m] (default: 0.010)")
+    gap.add_argument("--youngs-modulus", type=real, metavar="PA", help="of ball and socket [Pa] (default: 207e9)")
     gap.add_argument("--normal", choices=NORMAL_LAWS, help="normal contact law (default: lankarani-nikravesh)")
-    gap.add_argument("--restitution", type=float, metavar="CR", help="coefficient of restitution (default: 0.9)")
+    gap.add_argument("--restitution", type=real, metavar="CR", help="coefficient of restitution (default: 0.9)")
     gap.add_argument(
         "--friction",
         choices=[*FRICTION_LAWS, "none"],
         help="friction law (default: none; threlfall with --joint friction)",
     )
-    gap.add_argument("--mu", type=float, help="kinetic friction coefficient (default: 0.1)")
+    gap.add_argument("--mu", type=real, help="kinetic friction coefficient (default: 0.1)")
     gap.add_argument(
-        "--mu-static", type=float, help="static friction coefficient, where the law has one (default: 0.15)"
+        "--mu-static", type=real, help="static friction coefficient, where the law has one (default: 0.15)"
     )
     film = parser.add_argument_group("film (lubricated)")
-    film.add_argument("--viscosity", type=float, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
+    film.add_argument("--viscosity", type=real, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
-    bushing.add_argument("--stiffness", type=float, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
+    bushing.add_argument("--stiffness", type=real, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
     bushing.add_argument(
         "--damping",
-        type=float,
+        type=real,
         metavar="B",
         help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
     )

@@ -10,6 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
 from spherejax.command_line.models import add_joint_options
+from spherejax.command_line.numbers import real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
 from spherejax.files.settings import SimulationSettings
@@ -46,13 +47,13 @@ def add_run(commands) -> None:
     add_scene(parser)
     add_joint_options(parser)
     times = parser.add_argument_group("times and accuracy")
-    times.add_argument("--t1", type=float, metavar="S", help="length of the motion [s] (default: 2, or as published)")
+    times.add_argument("--t1", type=real, metavar="S", help="length of the motion [s] (default: 2, or as published)")
     sampling = times.add_mutually_exclusive_group()
-    sampling.add_argument("--samples", type=int, metavar="N", help="number of samples (default: 2001, or as published)")
-    sampling.add_argument("--dt", type=float, metavar="S", help="interval of the samples [s], instead of their number")
-    times.add_argument("--rtol", type=float, help="relative tolerance of a step (default: 1e-8)")
-    times.add_argument("--atol", type=float, help="absolute tolerance of a step, one number (default: by the scene)")
-    times.add_argument("--max-steps", type=int, metavar="N", help="give up beyond (default: 20000000)")
+    sampling.add_argument("--samples", type=whole, metavar="N", help="how many (default: 2001, or as published)")
+    sampling.add_argument("--dt", type=real, metavar="S", help="interval of the samples [s], instead of their number")
+    times.add_argument("--rtol", type=real, help="relative tolerance of a step (default: 1e-8)")
+    times.add_argument("--atol", type=real, help="absolute tolerance of a step, one number (default: by the scene)")
+    times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
     files = parser.add_argument_group("files")

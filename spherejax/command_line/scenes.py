@@ -56,6 +56,11 @@ def add_scene(parser: argparse.ArgumentParser, joint: str = "--of") -> None:
         metavar="NAME",
         help="the joint that --joint is the model of (default: the studied joint of the scene or file)",
     )
+    parser.add_argument(
+        "--allow-code",
+        action="store_true",
+        help='run the Python files that a scene file names, kind = "my_laws.py:MyForce"; they must be in its folder',
+    )
 
 
 def chosen(options: argparse.Namespace) -> Chosen:
@@ -65,7 +70,9 @@ def chosen(options: argparse.Namespace) -> Chosen:
         SceneError: for a file that does not describe a mechanism; for options of a model without `--joint`.
     """
     given = options.scene
-    found = _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser())
+    found = (
+        _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser(), allow_code=options.allow_code)
+    )
     if options.of is not None:
         found = _studying(found, options.of)
     if options.joint is None and (options.of is not None or model_name(options) == AS_DESCRIBED):
@@ -126,8 +133,10 @@ def _from_gallery(name: str) -> Chosen:
     return Chosen(name, "", with_model, studied_in(build), settings)
 
 
-def _from_file(path: Path) -> Chosen:
-    file = sj.SceneFile(sj.load_urdf(path)) if path.suffix == ".urdf" else sj.read_scene_file(path)
+def _from_file(path: Path, *, allow_code: bool) -> Chosen:
+    file = (
+        sj.SceneFile(sj.load_urdf(path)) if path.suffix == ".urdf" else sj.read_scene_file(path, allow_code=allow_code)
+    )
 
     def without_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None:

@@ -10,6 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
+from spherejax.command_line.numbers import number_of, real, whole
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.sweep import builder
 
@@ -59,10 +60,10 @@ def add_sensitivity(commands) -> None:
         help='e.g. "position.rocker", "position.rocker.z", "reaction.coupler_rocker", "mechanical_energy"; may be '
         "repeated",
     )
-    what.add_argument("--samples", type=int, default=201, metavar="N", help="sample times (default: 201)")
+    what.add_argument("--samples", type=whole, default=201, metavar="N", help="sample times (default: 201)")
     how = parser.add_argument_group("time, accuracy")
-    how.add_argument("--t1", type=float, default=0.5, metavar="S", help="length of the motion [s] (default: 0.5)")
-    how.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
+    how.add_argument("--t1", type=real, default=0.5, metavar="S", help="length of the motion [s] (default: 0.5)")
+    how.add_argument("--rtol", type=real, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FOLDER", help=f"write {', '.join(FILES)} and pictures to this folder")
@@ -106,10 +107,7 @@ def _parameters(options: argparse.Namespace) -> tuple[dict[str, float | None], a
         name, equals, number = text.partition("=")
         if name in parameters:
             raise sj.SceneError(f"--by {name} is given twice")
-        try:
-            parameters[name] = float(number) if equals else None
-        except ValueError as error:
-            raise sj.SceneError(f"--by {text}: {number!r} is no number") from error
+        parameters[name] = number_of("--by", text, number) if equals else None
         if name in USED_BY and parameters[name] is not None:
             given[name] = parameters[name]
     return parameters, argparse.Namespace(**given)

@@ -10,6 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
+from spherejax.command_line.numbers import number_of, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.files.place import one_of
@@ -52,8 +53,8 @@ def add_sweep(commands) -> None:
         metavar="NAME=VALUES",
         help="LOW:HIGH:N (evenly spaced), LOW:HIGH:N:log, a list A,B,C, or LOW:HIGH with --draws; once for each name",
     )
-    grid.add_argument("--draws", type=int, metavar="N", help="N samples of Sobol's sequence instead of a product")
-    grid.add_argument("--seed", type=int, default=0, help="of the samples (default: 0)")
+    grid.add_argument("--draws", type=whole, metavar="N", help="N samples of Sobol's sequence instead of a product")
+    grid.add_argument("--seed", type=whole, default=0, help="of the samples (default: 0)")
     kept = parser.add_argument_group("what is kept")
     kept.add_argument(
         "--record",
@@ -62,14 +63,14 @@ def add_sweep(commands) -> None:
         help='e.g. "position.rocker", "final position.rocker", "peak acceleration.rocker", "onsets.coupler_rocker"; '
         "may be repeated (default: peak reaction of the studied joint, where the last body ends, contacts)",
     )
-    kept.add_argument("--samples", type=int, default=101, metavar="N", help="sample times (default: 101)")
+    kept.add_argument("--samples", type=whole, default=101, metavar="N", help="sample times (default: 101)")
     how = parser.add_argument_group("time, accuracy, machine")
-    how.add_argument("--t1", type=float, default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)")
-    how.add_argument("--rtol", type=float, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
-    how.add_argument("--max-steps", type=int, default=1_000_000, metavar="N", help="give a run up beyond")
+    how.add_argument("--t1", type=real, default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)")
+    how.add_argument("--rtol", type=real, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
+    how.add_argument("--max-steps", type=whole, default=1_000_000, metavar="N", help="give a run up beyond")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
-    how.add_argument("--chunk", type=int, metavar="N", help="runs that are handed out, and stored, at a time")
-    how.add_argument("--workers", type=int, metavar="N", help="chunks at the same time (default: all cores)")
+    how.add_argument("--chunk", type=whole, metavar="N", help="runs that are handed out, and stored, at a time")
+    how.add_argument("--workers", type=whole, metavar="N", help="chunks at the same time (default: all cores)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc)")
     files.add_argument("--overwrite", action="store_true", help="replace an existing .nc file")
@@ -108,7 +109,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         from spherejax.output.io import save
 
         save(result, path, overwrite=options.overwrite)
-    _print(found, options, result, seconds)
+    _print(found, options, names, result, seconds)
     pictures = [] if options.no_pictures else _draw(result, found, path)
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
     return 0
@@ -133,7 +134,7 @@ def grid_of(options: argparse.Namespace) -> tuple[dict[str, str], sj.Grid]:
         if options.draws is not None:
             if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
                 raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
-            ranges[key] = (_number(text, parts[0]), _number(text, parts[1]))
+            ranges[key] = (number_of("--vary", text, parts[0]), number_of("--vary", text, parts[1]))
             logarithmic += [key] if parts[2:] else []
         else:
             values[key] = _values(text, parts)
@@ -144,22 +145,16 @@ def grid_of(options: argparse.Namespace) -> tuple[dict[str, str], sj.Grid]:
 
 def _values(text: str, parts: list[str]) -> np.ndarray:
     if len(parts) == 1:
-        return np.array([_number(text, part) for part in parts[0].split(",")])
+        return np.array([number_of("--vary", text, part) for part in parts[0].split(",")])
     if len(parts) not in (3, 4) or parts[3:] not in ([], ["log"]):
         raise sj.SceneError(f"--vary {text}: write LOW:HIGH:N, LOW:HIGH:N:log, or a list A,B,C")
-    low, high, n = _number(text, parts[0]), _number(text, parts[1]), int(_number(text, parts[2]))
-    if n < 1:
-        raise sj.SceneError(f"--vary {text}: N = {n} must be at least 1")
+    low, high, n = (number_of("--vary", text, part) for part in parts[:3])
+    if n != int(n) or n < 1:
+        raise sj.SceneError(f"--vary {text}: N = {n:g} must be a whole number, at least 1")
+    n = int(n)
     if parts[3:] and not (low > 0 and high > 0):
         raise sj.SceneError(f"--vary {text}: a logarithmic range must be positive")
     return np.geomspace(low, high, n) if parts[3:] else np.linspace(low, high, n)
-
-
-def _number(text: str, part: str) -> float:
-    try:
-        return float(part)
-    except ValueError as error:
-        raise sj.SceneError(f"--vary {text}: {part!r} is no number") from error
 
 
 def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid: sj.Grid) -> argparse.Namespace:
@@ -201,9 +196,15 @@ def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     return [*([f"peak reaction.{joint}"] if joint else []), *ends, *events]
 
 
-def _print(found: Chosen, options: argparse.Namespace, result, seconds: float) -> None:
+def _print(found: Chosen, options: argparse.Namespace, names: dict[str, str], result, seconds: float) -> None:
     facts = result.attrs
+    # Said, because "mu=0,3" is a list of two numbers, where somebody may mean 0.3.
+    varied = {name: np.unique(result[key]) for key, name in names.items()}
     rows = [
+        *(
+            (name, f"{len(values):,} value{'s' * (len(values) > 1)}, {_range(values)}")
+            for name, values in varied.items()
+        ),
         ("runs", f"{result['status'].size:,}"),
         ("failed", f"{int((result['status'] != 0).sum()):,}"),
         ("time with compilation [s]", f"{seconds:.1f}"),

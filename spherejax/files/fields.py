@@ -2,6 +2,7 @@
 
 import abc
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ class Context(NamedTuple):
             units of its argument and its value (`of_argument`, `of_value`).
         build: makes the object that a table describes: from a family, a value, a place and a context.
         describe: the reverse: from an object, a family and a context to a table.
+        allow_code: whether kinds of users' own, which run Python code, may be read.
     """
 
     folder: Path
@@ -28,6 +30,7 @@ class Context(NamedTuple):
     words: Mapping[str, Any]
     build: Callable[..., Any]
     describe: Callable[..., Any]
+    allow_code: bool = False
 
     def unit(self, unit: str | None) -> str | None:
         """A unit with its words filled in; None when one of them is not known."""
@@ -78,6 +81,8 @@ class Plain(Field):
         del context
         if type(value) is not self.kind:
             place.fail(f"{shown(value)} is not {self.what}")
+        if self.kind is int and abs(value) >= 2**63:
+            place.fail(f"{shown(value)} is larger than any whole number of 64 bits, 9.2e18")
         return value
 
     def write(self, value, context):
@@ -110,5 +115,8 @@ def words_of(family: type) -> str:
 
 def shown(value: Any) -> str:
     """A value for a message, not too long."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4,300 digits
+        return f"a number of more than {sys.get_int_max_str_digits()} digits"
     return text if len(text) < 60 else f"{text[:57]}..."

@@ -21,10 +21,28 @@ _STRING = re.compile(
     re.DOTALL,
 )
 
+_MARK = re.compile(rf"{_STRING.pattern}|#[^\n]*|[\[\]{{}}\n]", re.DOTALL)
+"""What counts for the depth of brackets: brackets, ends of lines, and strings and comments, in which they do not."""
+
 
 def key_lines(text: str) -> dict[KeyPath, int]:
     """The line, counted from 1, on which each key, table and list entry of a legal TOML text begins."""
     return _Walk(text).lines
+
+
+def line_too_deep(text: str, deepest: int) -> int | None:
+    """The line on which brackets stand in more brackets than the deepest, in any text; None where there are none.
+
+    To be asked before a text is parsed: parsers, and the walk below, go down with the brackets, and the stack ends.
+    """
+    depth, line = 0, 1
+    for found in _MARK.finditer(text):
+        mark = found.group()
+        line += mark.count("\n")
+        depth += (mark in "[{") - (mark in "]}")
+        if depth > deepest:
+            return line
+    return None
 
 
 class _Walk:

@@ -1,24 +1,20 @@
 """Kinds: which class a word like "lankarani-nikravesh" names, and which word names a class.
 
 A kind is the class name in kebab-case. Classes of a user are named by where they are: "my_laws.py:MyForce", with a path
-relative to the scene file, or "package.module:MyForce".
+in the scene file's folder, see `code`.
 """
 
-import importlib
-import importlib.util
 import inspect
-import os
 import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, get_args, get_origin
-from zlib import crc32
 
+from spherejax.files.code import named_by, users_own
 from spherejax.files.dimensions import FIELDS, Fields
-from spherejax.files.fields import Plain, words_of
+from spherejax.files.fields import Context, Plain, words_of
 from spherejax.files.parts import OwnFunction, Part
 from spherejax.files.place import Place, one_of
 from spherejax.files.quantities import Quantity
@@ -43,10 +39,10 @@ def kinds_of(family: type) -> dict[str, type]:
     return {kebab(cls.__name__): cls for cls in members}
 
 
-def class_named(kind: str, family: type, folder: Path, place: Place) -> Any:
+def class_named(kind: str, family: type, context: Context, place: Place) -> Any:
     """The class of a kind, or a user's function; `place.fail` where there is none."""
     if ":" in kind:
-        return _users_own(kind, family, folder, place)
+        return users_own(kind, family, context, place)
     plain = {_letters(name): cls for name, cls in kinds_of(family).items()}
     if _letters(kind) in plain:
         return plain[_letters(kind)]
@@ -71,11 +67,7 @@ def kind_of(cls: Any, folder: Path) -> str:
     name, module = getattr(cls, "__qualname__", repr(cls)), sys.modules.get(getattr(cls, "__module__", ""))
     if module is None or cls.__module__ == "__main__" or getattr(module, name, None) is not cls:
         raise SceneError(f"the {what} {name} cannot be named in a file; {remedy}")
-    if "." in cls.__module__:
-        return f"{cls.__module__}:{cls.__name__}"
-    if getattr(module, "__file__", None) is None:
-        raise SceneError(f"the {what} {name} comes from no file; {remedy}")
-    return f"{Path(os.path.relpath(str(module.__file__), folder)).as_posix()}:{cls.__name__}"
+    return named_by(cls, module, folder, what)
 
 
 def fields_of(cls: type) -> Fields:
@@ -170,61 +162,3 @@ def _families() -> frozenset[type]:
 def _letters(kind: str) -> str:
     """Kinds are compared without hyphens and case: "lugre", "lu-gre" and "LuGre" are one."""
     return re.sub(r"[-_ ]", "", kind).lower()
-
-
-def _users_own(kind: str, family: type, folder: Path, place: Place) -> Any:
-    where, _, name = kind.rpartition(":")
-    try:
-        module = _module_at((folder / where).resolve()) if where.endswith(".py") else importlib.import_module(where)
-    except FileNotFoundError:
-        place.fail(f"{kind!r}: there is no file {str(folder / where)!r}; the path counts from the scene file's folder")
-    except Exception as error:  # whatever the user's code raises
-        place.fail(f"{kind!r} cannot be imported: {type(error).__name__}: {error}")
-    found = getattr(module, name, None)
-    if not (inspect.isclass(found) or inspect.isfunction(found)):
-        offered = [key for key, value in vars(module).items() if _serves_as(value, family)]
-        what = "function or class" if family in TAKE_CALLABLES else "class"
-        place.fail(f"{where} has no {what} {name!r}; {one_of(offered, name)}")
-    if not _serves_as(found, family):
-        remedy = "give a function" if family in TAKE_CALLABLES else f"derive a class from {family.__name__}"
-        place.fail(f"{kind!r} is no {words_of(family)}; {remedy}")
-    if inspect.isabstract(found):
-        lacking = sorted(getattr(found, "__abstractmethods__", ()))
-        place.fail(f"{kind!r} is abstract; it lacks {', '.join(lacking)}")
-    return found
-
-
-TAKE_CALLABLES = (AbstractFunction, OwnFunction)
-"""Families for which any function, or class whose objects can be called, will do."""
-
-
-def _serves_as(found: Any, family: type) -> bool:
-    """Whether something in a user's file is a member of a family."""
-    if not inspect.isclass(found):
-        return inspect.isfunction(found) and family in TAKE_CALLABLES
-    has_call = any("__call__" in vars(base) for base in found.__mro__)
-    return issubclass(found, family) or (family in TAKE_CALLABLES and has_call)
-
-
-def _module_at(path: Path) -> ModuleType:
-    """The module of a file: the one that is imported already, so that its classes are the same, or a new one."""
-    for module in list(sys.modules.values()):
-        file = getattr(module, "__file__", None)
-        if file is None or not file.endswith(path.name) or module.__name__ == "__main__":
-            continue
-        if Path(file).resolve() == path:
-            return module
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    name = f"scene_file_{path.stem}_{crc32(str(path).encode()):08x}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module

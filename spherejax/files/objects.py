@@ -8,9 +8,12 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from spherejax.files.code import reported
+from spherejax.files.dimensions import FIELDS
 from spherejax.files.fields import Context
 from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
 from spherejax.files.place import Place, one_of
+from spherejax.files.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, SceneError, enforce, is_concrete
 from spherejax.physics.functions import UserFunction
 from spherejax.physics.functions.base import Given
@@ -33,7 +36,7 @@ def build(family: type, value: Any, place: Place, context: Context) -> Any:
     kind = table.pop(KIND, next(iter(members)) if len(members) == 1 else None)
     if not isinstance(kind, str):
         place.fail(f'has no kind; write kind = "{next(iter(members), "my_file.py:MyClass")}"; {one_of(members, "")}')
-    cls = class_named(kind, family, context.folder, place / KIND if isinstance(value, dict) else place)
+    cls = class_named(kind, family, context, place / KIND if isinstance(value, dict) else place)
     if inspect.isfunction(cls):
         for key in table:
             (place / key).fail(f"the function {cls.__name__} has no numbers; write a class to give it some")
@@ -43,7 +46,8 @@ def build(family: type, value: Any, place: Place, context: Context) -> Any:
 
 def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -> Any:
     """An object of a class from the arguments in a table, its values checked."""
-    fields, parameters = fields_of(cls), parameters_of(cls)
+    with reported(place, f"the arguments of {cls.__name__} are not known"):
+        fields, parameters = fields_of(cls), parameters_of(cls)
     for key in table:
         if key not in fields:
             (place / key).fail(f"unknown key of {cls.__name__}; {one_of(fields, key)}")
@@ -53,6 +57,11 @@ def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -
         place.fail(f"{cls.__name__} needs {name}, {fields[name].what}; add {name} = ...")
     inside = context._replace(words={**context.words, **_numbers_of(parameters, table)})
     arguments = {name: fields[name].read(value, place / name, inside) for name, value in table.items()}
+    if cls not in FIELDS:
+        with reported(place, f"{cls.__name__} cannot be made"):
+            made = called(cls, arguments)
+            check(made, place)
+        return made
     try:
         made = called(cls, arguments)
     except (TypeError, ValueError) as error:
@@ -176,9 +185,23 @@ def _is_numeric(value: Any) -> bool:
 
 
 def _numbers_of(parameters: Mapping[str, inspect.Parameter], table: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers of a table, or their defaults, that the units of its other numbers may refer to."""
+    """Numbers of a table, or their defaults, that the units of its other numbers may refer to.
+
+    A text is one as well, `exponent = "1.5"`: without it, the unit would be unknown and any dimension would pass.
+    """
     values = {name: table.get(name, parameter.default) for name, parameter in parameters.items()}
-    return {name: f"{value:g}" for name, value in values.items() if type(value) in (int, float)}
+    return {name: text for name, value in values.items() if (text := _power_in_unit(value)) is not None}
+
+
+def _power_in_unit(value: Any) -> str | None:
+    """A number as it stands in the unit of another, `N/m^{exponent}`; None for what is no power of a unit."""
+    if isinstance(value, str):
+        try:
+            value = in_si(value, PURE)
+        except UnitError:
+            return None
+    is_power = type(value) in (int, float) and abs(value) < 1e6
+    return f"{value:g}" if is_power else None
 
 
 def _no_table(made: Any, family: type) -> str:

@@ -1,13 +1,17 @@
 """Where a value stands in a scene file, and errors that say so."""
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
-from spherejax.files.key_lines import KeyPath, key_lines
+from spherejax.files.key_lines import KeyPath, key_lines, line_too_deep
 from spherejax.foundations.checks import SceneError
+
+DEEPEST = 50
+"""How deep values may stand in values: a table in a function in a spring in a force is six."""
 
 
 class Source(NamedTuple):
@@ -48,7 +52,7 @@ class Place(NamedTuple):
     def fail(self, what: str) -> NoReturn:
         """Raise `SceneError` with file, line and key."""
         words = [f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.keys]
-        name = "".join(words).removeprefix(".")
+        name = "".join(word if len(word) < 60 else f"{word[:57]}..." for word in words).removeprefix(".")
         raise SceneError(f"{self.source.path}:{self.line}: {name + ': ' if name else ''}{what}")
 
 
@@ -65,16 +69,38 @@ def read_toml(path: Path) -> tuple[dict[str, Any], Place]:
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: is no UTF-8 text ({error.reason}); save it as UTF-8") from error
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
+    line = line_too_deep(text, DEEPEST)
+    if line is not None:
+        raise SceneError(f"{path}:{line}: brackets in brackets, more than {DEEPEST} deep; no scene needs that")
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{path}: is no TOML: {error}") from error
-    return tables, Place(Source(path, key_lines(text)))
+    except ValueError as error:  # integers of more digits than Python reads
+        long = re.search(r"[0-9_]{4300,}", text)
+        line = 1 + text.count("\n", 0, long.start() if long else 0)
+        raise SceneError(f"{path}:{line}: a number of thousands of digits; numbers have 64 bits ({error})") from error
+    top = Place(Source(path, key_lines(text)))
+    _check_depth(tables, top)
+    return tables, top
+
+
+def _check_depth(tables: dict[str, Any], top: Place) -> None:
+    """Refuse tables in tables without end, written with dots; without recursion, for that is what they exhaust."""
+    waiting: list[tuple[Any, Place]] = [(tables, top)]
+    while waiting:
+        value, place = waiting.pop()
+        if len(place.keys) > DEEPEST:
+            Place(place.source, place.keys[:3]).fail(f"tables in tables, more than {DEEPEST} deep; no scene needs that")
+        if isinstance(value, dict):
+            waiting += [(entry, place / key) for key, entry in value.items()]
+        elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
+            waiting += [(entry, place / i) for i, entry in enumerate(value)]
 
 
 def one_of(names: Iterable[str], given: str) -> str:
     """For an error message: the nearest name to a wrong one, and all that there are."""
     names = list(names)
-    near = difflib.get_close_matches(given.lower(), names, n=1)
+    near = difflib.get_close_matches(given[:100].lower(), names, n=1)
     listed = ", ".join(names) or "none"
     return f"did you mean {near[0]!r}? There are: {listed}" if near else f"there are: {listed}"

@@ -7,7 +7,7 @@ import numpy as np
 
 from spherejax.files.fields import Field, shown
 from spherejax.files.place import Place
-from spherejax.files.units import PURE, UnitError, in_si, measured
+from spherejax.files.units import PURE, UnitError, factor_of, in_si, measured
 from spherejax.foundations.checks import SceneError, is_concrete
 
 _WITHOUT_BRACKETS = str.maketrans("", "", "(){}")
@@ -44,10 +44,16 @@ class Quantity(Field):
     def read(self, value, place, context):
         """A float, or a float64 array."""
         unit = context.unit(self.si)
+        if isinstance(value, str) and self.shapes is not None and () not in self.shapes:
+            example = "[0, 0, 1]" if self.shapes == ((3,),) else "[...]"
+            place.fail(f"{shown(value)} is one text; {self._expected(unit)} expected, written {example}")
+        factor = None
         if isinstance(value, dict):
-            value, unit_given, place = _with_one_unit(value, place)
-            value = _with_unit(value, unit_given)
-        entries = _numbers(value, unit, place)
+            if set(value) != {"values", "unit"} or not isinstance(value["unit"], str):
+                place.fail('a table of numbers is written { values = [1.0, 2.0], unit = "mm" }')
+            factor = _factor(value["unit"], unit, place / "unit")
+            value, place = value["values"], place / "values"
+        entries = _numbers(value, unit, place, factor)
         try:
             array = np.array(entries, np.float64)
         except ValueError:
@@ -136,11 +142,11 @@ class Points(Field):
         return {name: vector("m").write(at, context) for name, at in value.items()}
 
 
-def _numbers(value: Any, unit: str | None, place: Place):
-    """Nested lists of SI numbers."""
+def _numbers(value: Any, unit: str | None, place: Place, factor: float | None):
+    """Nested lists of SI numbers; with a factor they are plain ones in another unit."""
     if isinstance(value, list):
-        return [_numbers(entry, unit, place / i) for i, entry in enumerate(value)]
-    if isinstance(value, str):
+        return [_numbers(entry, unit, place / i, factor) for i, entry in enumerate(value)]
+    if isinstance(value, str) and factor is None:
         try:
             return in_si(value, unit)
         except UnitError as error:
@@ -148,19 +154,17 @@ def _numbers(value: Any, unit: str | None, place: Place):
     if isinstance(value, bool) or not isinstance(value, int | float):
         expected = "a number" if unit is None else measured(unit)
         place.fail(f"{shown(value)} is no number; {expected} is expected")
-    return float(value)
+    try:
+        return float(value) if factor is None else factor * float(value)
+    except OverflowError:
+        place.fail(f"{shown(value)} is larger than any number of 64 bits, 1.8e308")
 
 
-def _with_one_unit(value: dict, place: Place):
-    if set(value) != {"values", "unit"} or not isinstance(value["unit"], str):
-        place.fail('a table of numbers is written { values = [1.0, 2.0], unit = "mm" }')
-    return value["values"], value["unit"], place / "values"
-
-
-def _with_unit(value: Any, unit: str):
-    if isinstance(value, list):
-        return [_with_unit(entry, unit) for entry in value]
-    return f"{value!r} {unit}" if type(value) in (int, float) else value
+def _factor(given: str, unit: str | None, place: Place) -> float:
+    try:
+        return factor_of(given, unit)
+    except UnitError as error:
+        place.fail(str(error))
 
 
 def _fits(shape: tuple[int, ...], allowed: tuple[int, ...]) -> bool:
@@ -173,5 +177,5 @@ def _shape_text(shape: tuple[int, ...]) -> str:
     if not shape:
         return "one number"
     if len(shape) == 1:
-        return "a list of numbers" if shape[0] == -1 else f"{shape[0]} numbers"
+        return {-1: "a list of numbers", 1: "a list of one number"}.get(shape[0], f"{shape[0]} numbers")
     return f"{shape[0]} rows of {shape[1]} numbers" if len(shape) == 2 else f"numbers of shape {shape}"

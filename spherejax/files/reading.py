@@ -41,15 +41,18 @@ class SceneFile(NamedTuple):
     settings: SimulationSettings = SimulationSettings()
 
 
-def load_scene(path: str | PathLike[str]) -> Scene:
+def load_scene(path: str | PathLike[str], *, allow_code: bool = False) -> Scene:
     """Read a mechanism from a scene file (TOML).
 
     Numbers are in SI units, or texts with a unit, "0.1 mm", whose dimension is checked. Kinds are the class names in
-    kebab-case; `spherejax list --kinds` names them with their arguments. A kind like "my_laws.py:MyForce" runs that
-    file: load only files whose author you trust.
+    kebab-case; `spherejax list --kinds` names them with their arguments. A scene file is data: reading it runs no code,
+    unless it is allowed.
 
     Args:
         path: the file.
+        allow_code: run the files that kinds like "my_laws.py:MyForce" name: Python code, with all that you may do on
+            this machine. They must be in the scene file's own folder, also when links are followed. A kind
+            "package.module:MyForce" is taken from a module that you have imported; none is imported for it.
 
     Returns:
         The scene; `read_scene_file` also returns the title, the studied joint and the table [simulation].
@@ -57,11 +60,15 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Raises:
         SceneError: naming file, line, key and remedy.
     """
-    return read_scene_file(path).scene
+    return read_scene_file(path, allow_code=allow_code).scene
 
 
-def read_scene_file(path: str | PathLike[str]) -> SceneFile:
+def read_scene_file(path: str | PathLike[str], *, allow_code: bool = False) -> SceneFile:
     """Read all that a scene file says.
+
+    Args:
+        path: the file.
+        allow_code: as in `load_scene`.
 
     Raises:
         SceneError: naming file, line, key and remedy.
@@ -74,7 +81,7 @@ def read_scene_file(path: str | PathLike[str]) -> SceneFile:
     title = tables.get("title", "")
     if not isinstance(title, str):
         (top / "title").fail("is no text")
-    context = Context(path.parent, _point_names(tables, top), {}, build, describe)
+    context = Context(path.parent, _point_names(tables, top), {}, build, describe, allow_code)
     bodies = _each(tables, "bodies", top, lambda table, place: _body(table, place, context))
     studied = _studied(tables, top)
     joints = _each(tables, "joints", top, lambda table, place: _joint(table, place, context))

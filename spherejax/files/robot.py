@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.place import one_of
 from spherejax.files.rotations import UNTURNED, product, turn_about, turned
 from spherejax.foundations.checks import SceneError
@@ -20,6 +21,9 @@ TURNING, SLIDING, FREE = ("revolute", "continuous"), ("prismatic",), ("floating"
 
 _READ = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "dynamics", "mimic")}
 """What counts of a description; shapes, materials, limits, transmissions and plugins do not."""
+
+_NUMERIC = ("mass", "inertia", "origin", "axis", "dynamics")
+"""Elements whose attributes are numbers; the library reads them as Python does, which takes `1_5` for 15."""
 
 
 class Link(NamedTuple):
@@ -164,6 +168,7 @@ def _elements(path: Path) -> Iterator[tuple[str, str, int, Any]]:
             if child.tag not in _READ[node.tag]:
                 node.remove(child)
         name, line = node.get("name"), node.sourceline
+        _check_numbers(path, node, f"{node.tag} {name!r}")
         classes = {"link": urdf.Link, "joint": urdf.Joint}
         try:
             with redirect_stderr(StringIO()):  # it warns of attributes that it does not know
@@ -172,6 +177,16 @@ def _elements(path: Path) -> Iterator[tuple[str, str, int, Any]]:
             what = " ".join(str(error).split())
             raise SceneError(f"{path}:{line}: {node.tag} {name!r}: {what}") from error
         yield node.tag, str(name), line, made
+
+
+def _check_numbers(path: Path, node: Any, place: str) -> None:
+    for part in node.iter(*_NUMERIC):
+        for key, text in part.attrib.items():
+            try:
+                for word in text.split():
+                    number_in(word)
+            except NumberError as error:
+                raise SceneError(f"{path}:{part.sourceline}: {place}: {part.tag} {key}={text!r}: {error}") from None
 
 
 def _link(made: Any) -> Link:

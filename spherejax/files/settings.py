@@ -69,6 +69,8 @@ def read_settings(value: Any, place: Place, context: Context) -> SimulationSetti
         lowest = 2 if key == "samples" else 0
         if key != "solver" and not (lowest < given < float("inf") or given == lowest == 2):
             (place / key).fail(f"{given!r} must be {'at least 2: start and end' if lowest else 'positive'}")
+    if found.get("rtol", 0) >= 1:
+        (place / "rtol").fail(f"{found['rtol']!r} allows errors as large as the motion itself; use less than 1")
     settings = SimulationSettings(**found)
     if settings.dt is not None and settings.t1 is not None and settings.dt > settings.t1:
         (place / "dt").fail(f"{settings.dt!r} must not be above t1 = {settings.t1!r} [s]")

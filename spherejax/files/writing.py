@@ -61,7 +61,8 @@ def _store(text: str, path: Path, file: SceneFile) -> None:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     try:
         try:
-            again = read_scene_file(draft)
+            # Its classes are those of the scene, whose code runs already.
+            again = read_scene_file(draft, allow_code=True)
         except SceneError as error:
             raise SceneError(f"{str(path)!r} was not written, for it could not be read again: {error}") from error
         if not same(again.scene, file.scene) or again[1:] != file[1:]:

@@ -59,19 +59,24 @@ def enforce(place: str, requirements: Iterable[Requirement]) -> list[Bool[Array,
             traced.append(jnp.all(jnp.asarray(requirement.satisfied)))
         elif not np.all(np.asarray(requirement.satisfied)):
             raise SceneError(
-                f"{place}: {requirement.field} = {_shown(requirement.value)} must {requirement.expected}. "
+                f"{place}: {requirement.field} = {shown(requirement.value)} must {requirement.expected}. "
                 f"{requirement.remedy}"
             )
     return traced
 
 
-def _shown(value) -> str:
+def shown(value) -> str:
+    """A value for a message, not too long."""
     if not is_concrete(value):
         return "(traced)"
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiub":
-        return repr(value)
-    return f"{array.item():.6g}" if array.ndim == 0 else np.array2string(array, precision=6, threshold=12)
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "fiu":
+            return f"{array.item():.6g}" if array.ndim == 0 else np.array2string(array, precision=6, threshold=12)
+        text = repr(value)
+    except (ValueError, TypeError, OverflowError):  # rows of different lengths; integers of thousands of digits
+        text = "a number of thousands of digits" if isinstance(value, int) else repr(value)
+    return text if len(text) < 80 else f"{text[:77]}..."
 
 
 def concretely(function, *arguments):

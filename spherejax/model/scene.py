@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import equinox as eqx
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError, enforce
-from spherejax.foundations.types import Numeric
+from spherejax.foundations.checks import Requirement, SceneError, enforce, shown
+from spherejax.foundations.forms import mapping_of, misformed, of_form
+from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces import AbstractForce
@@ -31,8 +32,8 @@ class Scene(eqx.Module):
     bodies: Mapping[str, Body]
     joints: Mapping[str, AbstractJoint]
     forces: Mapping[str, AbstractForce]
-    gravity: Numeric
-    ground_points: Mapping[str, Numeric]
+    gravity: Triple
+    ground_points: Mapping[str, Triple]
     drift: AbstractDriftControl
 
     def __init__(
@@ -45,11 +46,14 @@ class Scene(eqx.Module):
         ground_points: Mapping[str, Numeric] | None = None,
         drift: AbstractDriftControl | None = None,
     ):
-        self.bodies = dict(bodies)
-        self.joints = dict(joints or {})
-        self.forces = dict(forces or {})
+        self.bodies = mapping_of("bodies", bodies, '{"arm": sj.Body(...)}')
+        self.joints = mapping_of("joints", {} if joints is None else joints, '{"elbow": sj.Spherical(...)}')
+        self.forces = mapping_of("forces", {} if forces is None else forces, '{"spring": sj.SpringDamper(...)}')
         self.gravity = numbers(gravity)
-        self.ground_points = {name: numbers(place) for name, place in (ground_points or {}).items()}
+        places = mapping_of(
+            "ground_points", {} if ground_points is None else ground_points, '{"hook": (0.0, 0.0, 1.0)}'
+        )
+        self.ground_points = {name: numbers(place) for name, place in places.items()}
         self.drift = Baumgarte() if drift is None else drift
 
     def find(self, name: str) -> tuple[str, Numeric]:
@@ -83,6 +87,7 @@ def check_scene(scene: Scene) -> list:
     Raises:
         SceneError: naming the joint, body or force, the value and the remedy.
     """
+    _check_forms(scene)
     _check_drift(scene)
     _check_names(scene)
     _check_connected(scene)
@@ -108,6 +113,22 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
         yield f"joint {name!r}", joint.requirements()
     for name, force in scene.forces.items():
         yield f"force {name!r}", force.requirements()
+
+
+def _check_forms(scene: Scene) -> None:
+    """Every part is what its place is for, and holds numbers, names and objects where they belong."""
+    kinds = {
+        "body": (Body, "sj.Body(mass, inertia)", scene.bodies),
+        "joint": (AbstractJoint, 'sj.Spherical("arm.tip", "rod.top", model) or sj.Revolute(...)', scene.joints),
+        "force": (AbstractForce, "sj.SpringDamper(...)", scene.forces),
+    }
+    for kind, (family, example, parts) in kinds.items():
+        for name, part in parts.items():
+            if not isinstance(part, family):
+                raise SceneError(f"{kind} {name!r} = {shown(part)} is no {kind}; give an object, e.g. {example}")
+            enforce(f"{kind} {name!r}", misformed(part))
+    for name in ("gravity", "ground_points"):
+        enforce("scene", of_form(name, getattr(scene, name), type(scene).__annotations__[name]))
 
 
 def _check_drift(scene: Scene) -> None:

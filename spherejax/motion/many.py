@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import SceneError
+from spherejax.foundations.forms import whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.callbacks import without_host_checks
@@ -23,7 +24,7 @@ from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.one_of_many import Method, Prepared
 from spherejax.motion.sensitivities import has_controlled_sensitivities
-from spherejax.motion.simulate import check_tolerances, checked_times, choice_for
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
 from spherejax.motion.trajectory import Trajectory
 from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
@@ -95,6 +96,7 @@ def simulate_many(
     require_float64()
     ts = checked_times(ts)
     check_tolerances(rtol, atol)
+    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     n_runs = count_of_runs(parameters)
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
     method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import SceneError, is_concrete, shown
+from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
@@ -22,12 +23,16 @@ from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start_velocities import warn_of_removed_velocities
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
+from spherejax.motion.times import seconds_of
 from spherejax.motion.tolerances import Tolerances, component_tolerances
 from spherejax.motion.trajectory import Trajectory
 from spherejax.runtime import require_float64
 
 SMALLEST_TOLERANCE = 1e-14
 """Relative tolerances below this ask for digits that float64 does not carry (its resolution is 2.2e-16)."""
+
+ENOUGH_STEPS = "Leave it out for 20,000,000."
+"""What to do about a number of steps that cannot be."""
 
 
 def simulate(
@@ -87,6 +92,7 @@ def simulate(
     require_float64()
     ts = checked_times(ts)
     check_tolerances(rtol, atol)
+    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     compiled = compile_scene(scene, track_work=track_work)
     system = compiled.system
     structure, theta = flatten_system(system)
@@ -108,7 +114,7 @@ def simulate(
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
     run_of = integrate_with_sensitivities if by_sensitivities and unknown else integrate
     options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps)
-    conditions = [*compiled.conditions, jnp.all(jnp.diff(ts) >= 0)]
+    conditions = [*compiled.conditions, *traced_tolerances(rtol, atol), jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions))
     values = jnp.asarray(theta)[np.array(unknown, int)] if unknown else jnp.zeros(0)
     try:
@@ -140,6 +146,8 @@ def choice_for(
 ) -> Choice:
     """The solver asked for, or the one that the system calls for."""
     if solver is not None:
+        if not isinstance(solver, diffrax.AbstractSolver):
+            raise SceneError(f"solver = {shown(solver)} is no solver; give an object, e.g. diffrax.Dopri8()")
         return Choice(solver, f"{type(solver).__name__}: as asked for")
     assert system is not None
     return choose_solver(system, rtol, explicit_only=explicit_only)
@@ -177,7 +185,7 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
 def checked_times(ts) -> Float[Array, " n"]:
     """Sample times as an array, checked where they are known; `SceneError` says what is wrong."""
     if is_concrete(ts):
-        times = np.asarray(ts, np.float64)
+        times = seconds_of(ts)
         if times.ndim != 1 or times.size == 0:
             raise SceneError(f"ts must be a list of sample times of shape (n,), n >= 1; it has shape {times.shape}")
         if not np.all(np.isfinite(times)):
@@ -190,11 +198,20 @@ def checked_times(ts) -> Float[Array, " n"]:
                 "times and remove repeated ones"
             )
         return jnp.asarray(times)
+    if ts.dtype.kind == "c":
+        raise SceneError("ts holds complex numbers; give real times [s]")
     return jnp.asarray(ts, jnp.float64)
 
 
 def check_tolerances(rtol, atol) -> None:
-    """Raise `SceneError` for tolerances that no integration can keep."""
+    """Raise `SceneError` for tolerances that no integration can keep, or that ask for none."""
+    real_number("rtol", rtol)
+    if atol is not None:
+        real_number("atol", atol)
+    if is_concrete(rtol) and float(rtol) >= 1:
+        raise SceneError(
+            f"rtol = {float(rtol):.3g} allows errors as large as the motion itself; use less than 1, e.g. 1e-8"
+        )
     if is_concrete(rtol) and not float(rtol) >= SMALLEST_TOLERANCE:
         raise SceneError(
             f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
@@ -202,6 +219,18 @@ def check_tolerances(rtol, atol) -> None:
         )
     if atol is not None and is_concrete(atol) and not float(atol) > 0:
         raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
+    if atol is not None and is_concrete(atol) and not float(atol) < np.inf:
+        raise SceneError(f"atol = {float(atol):.3g} allows any error; give a number, or leave it out")
+
+
+def traced_tolerances(rtol, atol) -> list:
+    """The same conditions for tolerances that are traced: a lane that violates them has the status of a bad value."""
+    conditions = []
+    if not is_concrete(rtol):
+        conditions.append((rtol >= SMALLEST_TOLERANCE) & (rtol < 1))
+    if atol is not None and not is_concrete(atol):
+        conditions.append((atol > 0) & (atol < np.inf))
+    return conditions
 
 
 def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:

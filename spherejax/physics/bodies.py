@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, concretely
-from spherejax.foundations.types import Matrix3, Number, Numeric
+from spherejax.foundations.forms import is_numeric, mapping_of
+from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple
 
 GROUND = "ground"
 """The name of the body that does not move; its axes are the world axes."""
@@ -33,14 +34,14 @@ class Body(eqx.Module):
     """
 
     mass: Number
-    inertia: Numeric
-    position: Numeric = (0.0, 0.0, 0.0)
-    quaternion: Numeric = (1.0, 0.0, 0.0, 0.0)
-    velocity: Numeric = (0.0, 0.0, 0.0)
-    angular_velocity: Numeric = (0.0, 0.0, 0.0)
-    points: Mapping[str, Numeric] = eqx.field(default_factory=dict)
-    reference_position: Numeric | None = None
-    reference_quaternion: Numeric | None = None
+    inertia: Moments
+    position: Triple = (0.0, 0.0, 0.0)
+    quaternion: Quadruple = (1.0, 0.0, 0.0, 0.0)
+    velocity: Triple = (0.0, 0.0, 0.0)
+    angular_velocity: Triple = (0.0, 0.0, 0.0)
+    points: Mapping[str, Triple] = eqx.field(default_factory=dict)
+    reference_position: Triple | None = None
+    reference_quaternion: Quadruple | None = None
 
     def __init__(
         self,
@@ -60,7 +61,8 @@ class Body(eqx.Module):
         self.quaternion = numbers(quaternion)
         self.velocity = numbers(velocity)
         self.angular_velocity = numbers(angular_velocity)
-        self.points = {name: numbers(place) for name, place in (points or {}).items()}
+        points = mapping_of("points", {} if points is None else points, '{"tip": (0.0, 0.0, 0.1)}')
+        self.points = {name: numbers(place) for name, place in points.items()}
         self.reference_position = None if reference_position is None else numbers(reference_position)
         self.reference_quaternion = None if reference_quaternion is None else numbers(reference_quaternion)
 
@@ -118,8 +120,11 @@ def _unit_norm(field: str, quaternion: Numeric) -> Requirement:
 def numbers(value):
     """Nested tuples or lists of numbers as one float64 array; arrays and tracers pass.
 
-    Concrete values become NumPy arrays, so that they stay concrete inside an outer trace.
+    Concrete values become NumPy arrays, so that they stay concrete inside an outer trace. What is no numbers stays as
+    it is, for NumPy would make numbers of texts: it is named with its place when the scene is checked.
     """
+    if not is_numeric(value):
+        return value
     if isinstance(value, np.ndarray):
         return np.asarray(value, np.float64)
     if hasattr(value, "dtype"):

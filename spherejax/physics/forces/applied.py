@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Numeric, Vector3
+from spherejax.foundations.types import Numeric, Triple, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
 from spherejax.physics.functions import Given
@@ -32,9 +32,9 @@ class AppliedWrench(AbstractForce):
     """
 
     body: str = eqx.field(static=True)
-    force: Numeric | Given
-    moment: Numeric | Given
-    place: Numeric
+    force: Triple | Given
+    moment: Triple | Given
+    place: Triple
     in_body_axes: bool = eqx.field(static=True)
 
     def __init__(

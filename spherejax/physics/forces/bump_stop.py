@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, SceneError
-from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.foundations.types import Number, Scalar, Triple
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import Touch
 from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, stores_all, two_ends
@@ -45,7 +45,7 @@ class BumpStop(AbstractLineForce):
     onset: Number
     spring: AbstractFunction | None
     damper: AbstractFunction | None
-    direction: Numeric | None
+    direction: Triple | None
     attachment: Attachment | None
 
     def __init__(

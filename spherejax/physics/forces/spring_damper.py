@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.foundations.types import Number, Scalar, Triple
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.line import (
     AbstractLineForce,
@@ -56,7 +56,7 @@ class SpringDamper(AbstractLineForce):
     spring: AbstractFunction | None
     damper: AbstractFunction | None
     law: Given | None
-    direction: Numeric | None
+    direction: Triple | None
     attachment: Attachment | None
 
     def __init__(
@@ -137,7 +137,7 @@ class ShockAbsorber(AbstractLineForce):
     spring: AbstractFunction | None
     free_length: Number
     transition: Number
-    direction: Numeric | None
+    direction: Triple | None
     attachment: Attachment | None
 
     def __init__(

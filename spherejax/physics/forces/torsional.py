@@ -18,8 +18,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement, SceneError, concretely
+from spherejax.foundations.forms import two_names
 from spherejax.foundations.rotation import conjugate, normalized, quaternion_product
-from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
+from spherejax.foundations.types import Number, Numeric, Scalar, Triple, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench
 from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
@@ -80,7 +81,7 @@ class TorsionalSpring(AbstractForce):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    axis: Numeric
+    axis: Triple
     stiffness: Number
     damping: Number
     free_angle: Number
@@ -99,7 +100,7 @@ class TorsionalSpring(AbstractForce):
         spring: Callable | None = None,
         damper: Callable | None = None,
     ):
-        self.bodies = (bodies[0], bodies[1])
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.axis = numbers(axis)
         self.stiffness = stiffness
         self.damping = damping

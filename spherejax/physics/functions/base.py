@@ -5,6 +5,7 @@ one number; `jax.vmap(f)(xs)` evaluates it at many.
 """
 
 import abc
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -106,6 +107,8 @@ def as_function(value) -> AbstractFunction | None:
     """
     if value is None or isinstance(value, AbstractFunction):
         return value
+    if inspect.isclass(value) and issubclass(value, AbstractFunction):
+        raise SceneError(f"{value.__name__} alone is no function; give its numbers, {value.__name__}(...)")
     if not callable(value):
         raise SceneError(f"{value!r} is no function; give e.g. Linear(slope), Table(x, y) or a function of one number")
     return UserFunction(value)

@@ -9,7 +9,8 @@ from typing import ClassVar
 import equinox as eqx
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Numeric
+from spherejax.foundations.forms import two_names
+from spherejax.foundations.types import Triple
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.elastic import model_requirements, with_model
@@ -45,9 +46,9 @@ class AbstractAxialJoint(AbstractPairJoint):
     turns_freely: ClassVar[bool]
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    point: Numeric | None
+    point: Triple | None
     point_name: str | None = eqx.field(static=True)
-    axis: Numeric
+    axis: Triple
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
 
@@ -59,7 +60,7 @@ class AbstractAxialJoint(AbstractPairJoint):
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
-        self.bodies = (bodies[0], bodies[1])
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
         self.model = Ideal() if model is None else model

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from spherejax.foundations.forms import real_number
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Numeric
 from spherejax.physics.joints.base import AbstractSphericalModel
@@ -18,6 +19,9 @@ def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius:
     """The clearance c = R_i - R_j [m] from whichever of clearance and ball radius is given."""
     if (clearance is None) == (ball_radius is None):
         raise TypeError("give either clearance= or ball_radius=, not both and not neither")
+    if ball_radius is not None:
+        real_number("ball_radius", ball_radius)
+        real_number("socket_radius", socket_radius)
     return clearance if ball_radius is None else socket_radius - ball_radius
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, SceneError
-from spherejax.foundations.types import Number, Numeric, Vector3
+from spherejax.foundations.types import Number, Numeric, Triple, Vector3
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint
 from spherejax.physics.joints.placing import (
@@ -57,8 +57,8 @@ class Circle(AbstractCurve):
         radius: R [m].
     """
 
-    center: Numeric
-    axis: Numeric
+    center: Triple
+    axis: Triple
     radius: Number
 
     def __init__(self, center, axis, radius):
@@ -90,8 +90,8 @@ class Line(AbstractCurve):
         direction: any length, shape (3,).
     """
 
-    through: Numeric
-    direction: Numeric
+    through: Triple
+    direction: Triple
 
     def __init__(self, through, direction):
         self.through = numbers(through)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, SceneError, is_concrete
-from spherejax.foundations.types import Numeric
+from spherejax.foundations.types import Numeric, Single
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedAtPoints
@@ -34,7 +34,7 @@ class Distance(AbstractJoint):
 
     first: str = eqx.field(static=True)
     second: str = eqx.field(static=True)
-    length: Numeric | None
+    length: Single | None
 
     def __init__(self, first: str, second: str, length=None):
         self.first = first

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Numeric
+from spherejax.foundations.forms import two_names
+from spherejax.foundations.types import Numeric, Triple
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.places import (
@@ -57,11 +58,11 @@ class RotationDriver(AbstractPairJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    axis: Numeric
+    axis: Triple
     angle: AbstractFunction
 
     def __init__(self, bodies: tuple[str, str], axis, angle: Callable):
-        self.bodies = (bodies[0], bodies[1])
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.axis = numbers(axis)
         self.angle = prescribed(angle, "angle")
 
@@ -145,13 +146,13 @@ class TranslationDriver(AbstractPairJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    axis: Numeric
+    axis: Triple
     travel: AbstractFunction
-    point: Numeric | None
+    point: Triple | None
     point_name: str | None = eqx.field(static=True)
 
     def __init__(self, bodies: tuple[str, str], point, axis, travel: Callable):
-        self.bodies = (bodies[0], bodies[1])
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
         self.travel = prescribed(travel, "travel")

@@ -6,7 +6,8 @@ Points and axes are given in world axes at the start.
 import equinox as eqx
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Numeric
+from spherejax.foundations.forms import two_names
+from spherejax.foundations.types import Triple
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.elastic import model_requirements, with_model
@@ -38,10 +39,10 @@ class Universal(AbstractPairJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    point: Numeric | None
+    point: Triple | None
     point_name: str | None = eqx.field(static=True)
-    first_axis: Numeric
-    second_axis: Numeric
+    first_axis: Triple
+    second_axis: Triple
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
 
@@ -54,7 +55,7 @@ class Universal(AbstractPairJoint):
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
-        self.bodies = (bodies[0], bodies[1])
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.first_axis = numbers(first_axis)
         self.second_axis = numbers(second_axis)
@@ -114,7 +115,7 @@ class Fixed(AbstractPairJoint):
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
-    point: Numeric | None
+    point: Triple | None
     point_name: str | None = eqx.field(static=True)
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
@@ -126,7 +127,7 @@ class Fixed(AbstractPairJoint):
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
-        self.bodies = (bodies[0], bodies[1])
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.model = Ideal() if model is None else model
         self.starts_concentric = starts_concentric
@@ -160,9 +161,9 @@ class PointOnPlane(AbstractJoint):
 
     point: str = eqx.field(static=True)
     body: str = eqx.field(static=True)
-    through: Numeric | None
+    through: Triple | None
     through_name: str | None = eqx.field(static=True)
-    normal: Numeric
+    normal: Triple
 
     def __init__(self, point: str, through, normal, body: str = "ground"):
         self.point = point

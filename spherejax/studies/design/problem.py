@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError
+from spherejax.foundations.forms import whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.simulate import check_tolerances, checked_times, simulate
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times, simulate
 from spherejax.motion.status import Status, diagnosis
 from spherejax.motion.trajectory import Trajectory
 from spherejax.runtime import require_float64
@@ -75,6 +76,7 @@ class DesignProblem:
     ):
         require_float64()
         check_tolerances(rtol, atol)
+        max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
         self.build, self.ts = build, checked_times(ts)
         given, self.start = unknowns_from(start)
         self.bounds = _scaled_bounds(given)

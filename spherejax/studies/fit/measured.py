@@ -8,6 +8,7 @@ import numpy as np
 
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.many import Build
+from spherejax.motion.times import seconds_of
 
 Function = Callable[[Any], Any]
 """From a `Trajectory` to an array with a leading axis of samples."""
@@ -79,10 +80,7 @@ def _replaced(measured: Measured, **changes) -> Measured:
 
 
 def _times(ts: Any, t0: float) -> np.ndarray:
-    try:
-        times = np.asarray(ts, np.float64)
-    except (TypeError, ValueError) as error:
-        raise SceneError("the instants of measurements must be numbers [s]") from error
+    times = seconds_of(ts, "the instants of measurements")
     if times.ndim != 1 or times.size == 0:
         raise SceneError(
             f"the instants of measurements must be a list of shape (n,), n >= 1; it has shape {times.shape}"

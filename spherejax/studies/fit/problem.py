@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.checks import SceneError
+from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Scalar
 from spherejax.motion.many import Build
-from spherejax.motion.simulate import check_tolerances
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances
 from spherejax.motion.status import Status, diagnosis
 from spherejax.runtime import require_float64
 from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Integration, Prediction, experiment_of
@@ -267,6 +268,7 @@ def problem_of(
     """
     require_float64()
     check_tolerances(rtol, atol)
+    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     unknowns, values = unknowns_from(start)
     integration = Integration(rtol, atol, solver, max_steps)
     experiments = [each.named(f"experiment {i + 1}") for i, each in enumerate(experiments)]

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spherejax.files.units import UnitError, in_si
+from spherejax.files.number_texts import NumberError, number_in
+from spherejax.files.units import UnitError, factor_of
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 
@@ -73,6 +74,8 @@ def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.nd
         name = "time" if name.lower() in TIMES else ".".join(name.split())
         if not name:
             raise SceneError(f"{path.name}:{number}: a column has no name")
+        if "[" in name or "]" in name:
+            raise SceneError(f"{path.name}:{number}: {cell!r}: write the name, then one unit in brackets, e.g. x [mm]")
         if name in names:
             raise SceneError(f"{path.name}:{number}: two columns are named {name!r}")
         if _is_number(name):
@@ -97,17 +100,16 @@ def _factor(name: str, unit: str) -> float:
     expected = "s" if name == "time" else kinds[kind][1] if kind in kinds else None
     if unit in ("", expected) or (expected is not None and " or " in expected):
         return 1.0
-    return in_si(f"1 {unit}", expected)
+    return factor_of(unit, expected)
 
 
 def _number(cell: str, path: Path, number: int, name: str) -> float:
     if cell.lower() in MISSING:
         return np.nan
     try:
-        return float(cell)
-    except ValueError:
-        hint = "; write decimals with a point" if re.fullmatch(r"[-+]?\d+,\d+", cell) else ""
-        raise SceneError(f"{path.name}:{number}: column {name!r}: {cell!r} is no number{hint}") from None
+        return number_in(cell)
+    except NumberError as error:
+        raise SceneError(f"{path.name}:{number}: column {name!r}: {error}") from None
 
 
 def _is_number(text: str) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError
+from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.integrate import Options, Plan
@@ -18,7 +19,7 @@ from spherejax.motion.many import built
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import has_controlled_sensitivities, integrate_along
 from spherejax.motion.sensitivity_rows import scales_of
-from spherejax.motion.simulate import check_tolerances, choice_for, split, start_now, tolerances_of
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for, split, start_now, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.trajectory import Statistics, Trajectory
@@ -98,6 +99,7 @@ class Prepared(eqx.Module):
 def prepare(flat: FlatBuild, numbers, times, method: Method) -> Prepared:
     """Choose the method by the numbers, and find what of the system depends on the parameters."""
     check_tolerances(method.rtol, method.atol)
+    method = method._replace(max_steps=whole_number("max_steps", method.max_steps, ENOUGH_STEPS))
     choice = choice_at(flat, numbers, method)
     limits = tolerances_of(system_at(flat, numbers, method.track_work), choice.solver, method.rtol, method.atol)
     controller = diffrax.PIDController(rtol=jnp.asarray(limits.rtol), atol=jnp.asarray(limits.atol))

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from spherejax.files.code import modules_in, run_again
 from spherejax.foundations.checks import SceneError
 from spherejax.motion.many import Build, Method, many
 from spherejax.studies.sweep.records import Record
@@ -139,7 +140,9 @@ def packed(work: Work) -> bytes:
         if pickler is None:
             continue
         try:
-            return pickler.dumps(work)
+            pickled = pickler.dumps(work)
+            # Classes from beside a scene file, which was read with allow_code=True: the worker runs the same files.
+            return pickle.dumps((modules_in(pickled), pickled))
         except (pickle.PicklingError, AttributeError, TypeError):
             continue
     raise SceneError(
@@ -155,7 +158,9 @@ def run_packed_chunk(work: bytes, rows: Rows) -> list[ChunkResult]:
 
 @lru_cache(maxsize=8)
 def _unpacked(work: bytes) -> Work:
-    return pickle.loads(work)
+    files, pickled = pickle.loads(work)
+    run_again(files)
+    return pickle.loads(pickled)
 
 
 def _cloudpickle() -> Any:

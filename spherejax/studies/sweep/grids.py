@@ -143,7 +143,10 @@ def _named(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _numbers(name: str, given) -> Float[np.ndarray, " n"]:
     try:
-        numbers = np.atleast_1d(np.asarray(given, np.float64))
+        numbers = np.atleast_1d(np.asarray(given))
+        if numbers.dtype.kind not in "fiuO":  # NumPy would make numbers of texts, times and truth values
+            raise TypeError(f"{numbers.dtype} is no kind of number")
+        numbers = numbers.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise SceneError(f"parameter {name!r} must be a list of numbers; it is {given!r}") from error
     if numbers.ndim != 1 or numbers.size == 0:

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError
+from spherejax.foundations.forms import whole_number
 from spherejax.model.system import compile_scene
 from spherejax.motion.lanes import Block
 from spherejax.motion.many import Build, method_for, with_sensitivities
-from spherejax.motion.simulate import check_tolerances, checked_times
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times
 from spherejax.motion.widths import ON_CPU, block_for
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import Work
@@ -92,6 +93,11 @@ def sweep(
     grid = as_grid(grid)
     times = np.asarray(checked_times(ts))
     check_tolerances(rtol, atol)
+    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    if chunk is not None:
+        chunk = whole_number("chunk", chunk, "Leave it out for a size by memory and workers.")
+    if workers is not None:
+        workers = whole_number("workers", workers, "Leave it out for all cores.")
     path = None if store is None else Path(store).expanduser()
     stored = None if path is None else stored_chunk_size(path)
     example = example_of(build, grid)

@@ -1,0 +1,222 @@
+"""The form of a value: one number, three numbers, a model, a name. Said once, as the annotation of its field.
+
+A scene is walked along its fields before any number in it is looked at: what has another form is named with its place
+and a remedy. NumPy would make numbers of texts, of truth values and of times, drop the imaginary part of a complex
+number, and stretch one number over three axes; the mechanism would be another one, in silence.
+"""
+
+import dataclasses
+import datetime
+import inspect
+import re
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+from numbers import Real
+from typing import Any, NamedTuple, Union, get_args, get_origin
+
+import equinox as eqx
+import jax
+import jax.core
+import numpy as np
+
+from spherejax.foundations.checks import Requirement, SceneError, shown
+from spherejax.foundations.types import Matrix3, Scalar, Shaped
+
+WORDS = {(): "one number", (3,): "three numbers", (4,): "four numbers", (3, 3): "three rows of three numbers"}
+"""Shapes in words."""
+
+EXAMPLES = {
+    (): "Give the number alone, in SI units.",
+    (3,): "Write e.g. (0.0, 0.0, 1.0), in SI units.",
+    (4,): "Write e.g. (1.0, 0.0, 0.0, 0.0), the scalar part first.",
+    (3, 3): "Write three rows, in SI units.",
+}
+"""What to write."""
+
+_AXES = {"x": "(1.0, 0.0, 0.0)", "y": "(0.0, 1.0, 0.0)", "z": "(0.0, 0.0, 1.0)"}
+
+IN_SI = "Give it in SI units."
+
+
+class _Given(NamedTuple):
+    """What a value is where a number is expected; `shape` is None where it is none."""
+
+    shape: tuple[int, ...] | None
+    remedy: str
+
+
+def misformed(part: Any, path: str = "") -> Iterator[Requirement]:
+    """Requirements, all of them violated, for fields of an object, and of objects in it, that have another form.
+
+    Args:
+        part: a dataclass: a body, a joint, a law; fields are judged whose annotation says a form.
+        path: what stands in front of the names of its fields, e.g. `"model."`.
+    """
+    for field in dataclasses.fields(part):
+        yield from of_form(path + field.name, getattr(part, field.name, None), field.type)
+
+
+def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
+    """A violated requirement for a value that has not the form that an annotation says."""
+    options = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+    if value is None and types.NoneType in options:
+        return
+    families = tuple(one for one in options if inspect.isclass(one) and issubclass(one, eqx.Module))
+    if families and isinstance(value, families):
+        yield from misformed(value, f"{name}.")
+        return
+    shapes = _shapes_in(options)
+    if shapes:
+        given = _given(value)
+        if given.shape not in shapes:
+            words = " or ".join(WORDS[shape] for shape in shapes)
+            size = "" if given.shape is None else f", not of shape {given.shape}"
+            remedy = EXAMPLES[shapes[0]] if given.remedy == IN_SI else given.remedy
+            if shapes == ((3,),) and isinstance(value, str) and value.lower().strip("+-") in _AXES:
+                remedy = f"Write {_AXES[value.lower().strip('+-')]}."
+            yield Requirement(name, value, False, f"be {words}{size}", remedy)
+    elif families:
+        yield Requirement(name, value, False, f"be a {_words_of(families[0])}", _remedy_for_part(value, families[0]))
+    elif options == (str,) and not isinstance(value, str):
+        yield Requirement(name, value, False, "be a name", 'Give a text, e.g. "ground", or "arm.tip" for a point.')
+    elif options == (bool,) and not isinstance(value, bool | np.bool_):
+        yield Requirement(name, value, False, "be True or False", "Give one of the two.")
+    elif get_origin(annotation) is Mapping:
+        yield from _entries(name, value, get_args(annotation)[1])
+
+
+def is_numeric(value: Any) -> bool:
+    """Whether a value is real numbers: a number, an array, lists of them in rows; not texts, truth values, times."""
+    return _given(value).shape is not None
+
+
+def whole_number(name: str, value: Any, remedy: str, least: int = 1) -> int:
+    """A count that was asked for.
+
+    Raises:
+        SceneError: for what is no whole number, or below the least one.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer) or value < least:
+        raise SceneError(f"{name} = {shown(value)} must be a whole number, at least {least}. {remedy}")
+    return int(value)
+
+
+def real_number(name: str, value: Any) -> None:
+    """Refuse what is no single real number; traced ones pass.
+
+    Raises:
+        SceneError: naming the value.
+    """
+    for wrong in of_form(name, value, Shaped(((),))):
+        raise SceneError(f"{name} = {shown(value)} must {wrong.expected}. {wrong.remedy}")
+
+
+def two_names(name: str, value: Any, example: str) -> tuple[str, str]:
+    """Two names, e.g. of bodies: of a text Python would take the first two letters, of three names the first two.
+
+    Raises:
+        SceneError: for anything else.
+    """
+    is_right = isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(one, str) for one in value)
+    if not is_right:
+        raise SceneError(f"{name} = {shown(value)} must be two names. Write {name}={example}.")
+    return value[0], value[1]
+
+
+def mapping_of(name: str, value: Any, example: str) -> dict[str, Any]:
+    """A dict by name.
+
+    Raises:
+        SceneError: for a list or anything else.
+    """
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise SceneError(f"{name} = {shown(value)} must be a dict by name. Write {name}={example}.")
+    return dict(value)
+
+
+def _shapes_in(options: tuple) -> tuple[tuple[int, ...], ...]:
+    """The shapes that an annotation allows; none where it says nothing of numbers."""
+    found: tuple[tuple[int, ...], ...] = ()
+    for option in options:
+        if option is Scalar:
+            found = (*found, ())
+        elif option is Matrix3:
+            found = (*found, (3, 3))
+        elif isinstance(option, Shaped):
+            found = (*found, *option.shapes)
+        else:
+            found = (*found, *(s for mark in getattr(option, "__metadata__", ()) for s in mark.shapes))
+    return found
+
+
+def _given(value: Any) -> _Given:
+    """Shape of real numbers, or why a value is none."""
+    if isinstance(value, jax.core.Tracer | jax.Array | np.ndarray | np.generic):
+        return _of_kind(value.dtype.kind if value.dtype.kind != "V" else "f", tuple(value.shape))
+    if isinstance(value, bool):
+        return _of_kind("b", ())
+    if isinstance(value, Real | Decimal):
+        try:
+            float(value)
+        except OverflowError:
+            return _Given(None, "It is larger than any number of 64 bits, 1.8e308.")
+        return _Given((), IN_SI)
+    if isinstance(value, str | bytes):
+        return _of_kind("U", ())
+    if isinstance(value, Sequence):
+        inner = [_given(entry) for entry in value]
+        wrong = next((one for one in inner if one.shape is None), None)
+        if wrong is not None:
+            return wrong
+        if len({one.shape for one in inner}) > 1:
+            return _Given(None, "Its rows have different lengths.")
+        return _Given((len(value), *(inner[0].shape or () if inner else ())), IN_SI)
+    if isinstance(value, datetime.timedelta | datetime.datetime):
+        return _of_kind("m", ())
+    if isinstance(value, complex):
+        return _of_kind("c", ())
+    if hasattr(value, "magnitude") or (hasattr(value, "unit") and hasattr(value, "to")):
+        return _Given(None, "It has a unit of its own; convert it to SI units, and give the plain number.")
+    if hasattr(value, "__array__"):
+        return _given(np.asarray(value))
+    return _Given(None, IN_SI)
+
+
+def _of_kind(kind: str, shape: tuple[int, ...]) -> _Given:
+    remedies = {
+        "b": "A truth value is no number.",
+        "c": "Complex numbers mean nothing here; give the real part.",
+        "m": "A time is no number; give seconds, e.g. x / np.timedelta64(1, 's').",
+        "M": "A date is no number; give seconds since the start.",
+        "U": "Texts with units belong in scene files; give the plain number in SI units, without quotes.",
+        "S": "Texts with units belong in scene files; give the plain number in SI units, without quotes.",
+    }
+    return _Given(None if kind in remedies or kind not in "fiu" else shape, remedies.get(kind, IN_SI))
+
+
+def _entries(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
+    if not isinstance(value, Mapping):
+        yield Requirement(name, value, False, "be a dict by name", f'Write {name}={{"tip": (0.0, 0.0, 0.1)}}.')
+        return
+    for key, entry in value.items():
+        yield from of_form(f"{name}[{key!r}]", entry, annotation)
+
+
+def _words_of(family: type) -> str:
+    """What members of a family are called, e.g. `"normal law"`."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", family.__name__.removeprefix("Abstract")).lower()
+
+
+def _members(family: type) -> list[str]:
+    """Names of what can be made of a family, as the package has it."""
+    if not inspect.isabstract(family):
+        return [family.__name__]
+    own = (one for one in family.__subclasses__() if one.__module__.partition(".")[0] == __name__.partition(".")[0])
+    return list(dict.fromkeys(name for one in own for name in _members(one)))
+
+
+def _remedy_for_part(value: Any, family: type) -> str:
+    if inspect.isclass(value) and issubclass(value, family):
+        return f"The class alone was given; make an object of it, with parentheses: {value.__name__}(...)."
+    return f"Give an object: {', '.join(f'{name}(...)' for name in _members(family))}, or one of your own."
