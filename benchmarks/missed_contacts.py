@@ -37,8 +37,9 @@ def main() -> None:
     options = options.parse_args()
     per_laws = -(-options.starts // (GROUP * len(socket_starts.ALL_LAWS)))
     rows = []
-    for laws in socket_starts.ALL_LAWS:
-        rows += balls(laws, range(options.first_seed, options.first_seed + per_laws))
+    for i, laws in enumerate(socket_starts.ALL_LAWS):
+        first = options.first_seed + i * per_laws
+        rows += balls(laws, range(first, first + per_laws))
     write("missed_contacts", "python benchmarks/missed_contacts.py", rows)
 
 

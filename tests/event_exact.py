@@ -149,8 +149,17 @@ class Path:
         self.touching[i], self.n_onsets[i] = touching, len(self.onsets)
 
 
-def ball_path(ball: Ball, contact: Contact, ts, max_onsets: int = 1000) -> Path:
-    """The motion of a ball in its socket, followed over at most `max_onsets` impacts."""
+def ball_path(ball: Ball, contact: Contact, ts, max_onsets: int = 1000, max_steps: int = 100_000) -> Path:
+    """The motion of a ball in its socket.
+
+    Args:
+        ball: the ball and its start.
+        contact: the joint.
+        ts: sample times [s].
+        max_onsets: how many impacts are followed.
+        max_steps: how many steps of one contact are followed: a ball that stays in contact vibrates there a hundred
+            thousand times a second.
+    """
     ts = np.asarray(ts, float)
     path = Path(ts, *(np.full((ts.size, 3), np.nan) for _ in range(3)), np.zeros(ts.size, bool), np.zeros(ts.size, int))
     t, e = ts[0], np.array(ball.position, float)
@@ -170,8 +179,8 @@ def ball_path(ball: Ball, contact: Contact, ts, max_onsets: int = 1000) -> Path:
             path.t_known = t
             return path
         path.onsets.append((t, float(v @ e) / contact.clearance))
-        t, e, v, w = _through_contact(ball, contact, path, t, e, v, w)
-        if t >= ts[-1]:
+        t, e, v, w = _through_contact(ball, contact, path, t, e, v, w, max_steps)
+        if t >= min(ts[-1], path.t_known):
             return path
         path.releases.append(t)
         e *= contact.clearance / np.linalg.norm(e)
@@ -217,7 +226,7 @@ def real_roots(coefficients, low: float, high: float) -> list[float]:
     return roots
 
 
-def _through_contact(ball: Ball, contact: Contact, path: Path, t_onset, e_onset, v_onset, w_onset):
+def _through_contact(ball: Ball, contact: Contact, path: Path, t_onset, e_onset, v_onset, w_onset, max_steps):
     """From an onset to the release or the end: time, e, v, w there. Samples on the way are noted."""
     ex, ey, ez = map(float, e_onset)
     gx, gy, gz = map(float, ball.gravity)
@@ -273,7 +282,7 @@ def _through_contact(ball: Ball, contact: Contact, path: Path, t_onset, e_onset,
             y = dense(path.ts[pending[0]] - t_onset)
             path.note(pending.pop(0), e_onset + y[:3], y[3:6], y[6:9], True)
 
-    while solver.status == "running":
+    for _ in range(max_steps):
         message = solver.step()
         if solver.status == "failed":
             raise RuntimeError(message)
@@ -288,5 +297,8 @@ def _through_contact(ball: Ball, contact: Contact, path: Path, t_onset, e_onset,
                 y = dense(at)
                 return t_onset + at, e_onset + y[:3], y[3:6], y[6:9]
         note(solver.t, dense)
+        if solver.status == "finished":
+            break
+    path.t_known = t_onset + solver.t
     y = solver.y
-    return path.ts[-1], e_onset + y[:3], y[3:6], y[6:9]
+    return path.t_known, e_onset + y[:3], y[3:6], y[6:9]

@@ -15,8 +15,8 @@ SPEEDS, CLEARANCES = (5e-3, 5.0), (1e-6, 5e-3)
 N_COMPARED, N_LATER = 32, 33
 """Samples in the first `2 MAX_ONSETS` crossings, where the reference is followed, and later."""
 
-MAX_ONSETS = 8
-"""Impacts that the reference follows; some starts would bounce for ever."""
+MAX_ONSETS, MAX_STEPS = 8, 1000
+"""Impacts, and steps in one contact, that the reference follows; some starts would bounce or vibrate for ever."""
 
 CROSSINGS = (8.0, 300.0)
 """How long runs last, in times to cross the clearance at the speed of the start: missed contacts were seen after ten to
@@ -151,7 +151,7 @@ class Exact:
 def exact(laws: Laws, numbers, ts, rtol: float, random) -> Exact:
     """The reference with two disturbed companions, at the first `N_COMPARED` samples."""
     ts = ts[:N_COMPARED]
-    path = ball_path(ball(numbers), laws.contact(numbers), ts, MAX_ONSETS)
+    path = ball_path(ball(numbers), laws.contact(numbers), ts, MAX_ONSETS, MAX_STEPS)
     size = max(DISTURBANCE * rtol, SMALLEST_DISTURBANCE)
     place, speed = np.zeros(ts.size), np.zeros(ts.size)
     for _ in range(2):
@@ -162,7 +162,7 @@ def exact(laws: Laws, numbers, ts, rtol: float, random) -> Exact:
         moved["velocity"] = numbers["velocity"] + size * pace * random.normal(size=3)
         moved["spin"] = numbers["spin"] * (1 + size * random.normal(size=3))
         moved["clearance"] = numbers["clearance"] * (1 + size * random.normal())
-        other = ball_path(ball(moved), laws.contact(moved), ts, MAX_ONSETS)
+        other = ball_path(ball(moved), laws.contact(moved), ts, MAX_ONSETS, MAX_STEPS)
         alike = other.n_onsets == path.n_onsets
         place = np.maximum(place, np.linalg.norm(other.position - path.position, axis=1))
         fly = alike & ~path.touching & ~other.touching
