@@ -42,6 +42,9 @@ class Laws:
     normal: str
     friction: bool
 
+    def __str__(self) -> str:
+        return self.normal + (" with friction" if self.friction else "")
+
     def scene(self, numbers) -> sj.Scene:
         """The ball in its socket; `numbers` may be traced."""
         law = getattr(sj, self.normal)
