@@ -130,7 +130,7 @@ class Lubricated(AbstractClearanceModel):
             ball_moment=ball_moment,
             socket_moment=socket_moment,
             memory_rate=jnp.concatenate([onset_rate_rate, contact.bristle_rate]),
-            elastic_energy=self._elastic_energy(penetration),
+            elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
                 "normal_force": contact.normal_force,
