@@ -21,6 +21,7 @@ from machine import use_one_core, write
 use_one_core()
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
+import elbow_reference  # noqa: E402
 import numpy as np  # noqa: E402
 import socket_starts  # noqa: E402
 
@@ -33,6 +34,7 @@ GROUP = 8
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--starts", type=int, default=2000)
+    options.add_argument("--pendulums", type=int, default=500)
     options.add_argument("--first-seed", type=int, default=0)
     options = options.parse_args()
     per_laws = -(-options.starts // (GROUP * len(socket_starts.ALL_LAWS)))
@@ -40,13 +42,17 @@ def main() -> None:
     for i, laws in enumerate(socket_starts.ALL_LAWS):
         first = options.first_seed + i * per_laws
         rows += balls(laws, range(first, first + per_laws))
+    per_laws = -(-options.pendulums // (GROUP * len(ELBOWS)))
+    for i, laws in enumerate(ELBOWS):
+        first = options.first_seed + i * per_laws
+        rows.append(pendulums(laws, range(first, first + per_laws)))
     write("missed_contacts", "python benchmarks/missed_contacts.py", rows)
 
 
 def balls(laws: socket_starts.Laws, seeds) -> list[dict[str, object]]:
     """Rows of one set of laws: by `sj.simulate`, and in lanes."""
     counts = {way: Counter() for way in ("simulate", "lanes")}
-    seconds = Counter()
+    seconds: Counter = Counter()
     for seed in seeds:
         random = np.random.default_rng(seed)
         rtol = RTOLS[seed % len(RTOLS)]
@@ -63,15 +69,36 @@ def balls(laws: socket_starts.Laws, seeds) -> list[dict[str, object]]:
                 counted(counts[way], verdict)
                 if verdict.is_silently_wrong:
                     print(f"  {laws} seed {seed} start {i} rtol {rtol:.0e} {way}: {verdict}", flush=True)
-    return [
-        row(f"ball, {laws.normal}{', Threlfall' if laws.friction else ''}", w, counts[w], seconds[w]) for w in counts
-    ]
+    return [row(f"ball, {laws}", w, counts[w], seconds[w]) for w in counts]
+
+
+def pendulums(laws: socket_starts.Laws, seeds) -> dict[str, object]:
+    """The row of double pendulums whose elbow has these laws."""
+    counts, seconds = Counter(), 0.0
+    for seed in seeds:
+        random, rtol = np.random.default_rng(seed), RTOLS[seed % len(RTOLS)]
+        starts, ts = elbow_reference.draw(random, GROUP)
+        for i, numbers in enumerate(starts):
+            reference = elbow_reference.exact(laws, numbers, ts, rtol, random)
+            begin = time.perf_counter()
+            run = elbow_reference.single(laws, numbers, ts, rtol)
+            seconds += time.perf_counter() - begin
+            verdict = elbow_reference.judge(numbers, ts, rtol, run, reference)
+            counted(counts, verdict)
+            if verdict.is_silently_wrong:
+                print(f"  pendulum, {laws} seed {seed} start {i} rtol {rtol:.0e}: {verdict}", flush=True)
+    return row(f"double pendulum, {laws}", "simulate", counts, seconds)
 
 
 def one_by_one(laws, starts, ts, rtol):
     return [socket_starts.single(laws, numbers, ts, rtol) for numbers in starts]
 
 
+ELBOWS = (
+    socket_starts.Laws("LankaraniNikravesh", friction=False),
+    socket_starts.Laws("Flores", friction=True),
+    socket_starts.Laws("ExactRestitution", friction=False),
+)
 RUNS = {"simulate": one_by_one, "lanes": socket_starts.in_lanes}
 
 

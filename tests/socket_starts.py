@@ -185,12 +185,12 @@ def compiled(laws: Laws):
     return jax.jit(outcome)
 
 
-def read(run):
-    """The histories that are judged."""
+def read(run, position=None, velocity=None):
+    """The histories that are judged; place and velocity of the ball in its socket, of a lone ball its own."""
     memory = run.state.memory
     return {
-        "position": run.position("ball"),
-        "velocity": run.velocity("ball"),
+        "position": run.position("ball") if position is None else position,
+        "velocity": run.velocity("ball") if velocity is None else velocity,
         "flies": memory[:, 0] == 0 if memory.shape[-1] else run.penetration("joint") <= 0,
         "energy": run.mechanical_energy,
         "kinetic": run.kinetic_energy,
@@ -255,14 +255,18 @@ class Verdict:
 
 
 def judge(numbers, ts, rtol: float, run, exact: Exact) -> Verdict:
-    """A run against its reference."""
-    clearance = float(numbers["clearance"])
+    """The run of a ball against its reference."""
+    return judged(float(numbers["clearance"]), _energy_in_motion(numbers), ts, rtol, run, exact)
+
+
+def judged(clearance: float, energy: float, ts, rtol: float, run, exact: Exact) -> Verdict:
+    """A run against its reference, with the energy in motion [J]."""
     known = np.isfinite(run["energy"])
     penetration = np.linalg.norm(run["position"], axis=1) - clearance
     beyond = known & run["flies"] & (penetration > max(100 * rtol, 1e-7) * clearance)
     # As in tests/hard.py, but by the energy of the start: that of a ball that flies away has no bound. In contact an
     # error of place is one of elastic energy.
-    bound = 8 * rtol * (int(run["n_accepted"]) + 10) * _energy_in_motion(numbers)
+    bound = 8 * rtol * (int(run["n_accepted"]) + 10) * energy
     bound = bound + max(100 * rtol, 1e-7) * clearance * run["normal_force"]
     gains = bool(np.any(known & (run["energy"] - run["energy"][0] > bound)))
     path = exact.path

@@ -204,6 +204,9 @@ def test_lugre_never_feeds_energy():
     assert jax.vmap(lambda z, v: dissipation(excessive, z, v))(z, v).min() < 0
 
 
+ALONG = np.array([1.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize("static_over_kinetic", [1.2, 1.5, 3.0])
 @pytest.mark.parametrize("viscous", [0.0, 3.0])
 def test_lugre_is_refused_where_it_feeds_energy(static_over_kinetic, viscous):
@@ -219,10 +222,10 @@ def test_lugre_is_refused_where_it_feeds_energy(static_over_kinetic, viscous):
         speed, stretch = np.meshgrid(np.linspace(0.01, 4.0, 400) * VS, np.linspace(0.0, 1.0, 401))
         z = stretch.ravel() * static_over_kinetic * MU_K / friction.bristle_stiffness
 
-        def power(z, v, friction=friction, along=np.array([1.0, 0.0, 0.0])):
-            rate = friction.bristle_rate(z * along, v * along)
+        def power(z, v, friction=friction):
+            rate = friction.bristle_rate(z * ALONG, v * ALONG)
             stored = friction.bristle_stiffness * z * rate[0]
-            return -friction.bristle_traction(z * along, v * along, 1.0)[0] * v - stored
+            return -friction.bristle_traction(z * ALONG, v * ALONG, 1.0)[0] * v - stored
 
         lowest = jax.vmap(power)(z, speed.ravel()).min()
         assert (lowest < -1e-9 * MU_K * VS) == feeds

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import elbow_reference
 import event_exact
 import numpy as np
 import pytest
@@ -90,6 +91,22 @@ def silently_wrong(laws, way, seed: int) -> list[str]:
         for i, verdict in enumerate(verdicts)
         if verdict.is_silently_wrong
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("laws", [PLAIN, ROUGH], ids=str)
+def test_no_double_pendulum_with_a_dry_elbow_succeeds_and_is_wrong(laws):
+    wrong = []
+    for seed in range(20):
+        random, rtol = np.random.default_rng(seed), RTOLS[seed % len(RTOLS)]
+        starts, ts = elbow_reference.draw(random, 4)
+        for i, numbers in enumerate(starts):
+            reference = elbow_reference.exact(laws, numbers, ts, rtol, random)
+            run = elbow_reference.single(laws, numbers, ts, rtol)
+            verdict = elbow_reference.judge(numbers, ts, rtol, run, reference)
+            if verdict.is_silently_wrong:
+                wrong.append(f"seed {seed} start {i} rtol {rtol:.0e}: {verdict}")
+    assert not wrong, "\n".join(wrong)
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10, 1e-12])
