@@ -5,7 +5,7 @@ Coordinates are the angles of both rods and the eccentricity e of the elbow itse
     y = (theta, omega, phi, psi, e_x, e_z, e'_x, e'_z),    rods along u(angle) = (sin, cos) in the x-z plane,
 
 the angles turning about +y. Between events DOP853 integrates with the mode (flight or contact) held; in contact e is
-the displacement since the onset. Steps are a fraction of the time to cross the clearance, and searched at `LOOKS` points.
+the displacement since the onset. Steps are a fraction of the time to cross the clearance, searched at `LOOKS` points.
 """
 
 import math
