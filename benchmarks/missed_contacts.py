@@ -1,6 +1,6 @@
 """Thousands of balls in dry sockets and hundreds of double pendulums: is any run wrong that says it succeeded?
 
-    python benchmarks/missed_contacts.py            # 2,000 starts, 500 pendulums: some minutes
+    python benchmarks/missed_contacts.py            # 2,000 starts, 500 pendulums: half an hour
     python benchmarks/missed_contacts.py --starts 240 --pendulums 40
 
 Starts are random: speeds from 0.005 to 5 m/s, clearances from 1e-6 to 5e-3 m, every normal law, with and without
