@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from spherejax.foundations.checks import SceneError, enforce
 from spherejax.physics.laws import Ambrosio, BengisuAkay, BrownMcPhee, Coulomb, LuGre, Threlfall
@@ -201,3 +202,58 @@ def test_lugre_never_feeds_energy():
     assert law.bristle_damping * VS <= 9 * MU_K
     excessive = LuGre(bristle_damping=100 * 9 * MU_K / VS)
     assert jax.vmap(lambda z, v: dissipation(excessive, z, v))(z, v).min() < 0
+
+
+ALONG = np.array([1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("static_over_kinetic", [1.2, 1.5, 3.0])
+@pytest.mark.parametrize("viscous", [0.0, 3.0])
+def test_lugre_is_refused_where_it_feeds_energy(static_over_kinetic, viscous):
+    """The bound is sharp: at reachable states, found by brute force, the power changes its sign where it says."""
+
+    def law(damping):
+        return LuGre(MU_K, static_over_kinetic * MU_K, VS, bristle_damping=damping, viscous=viscous)
+
+    bound = brentq(lambda damping: float(law(damping).passivity_margin()), 1.0, 1e6)
+    assert bound > 9 * MU_K / VS
+    for share, feeds in ((0.99, False), (1.01, True)):
+        friction = law(share * bound)
+        speed, stretch = np.meshgrid(np.linspace(0.01, 4.0, 400) * VS, np.linspace(0.0, 1.0, 401))
+        z = stretch.ravel() * static_over_kinetic * MU_K / friction.bristle_stiffness
+
+        def power(z, v, friction=friction):
+            rate = friction.bristle_rate(z * ALONG, v * ALONG)
+            stored = friction.bristle_stiffness * z * rate[0]
+            return -friction.bristle_traction(z * ALONG, v * ALONG, 1.0)[0] * v - stored
+
+        lowest = jax.vmap(power)(z, speed.ravel()).min()
+        assert (lowest < -1e-9 * MU_K * VS) == feeds
+    enforce("here", law(0.99 * bound).requirements())
+    with pytest.raises(SceneError, match=r"bristle_damping = .*never feeds energy.*9 mu_kinetic"):
+        enforce("here", law(1.01 * bound).requirements())
+
+
+def test_lugre_without_stribeck_effect_is_passive_whatever_its_damping():
+    assert LuGre(0.1, 0.1, bristle_damping=1e9).passivity_margin() >= 0
+
+
+def test_lugre_is_judged_under_jit():
+    margin = jax.jit(lambda damping: LuGre(bristle_damping=damping).passivity_margin())
+    assert margin(316.0) > 0 > margin(1e5)
+
+
+def test_a_rising_normal_force_feeds_lugre_no_more_than_documented():
+    """Stretch bristles under a small load, press, release: the work of friction by quadrature of the law itself."""
+    law = LuGre(bristle_damping=0.0)
+    small, large, speed = 10.0, 100.0, 1e-7
+    taken, z = 0.0, jnp.zeros(3)
+    step, advance = 2.5e-9 / speed, jax.jit(lambda z, v, h: z + h * law.bristle_rate(z, v))
+    for force, sign in ((small, 1.0), (large, -1.0)):
+        for _ in range(400):
+            v = jnp.array([sign * speed, 0.0, 0.0])
+            taken -= float(law.bristle_traction(z, v, force) @ v) * step
+            z = advance(z, v, step)
+    fed = float(law.bristle_energy(z, large)) - taken
+    allowed = (large - small) * MU_S**2 / (2 * law.bristle_stiffness)
+    assert 0.05 * allowed < fed < allowed

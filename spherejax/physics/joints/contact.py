@@ -88,6 +88,7 @@ class ContactForces(NamedTuple):
         friction: the friction part of `force` [N].
         bristle_rate: time derivative of the bristle deflection [m/s]; empty without bristles.
         sliding_velocity: tangential velocity of the ball's surface against the socket's [m/s].
+        bristle_energy: stored in the bristles of a friction law that has some [J].
     """
 
     normal_force: Scalar
@@ -95,6 +96,7 @@ class ContactForces(NamedTuple):
     friction: Vector3
     bristle_rate: Float[Array, " n"]
     sliding_velocity: Vector3
+    bristle_energy: Scalar
 
 
 def direction_of(e: Vector3) -> Vector3:
@@ -156,19 +158,21 @@ def contact_forces(
     normal_force = share * normal.force(penetration, penetration_rate, onset_rate, stiffness)
     if friction is None:
         zero = jnp.zeros(3)
-        return ContactForces(normal_force, -normal_force * n, zero, jnp.zeros(0), zero)
+        return ContactForces(normal_force, -normal_force * n, zero, jnp.zeros(0), zero, jnp.zeros(()))
     velocity = sliding_velocity(motion, surfaces, n)
+    bristle_energy = jnp.zeros(())
     if n_bristle:
         bristle = memory[1:]
         bristle = bristle - (bristle @ n) * n
         traction = friction.bristle_traction(bristle, velocity, normal_force)
+        bristle_energy = friction.bristle_energy(bristle, normal_force)
         # The bristles are carried by the socket's surface; in flight they rest.
         carried = friction.bristle_rate(bristle, velocity) + jnp.cross(motion.socket_angular_velocity, memory[1:])
         bristle_rate = jnp.where(is_touching, carried, 0.0)
     else:
         traction = friction.traction(velocity, normal_force)
         bristle_rate = jnp.zeros(0)
-    return ContactForces(normal_force, traction - normal_force * n, traction, bristle_rate, velocity)
+    return ContactForces(normal_force, traction - normal_force * n, traction, bristle_rate, velocity, bristle_energy)
 
 
 def contact_moments(motion: RelativeMotion, surfaces: Surfaces, friction: Vector3) -> tuple[Vector3, Vector3]:

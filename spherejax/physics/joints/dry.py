@@ -81,7 +81,8 @@ class Dry(AbstractClearanceModel):
             ball_moment=ball_moment,
             socket_moment=socket_moment,
             memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
-            elastic_energy=self.normal.elastic_energy(penetration, stiffness_of(self.normal, surfaces)),
+            elastic_energy=self.normal.elastic_energy(penetration, stiffness_of(self.normal, surfaces))
+            + contact.bristle_energy,
             parts={
                 "penetration": penetration,
                 "normal_force": contact.normal_force,

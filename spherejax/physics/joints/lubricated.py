@@ -129,7 +129,7 @@ class Lubricated(AbstractClearanceModel):
             ball_moment=ball_moment,
             socket_moment=socket_moment,
             memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
-            elastic_energy=self._elastic_energy(penetration),
+            elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
                 "normal_force": contact.normal_force,
