@@ -18,7 +18,6 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.checks import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.one_of_many import Method, Prepared
@@ -170,10 +169,9 @@ def built(build: Build, parameters: Any) -> Scene:
 def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     prepared = Prepared(partial(built, build), method, ts)
-    with without_host_checks():
-        starts: Any = jax.vmap(prepared.start)(parameters)
-        may_run = starts.may_run & is_wanted
-        outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
+    starts: Any = jax.vmap(prepared.start)(parameters)
+    may_run = starts.may_run & is_wanted
+    outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
     slopes = slopes_of(starts.numbers, outcome.ys) if method.by else None
     if method.by:
         starts = starts._replace(numbers=starts.numbers.value)

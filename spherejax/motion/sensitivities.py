@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
-from spherejax.motion.callbacks import without_host_checks
+from spherejax.motion.diffrax_integration import diffeqsolve
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit_rows import solver_of_rows
 from spherejax.motion.integrate import (
@@ -283,21 +283,20 @@ def integrate_rows(
     correct = correcting_rows(correction_for(plan))
     t1 = jnp.where(began.may_run, ts[-1], ts[0])
     saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
-    with without_host_checks():
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
-            wrapped(solver_of_rows(options.solver, plan.structure, rate), correct, contacts),
-            t0=ts[0],
-            t1=t1,
-            dt0=None,
-            y0=rows0,
-            args=parameters,
-            saveat=diffrax.SaveAt(subs=saved),
-            stepsize_controller=landing_controller(judging_rows(options.controller), contacts, plan, ts),
-            adjoint=options.adjoint,
-            max_steps=options.max_steps,
-            throw=False,
-        )
+    solution = diffeqsolve(
+        diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
+        wrapped(solver_of_rows(options.solver, plan.structure, rate), correct, contacts),
+        t0=ts[0],
+        t1=t1,
+        dt0=None,
+        y0=rows0,
+        args=parameters,
+        saveat=diffrax.SaveAt(subs=saved),
+        stepsize_controller=landing_controller(judging_rows(options.controller), contacts, plan, ts),
+        adjoint=options.adjoint,
+        max_steps=options.max_steps,
+        throw=False,
+    )
     sampled: Any = solution.ys
     times: Any = solution.ts
     reached = times[1][0]
