@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import SceneError
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.assembly import CLOSING_TOLERANCE, UNMET_TOLERANCE, Assembly, described_state, unmet_demands
+from spherejax.motion.assembly import CLOSING_TOLERANCE, UNMET_TOLERANCE, Assembly, described_state
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import assembly_set, velocity_violation
 from spherejax.motion.programs import program_for
@@ -68,10 +68,11 @@ def refuse_fighting_drivers(structure: Structure, theta: Numeric, ts: Float[np.n
     system, t = structure.system(theta), float(ts[0])
     drivers = [name for name, joint in system.joints.items() if joint.is_driven]
     y = np.asarray(start.y)
-    if float(program_for(unmet_demands, structure).compute(theta, t, y)) > UNMET_TOLERANCE:
-        raise SceneError(_contradiction(system, program_for(demands, structure).compute(theta, t, y), drivers, t))
-    if len(drivers) > 1 and len(ts) > 1:
-        _refuse_parting(structure, theta, ts, y, drivers)
+    found = program_for(demands, structure).compute(theta, t, y)
+    _refuse_contradiction(found, y[system.layout.n_position :], drivers, t)
+    pairs = _same_coordinate(system, found, drivers)
+    if pairs and len(ts) > 1:
+        _refuse_parting(structure, theta, ts, y, pairs, found)
 
 
 def fighting_at(structure: Structure, theta: Numeric, t: float) -> tuple[str, ...]:
@@ -123,44 +124,37 @@ def _is_involved(contradiction: dict[str, float], name: str) -> bool:
     return contradiction[name] > INVOLVED * max(contradiction.values())
 
 
-def _contradiction(system: System, found: Demands, drivers: list[str], t: float) -> str:
-    for what, wanted in (("velocities", found.violation), ("accelerations", found.bias)):
+def _refuse_contradiction(found: Demands, velocities: np.ndarray, drivers: list[str], t: float) -> None:
+    """Raise `SceneError` where no velocities, or no accelerations, meet all demands; see `assembly.unmet_demands`."""
+    rates = {name: found.violation[name] - found.rows[name] @ velocities for name in found.rows}
+    asked = {"velocities": rates} | ({"accelerations": found.bias} if len(drivers) > 1 else {})
+    for what, wanted in asked.items():
         contradiction = _along_dependences(found, wanted)
         involved = [name for name in contradiction if _is_involved(contradiction, name)]
         named = [name for name in involved if name in drivers]
         if len(named) > 1:
-            return (
+            raise SceneError(
                 f"drivers {_listed(named)} fight: at t = {t:.6g} s they ask for {what} that one motion cannot have. "
                 f"{REMEDY}"
             )
         if named:
-            joints = [name for name in involved if name not in drivers]
-            return (
-                f"driver {named[0]!r} asks at t = {t:.6g} s for {what} that {_listed(joints)} do not allow in this "
-                "configuration (a dead point, or a motion that is locked). Start elsewhere, at rest, or drive another "
-                "coordinate."
+            held = _listed(name for name in involved if name not in drivers)
+            raise SceneError(
+                f"driver {named[0]!r} asks at t = {t:.6g} s for {what} that {held} do not allow in this configuration "
+                "(a dead point, or a motion that is locked). Start elsewhere, at rest, or drive another coordinate."
             )
-    return (
-        f"what is asked of {_listed(drivers)} at t = {t:.6g} s is no motion that the joints allow. Start in another "
-        "configuration, or drive another coordinate."
-    )
 
 
-def _refuse_parting(structure: Structure, theta, ts, y: np.ndarray, drivers: list[str]) -> None:
+def _refuse_parting(structure: Structure, theta, ts, y: np.ndarray, pairs, first: Demands) -> None:
     """Compare drivers of one and the same coordinate along the run."""
-    system, t, program = structure.system(theta), float(ts[0]), program_for(demands, structure)
-    first = program.compute(theta, t, y)
-    pairs = _same_coordinate(system, first, drivers)
-    if not pairs:
-        return
+    system, program = structure.system(theta), program_for(demands, structure)
     # The state stays: of one coordinate all demands change alike, wherever the mechanism is.
-    for instant in np.linspace(t, float(ts[-1]), N_INSTANTS)[1:]:
+    for instant in np.linspace(float(ts[0]), float(ts[-1]), N_INSTANTS)[1:]:
         later = program.compute(theta, float(instant), y)
         for (one, other), sign in pairs.items():
-            gone = [
-                _difference(system.joints[name], later.residual[name], first.residual[name]) for name in (one, other)
-            ]
-            parted = _difference(system.joints[one], gone[0], sign * gone[1])
+            joint = system.joints[one]
+            gone = [_difference(joint, later.residual[name], first.residual[name]) for name in (one, other)]
+            parted = _difference(joint, gone[0], sign * gone[1])
             if np.abs(parted).max() > UNMET_TOLERANCE * max(np.abs(gone).max(), SMALLEST_WAY):
                 raise SceneError(
                     f"drivers {one!r} and {other!r} fight: they prescribe the same coordinate and part before "

@@ -103,6 +103,6 @@ def _listed(names: list[str], moved: np.ndarray, turned: np.ndarray, shares: np.
     return shown + (f" and {more} more" if more > 0 else "")
 
 
-def _short(size: float) -> str:
-    """Two digits; rounding is nothing."""
-    return f"{size:.2g}" if size > 1e-12 else "0"
+def _short(sizes: np.ndarray, i: int) -> str:
+    """Two digits of one of them; rounding is nothing."""
+    return f"{sizes[i]:.2g}" if sizes[i] > 1e-12 else "0"
