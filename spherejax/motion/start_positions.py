@@ -96,9 +96,7 @@ def gaps_described(system: System, t: Scalar, y) -> dict:
 def _listed(names: list[str], moved: np.ndarray, turned: np.ndarray, shares: np.ndarray) -> str:
     """The bodies that were moved far, the farthest first, and how far each."""
     order = [i for i in np.argsort(-shares, kind="stable") if shares[i] > 1]
-    shown = ", ".join(
-        f"{names[i]!r} by {_short(float(moved[i]))} m and {_short(float(turned[i]))} rad" for i in order[:MOST_NAMED]
-    )
+    shown = ", ".join(f"{names[i]!r} by {_short(moved, i)} m and {_short(turned, i)} rad" for i in order[:MOST_NAMED])
     more = len(order) - MOST_NAMED
     return shown + (f" and {more} more" if more > 0 else "")
 
