@@ -162,7 +162,7 @@ def _refuse_parting(structure: Structure, theta, ts, y: np.ndarray, pairs, first
                 )
 
 
-def _difference(joint: AbstractPlacedJoint, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _difference(joint: AbstractPlacedJoint, a: Any, b: Any) -> np.ndarray:
     """a - b, of angles between -pi and pi."""
     if isinstance(joint, PlacedRotationDriver):
         return (a - b + np.pi) % (2 * np.pi) - np.pi
