@@ -41,7 +41,7 @@ from spherejax.motion.programs import ArrayPathWarning
 from spherejax.motion.redundancy import ConstraintReport, constraint_report
 from spherejax.motion.simulate import simulate
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
-from spherejax.motion.start_velocities import StartWarning
+from spherejax.motion.start import StartWarning
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
 from spherejax.output.drawing import animate, draw, view

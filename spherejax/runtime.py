@@ -76,7 +76,12 @@ def interrupts_kept() -> Iterator[None]:
 
     Python drops an exception that is raised in a callback, and JAX has one for each collection of garbage: while
     programs were traced and compiled, one interrupt in eight was lost there. It is raised again a moment later.
+
+    Only the main thread is interrupted; in others nothing is done, for the hook belongs to the whole process.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     reported_before = sys.unraisablehook
 
     def heard(lost: Any) -> None:

@@ -10,7 +10,7 @@ import spherejax as sj
 from spherejax.model.system import flatten_system
 from spherejax.motion.equilibrium import rest_conditions
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import start_now
+from spherejax.motion.start import start_now
 
 
 def hanging(stiffness, x=0.0, starts_concentric=False, **options):

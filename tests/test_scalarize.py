@@ -20,7 +20,7 @@ from spherejax.motion.contacts import crossings, memory_after_step, onset_slopes
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.observables import observe
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import start_now
+from spherejax.motion.start import start_now
 
 AGREEMENT = 1e-12  # of the largest component
 SCALAR = jax.ShapeDtypeStruct((), jnp.float64)

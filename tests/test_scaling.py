@@ -17,8 +17,8 @@ from spherejax.motion.dynamics import state_rate
 from spherejax.motion.integrate import initial_state
 from spherejax.motion.paths import path_of
 from spherejax.motion.programs import program_for
-from spherejax.motion.simulate import start_now
 from spherejax.motion.solvers.automatic import choose_solver
+from spherejax.motion.start import start_now
 
 AGREEMENT = 1e-12  # of the largest component
 

@@ -4,8 +4,6 @@ URDF says where a joint is in the axes of its parent link; the axes of the child
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import redirect_stderr
-from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -169,10 +167,10 @@ def _elements(path: Path) -> Iterator[tuple[str, str, int, Any]]:
                 node.remove(child)
         name, line = node.get("name"), node.sourceline
         _check_numbers(path, node, f"{node.tag} {name!r}")
-        classes = {"link": urdf.Link, "joint": urdf.Joint}
+        kind = {"link": urdf.Link, "joint": urdf.Joint}[node.tag]
         try:
-            with redirect_stderr(StringIO()):  # it warns of attributes that it does not know
-                made = classes[node.tag].from_xml(node, XmlPath(node.tag, tree=etree.ElementTree(root)))
+            _leave_known(node, kind)
+            made = kind.from_xml(node, XmlPath(node.tag, tree=etree.ElementTree(root)))
         except Exception as error:  # the library's own ParseError, and Python's of numbers
             what = " ".join(str(error).split())
             raise SceneError(f"{path}:{line}: {node.tag} {name!r}: {what}") from error
@@ -187,6 +185,28 @@ def _check_numbers(path: Path, node: Any, place: str) -> None:
                     number_in(word)
             except NumberError as error:
                 raise SceneError(f"{path}:{part.sourceline}: {place}: {part.tag} {key}={text!r}: {error}") from None
+
+
+def _leave_known(node: Any, kind: Any) -> None:
+    """Remove what the library has no place for, which it would tell standard error about.
+
+    Raises:
+        ValueError: for an element that is there twice: the library would read the first and drop the others.
+    """
+    known = kind.XML_REFL
+    for attribute in set(node.attrib) - set(known.attribute_map):
+        del node.attrib[attribute]
+    seen = set()
+    for child in list(node):
+        if child.tag not in known.element_map:
+            node.remove(child)
+            continue
+        if child.tag in seen:
+            raise ValueError(f"has more than one <{child.tag}>; leave the one that counts")
+        seen.add(child.tag)
+        inner = getattr(known.element_map[child.tag].value_type, "type", None)
+        if hasattr(inner, "XML_REFL"):
+            _leave_known(child, inner)
 
 
 def _link(made: Any) -> Link:

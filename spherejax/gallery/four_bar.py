@@ -21,8 +21,10 @@ def four_bar(model: AbstractSphericalModel | None = None, *, drift: AbstractDrif
         The scene; the studied joint is concentric at the start.
 
     Source: Rodrigues da Silva, Marques, Tavares da Silva, Flores (2022), Multibody Syst. Dyn. 56:221-266, Tables 1
-    and 2. Positions and quaternions carry the digits that close the mechanism to 1e-9 m; the printed ones, rounded
-    to 1e-5 m, leave 7e-6 m. Moments of inertia as printed (ten times those of uniform bodies).
+    and 2. The printed positions and quaternions, rounded to 1e-5, leave a gap of 7e-6 m. Those here close the mechanism
+    to the rounding of float64: the rocker's end is where its circle about the y axis, of radius 0.074 m, meets the
+    sphere of radius 0.122 m about the crank's pin. The coupler's idle spin is as printed. Moments of inertia as printed
+    (ten times those of uniform bodies).
     """
     crank = Body(
         mass=0.0196,
@@ -32,15 +34,15 @@ def four_bar(model: AbstractSphericalModel | None = None, *, drift: AbstractDrif
     coupler = Body(
         mass=0.1416,
         inertia=(1.7743e-3, 3.51e-5, 1.7743e-3),
-        position=(-0.037455577189, -0.0425, 0.042623654378),
-        quaternion=(0.91859083, -0.17637622, 0.06746506, -0.34717542),
+        position=(-0.037455577189143066, -0.0425, 0.042623654378286135),
+        quaternion=(0.918590834592782, -0.17637622018554283, 0.06746506014109133, -0.34717542138716556),
         points={"crank_end": (0.0, 0.061, 0.0), "rocker_end": (0.0, -0.061, 0.0)},
     )
     rocker = Body(
         mass=0.0316,
         inertia=(1.456e-4, 2.9e-6, 1.456e-4),
-        position=(-0.057455577189, -0.085, 0.032623654378),
-        quaternion=(0.36339636, -0.60658313, -0.60658313, 0.36339636),
+        position=(-0.05745557718914307, -0.085, 0.032623654378286134),
+        quaternion=(0.363396355078265, -0.6065831263032557, -0.6065831263032557, 0.363396355078265),
         points={"coupler_end": (0.0, -0.037, 0.0), "pivot": (0.0, 0.037, 0.0)},
     )
     return Scene(

@@ -33,13 +33,19 @@ CLOSING_TOLERANCE = 1e-9
 """Largest constraint residual [m or 1] of a start that counts as consistent."""
 
 
+UNMET_TOLERANCE = 1e-5
+"""Velocities and accelerations that drivers ask for and do not get, as a share of the largest that is asked for, from
+which on they count as contradictory; redundant drivers may be written with five digits."""
+
+
 class Assembly(NamedTuple):
     """A consistent start and how it was reached.
 
     Attributes:
         y: flat state without memory and work: positions, then velocities.
         residual_before: largest constraint residual of the start as described [m or 1].
-        residual_after: largest constraint residual of the assembled start.
+        residual_after: largest constraint residual of the assembled start; where drivers contradict each other or the
+            joints, the share of their velocities or accelerations that they do not get.
         displacement: how far each body's center of mass was moved [m], shape (n_bodies,).
         rotation: how far each body was turned [rad], shape (n_bodies,).
         velocity_change: change of each body's velocity [m/s], shape (n_bodies,).
@@ -77,6 +83,9 @@ def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> A
     moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
     moved = project(theta, t, moved)
     before, after = (_largest(residual(theta, t, y)) for y in (described, moved))
+    if structure.system(theta).is_driven:
+        unmet = program_for(unmet_demands, structure)(theta, t, moved)
+        after = jnp.maximum(after, jnp.where(unmet > UNMET_TOLERANCE, unmet, 0.0))
     return _report(described, moved, before, after)
 
 
@@ -197,6 +206,27 @@ def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> F
     constraints = assembly_set(system, t, motions)
     violation = velocity_violation(constraints, motions)
     return pack(without_velocities(state, least_correction(system, motions, constraints, violation)))
+
+
+def unmet_demands(system: System, t: Scalar, y: Float[Array, " n"]) -> Scalar:
+    """What drivers ask for and do not get, as a share of the largest velocity or acceleration that is asked for.
+
+    Equations that depend on others are satisfied with them, or contradict them. Accelerations are looked at where there
+    are several drivers: with one, a configuration in which the mechanism can go on in two ways would be taken for a
+    contradiction.
+    """
+    motions = body_motions(system, unpack(system.layout, y))
+    constraints = assembly_set(system, t, motions)
+    share = _share(velocity_violation(constraints, motions), constraints.rate_at_rest)
+    if sum(joint.is_driven for joint in system.joints.values()) < 2:
+        return share
+    found = least_correction(system, motions, constraints, constraints.bias)
+    return jnp.maximum(share, _share(constraints.times(found) - constraints.bias, constraints.bias))
+
+
+def _share(missing: Float[Array, " n"], demanded: Float[Array, " n"]) -> Scalar:
+    largest = jnp.max(jnp.abs(demanded))
+    return jnp.where(largest > 0, jnp.max(jnp.abs(missing)) / jnp.where(largest > 0, largest, 1.0), 0.0)
 
 
 def _difference(a: Float[Array, "b 4"], b: Float[Array, "b 4"], xp: Any) -> Float[Array, "b 4"]:

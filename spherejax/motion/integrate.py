@@ -17,8 +17,8 @@ from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 from spherejax.motion.audit import Audit, Limits, limits_of, look_of
-from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
+from spherejax.motion.diffrax_integration import diffeqsolve
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
 from spherejax.motion.longest_step import longest_step
@@ -130,23 +130,22 @@ def integrate(
     contacts = contacts_of(plan.structure, plan.scalar)
     correct = correction_for(plan)
     solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
-    with without_host_checks():
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
-            wrapped(solver, correct, contacts, audit_of(plan)),
-            t0=ts[0],
-            t1=t1,
-            dt0=None,
-            y0=y0,
-            args=Parameters(theta, rate.ahead(theta), audit_limits(plan, options, theta)),
-            saveat=diffrax.SaveAt(
-                subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
-            ),
-            stepsize_controller=landing_controller(options, solver, contacts, plan, ts),
-            adjoint=options.adjoint,
-            max_steps=options.max_steps,
-            throw=False,
-        )
+    solution = diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
+        wrapped(solver, correct, contacts, audit_of(plan)),
+        t0=ts[0],
+        t1=t1,
+        dt0=None,
+        y0=y0,
+        args=Parameters(theta, rate.ahead(theta), audit_limits(plan, options, theta)),
+        saveat=diffrax.SaveAt(
+            subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
+        ),
+        stepsize_controller=landing_controller(options, solver, contacts, plan, ts),
+        adjoint=options.adjoint,
+        max_steps=options.max_steps,
+        throw=False,
+    )
     status = status_of(solution.result, values_are_legal, is_closed)
     sampled: Any = solution.ys
     times: Any = solution.ts

@@ -4,6 +4,7 @@
 queue for a block of lanes inside one compiled loop; see `motion.lanes`.
 """
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -15,16 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.forms import whole_number
+from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.callbacks import without_host_checks
 from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.one_of_many import Method, Prepared
 from spherejax.motion.sensitivities import has_controlled_sensitivities
 from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
+from spherejax.motion.start import StartWarning, changed_starts
 from spherejax.motion.trajectory import Trajectory
 from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
@@ -100,6 +102,7 @@ def simulate_many(
     n_runs = count_of_runs(parameters)
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
     method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)
+    warn_of_starts(build, parameters, ts)
     return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
 
 
@@ -137,6 +140,26 @@ def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, blo
     return Method((stiff or choices)[0], rtol, atol, max_steps, track_work, block)
 
 
+def in_words(parameters: dict[str, Any]) -> str:
+    """The parameters of one run."""
+    shown = {name: np.array2string(np.asarray(value), precision=6, threshold=6) for name, value in parameters.items()}
+    return ", ".join(f"{name} = {value}" for name, value in shown.items())
+
+
+def warn_of_starts(build: Build, parameters: Any, ts: Numeric) -> None:
+    """Give a `StartWarning` where runs do not start as their scenes describe; sixteen of them are looked at.
+
+    Parameters that are traced are not looked at.
+    """
+    if not all(is_concrete(leaf) for leaf in jax.tree.leaves((parameters, ts))):
+        return
+
+    change, numbers = changed_starts(partial(built, build), parameters, ts)
+    if change:
+        at = f" (its parameters: {in_words(numbers)})" if isinstance(numbers, dict) else ""
+        warnings.warn(change + at, StartWarning, stacklevel=3)
+
+
 def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> Method:
     """The method with sensitivities by some of the parameters.
 
@@ -172,10 +195,9 @@ def built(build: Build, parameters: Any) -> Scene:
 def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     prepared = Prepared(partial(built, build), method, ts)
-    with without_host_checks():
-        starts: Any = jax.vmap(prepared.start)(parameters)
-        may_run = starts.may_run & is_wanted
-        outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
+    starts: Any = jax.vmap(prepared.start)(parameters)
+    may_run = starts.may_run & is_wanted
+    outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
     slopes = slopes_of(starts.numbers, outcome.ys) if method.by else None
     if method.by:
         starts = starts._replace(numbers=starts.numbers.value)

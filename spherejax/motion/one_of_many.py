@@ -27,8 +27,9 @@ from spherejax.motion.many_sensitivities import problem_of_rows, start_of_rows
 from spherejax.motion.paths import path_of
 from spherejax.motion.programs import program_for
 from spherejax.motion.quantities import magnitudes
-from spherejax.motion.simulate import split, start_now, tolerances_of
+from spherejax.motion.simulate import split, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.start import known_start
 from spherejax.motion.status import Status
 from spherejax.motion.trajectory import Statistics, Trajectory
 
@@ -125,7 +126,9 @@ class Prepared:
         limits = (tolerances.rtol, tolerances.atol)
         own = limits if not all(is_concrete(limit) for limit in limits) else None
         self.shared_tolerances = limits if own is None else None
-        assembly, y0 = beginning(plan, theta, self.ts[0], start_now(system, self.ts))
+        # What it changes has been said before the runs were traced; see `many.warn_of_starts`.
+        start = known_start(system, self.ts)
+        assembly, y0 = beginning(plan, theta, self.ts[0], None if start is None else start.assembly)
         legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
         closed = assembly.residual_after < CLOSING_TOLERANCE
         status = jnp.where(legal, jnp.where(closed, Status.SUCCEEDED, Status.START_NOT_CLOSED), Status.BAD_VALUE)

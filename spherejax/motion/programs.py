@@ -46,7 +46,13 @@ class Program:
     """
 
     def __init__(
-        self, function: SystemFunction, structure: Structure, use_scalars: bool | None, y_size: Sizes, n_ahead: int
+        self,
+        function: SystemFunction,
+        structure: Structure,
+        use_scalars: bool | None,
+        y_size: Sizes,
+        n_ahead: int,
+        is_quiet: bool,
     ):
         self.function = function
         self.structure = structure
@@ -60,6 +66,8 @@ class Program:
         except TooManyOperations:
             self.too_large = True
         except NotScalarizable as reason:
+            if is_quiet:
+                return
             warnings.warn(
                 f"{function.__name__} runs as array code, which may be several times slower than a scalar program: "
                 f"{reason}. Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, "
@@ -109,6 +117,8 @@ def program_for(
     use_scalars: bool | None = None,
     y_size: Sizes = None,
     n_ahead: int = 1,
+    *,
+    is_quiet: bool = False,
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -119,8 +129,11 @@ def program_for(
             up to `LARGEST_SCALAR_PROGRAM` operations.
         y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
         n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
+
+    Other args:
+        is_quiet: say nothing where a law has no scalar program.
     """
-    return Program(function, structure, use_scalars, y_size, n_ahead)
+    return Program(function, structure, use_scalars, y_size, n_ahead, is_quiet)
 
 
 def _scalar_program(

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
-from spherejax.motion.callbacks import without_host_checks
+from spherejax.motion.diffrax_integration import diffeqsolve
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit_rows import solver_of_rows
 from spherejax.motion.integrate import (
@@ -294,21 +294,20 @@ def integrate_rows(
     saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
     solver = solver_of_rows(options.solver, plan.structure, rate)
     judging = replace(options, controller=judging_rows(options.controller))
-    with without_host_checks():
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
-            wrapped(solver, correct, contacts, audit_of(plan).of_rows()),
-            t0=ts[0],
-            t1=t1,
-            dt0=None,
-            y0=rows0,
-            args=RowParameters(*parameters, audit_limits(plan, options, parameters.value.theta)),
-            saveat=diffrax.SaveAt(subs=saved),
-            stepsize_controller=landing_controller(judging, solver, contacts, plan, ts),
-            adjoint=options.adjoint,
-            max_steps=options.max_steps,
-            throw=False,
-        )
+    solution = diffeqsolve(
+        diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
+        wrapped(solver, correct, contacts, audit_of(plan).of_rows()),
+        t0=ts[0],
+        t1=t1,
+        dt0=None,
+        y0=rows0,
+        args=RowParameters(*parameters, audit_limits(plan, options, parameters.value.theta)),
+        saveat=diffrax.SaveAt(subs=saved),
+        stepsize_controller=landing_controller(judging, solver, contacts, plan, ts),
+        adjoint=options.adjoint,
+        max_steps=options.max_steps,
+        throw=False,
+    )
     sampled: Any = solution.ys
     times: Any = solution.ts
     reached = times[1][0]

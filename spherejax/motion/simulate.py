@@ -15,13 +15,12 @@ from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.assembly import Assembly, assemble_now
-from spherejax.motion.integrate import Options, Plan, as_ideal, integrate
+from spherejax.motion.integrate import Options, Plan, integrate
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.start_velocities import warn_of_removed_velocities
+from spherejax.motion.start import start_now
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.times import seconds_of
 from spherejax.motion.tolerances import Tolerances, component_tolerances
@@ -151,21 +150,6 @@ def choice_for(
         return Choice(solver, f"{type(solver).__name__}: as asked for")
     assert system is not None
     return choose_solver(system, rtol, explicit_only=explicit_only)
-
-
-def start_now(system: System, ts: Float[Array, " n"]) -> Assembly | None:
-    """The consistent start, when the geometry is known now; None when it is traced.
-
-    What it takes from the velocities of the scene is said in a `StartWarning`.
-    """
-    structure, theta = flatten_system(as_ideal(system))
-    if not is_concrete(theta) or (system.is_driven and not is_concrete(ts)):
-        return None
-    # What is not driven starts alike at any time.
-    t = float(ts[0]) if system.is_driven else 0.0
-    start = assemble_now(structure, theta, t)
-    warn_of_removed_velocities(system, structure, theta, t, start)
-    return start
 
 
 def split(system: System) -> tuple[Numeric, tuple[int, ...]]:

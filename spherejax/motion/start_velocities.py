@@ -1,6 +1,5 @@
 """Velocities that a start cannot keep: what the joints, or a concentric start, remove of them is said aloud."""
 
-import warnings
 from collections.abc import Iterable
 
 import numpy as np
@@ -24,15 +23,8 @@ MOST_NAMED = 3
 """Joints that a message names, the worst first."""
 
 
-class StartWarning(UserWarning):
-    """A scene's velocities do not agree with its joints, and the motion starts with others; the message says which.
-
-    Velocities that are traced (swept, fitted) are not looked at; `run.assembly.velocity_change` holds their change.
-    """
-
-
-def warn_of_removed_velocities(system: System, structure: Structure, numbers, t: float, start: Assembly) -> None:
-    """Give a `StartWarning` where the start does not have the velocities that the scene describes.
+def removed_velocities(system: System, structure: Structure, numbers, t: float, start: Assembly) -> str:
+    """What to say of a start without the velocities that the scene describes; nothing where it has them.
 
     Bodies that are described at rest may be set in motion, by drivers, without a warning.
 
@@ -49,9 +41,9 @@ def warn_of_removed_velocities(system: System, structure: Structure, numbers, t:
     # Not of the system itself, whose clearances may be traced.
     radius = float(length_scale(structure.system(numbers)))
     if not _largest_speed(taken - given, radius) > NOTICEABLE * _largest_speed(given, radius) > 0:
-        return
+        return ""
     violations = program_for(velocity_violations, structure).compute(numbers, t, np.append(places, given))
-    warnings.warn(_message(system, violations, given, taken, radius), StartWarning, stacklevel=4)
+    return _message(system, violations, given, taken, radius)
 
 
 def velocity_violations(system: System, t: Scalar, y: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:

@@ -6,12 +6,20 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.forms import is_numeric, mapping_of
 from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple
 
 GROUND = "ground"
 """The name of the body that does not move; its axes are the world axes."""
+
+SYMMETRY_TOLERANCE = 1e-6
+"""How far entries of an inertia matrix that mirror each other may differ, as a share of its largest entry: what turning
+it into other axes rounds, and tables of seven digits."""
+
+TRIANGLE_TOLERANCE = 1e-2
+"""How far the largest principal moment may exceed the sum of the other two, as a share of it. A flat body has equality,
+and three printed digits round each of its moments by up to half a percent."""
 
 UNIT_NORM_TOLERANCE = 1e-3
 """How far a given quaternion may be from unit norm: printed tables carry four digits; it is normalized at the start."""
@@ -22,7 +30,8 @@ class Body(eqx.Module):
 
     Attributes:
         mass: mass [kg].
-        inertia: about the center of mass in body axes [kg m^2]; shape (3,) for principal axes, or (3, 3).
+        inertia: about the center of mass in body axes [kg m^2]; shape (3,) for principal axes, or (3, 3), symmetric.
+            Positive, and no principal moment larger than the sum of the other two: no body has such moments.
         position: initial position of the center of mass in world axes [m], shape (3,).
         quaternion: initial unit quaternion, scalar first, body axes to world axes, shape (4,).
         velocity: initial velocity of the center of mass, world axes [m/s], shape (3,).
@@ -77,9 +86,6 @@ class Body(eqx.Module):
         """What the numbers must satisfy."""
         finite = "be finite numbers"
         remedy = "Check the units (SI) and the source of the number."
-        inertia_positive = (
-            self.inertia > 0 if np.ndim(self.inertia) == 1 else concretely(jnp.linalg.eigvalsh, self.inertia) > 0
-        )
         rows = [
             Requirement(
                 "mass",
@@ -89,13 +95,7 @@ class Body(eqx.Module):
                 "A massless rod with spherical ends is the joint Distance, a massless arm on a revolute the joint "
                 "PointOnCurve with a Circle; any other light part gets a small mass, or is a force element.",
             ),
-            Requirement(
-                "inertia",
-                self.inertia,
-                inertia_positive,
-                "be positive (definite) [kg m^2]",
-                "Give three principal moments, or a symmetric 3 x 3 matrix.",
-            ),
+            *_inertia_requirements(self.inertia),
         ]
         for field in ("quaternion", "reference_quaternion"):
             value = getattr(self, field)
@@ -109,6 +109,41 @@ class Body(eqx.Module):
         for name, place in self.points.items():
             rows.append(Requirement(f"points[{name!r}]", place, abs(place) < np.inf, finite, remedy))
         return rows
+
+
+def _inertia_requirements(inertia: Numeric) -> list[Requirement]:
+    """Three moments or a symmetric matrix, positive, that a body can have."""
+    form = "Give three principal moments about the center of mass, or a symmetric 3 x 3 matrix, in body axes [kg m^2]."
+    shape = np.shape(inertia)
+    if shape not in ((3,), (3, 3)):
+        return [Requirement("inertia", inertia, False, f"have the shape (3,) or (3, 3), not {shape}", form)]
+    is_finite = (abs(inertia) < np.inf).all()
+    rows, moments = [Requirement("inertia", inertia, is_finite, "be finite numbers [kg m^2]", form)], inertia
+    # Of a matrix that is not finite, or not symmetric, there are no moments to judge.
+    if is_concrete(is_finite) and not is_finite:
+        return rows
+    if shape == (3, 3):
+        difference, largest = abs(inertia - inertia.T).max(), abs(inertia).max()
+        is_symmetric = difference <= SYMMETRY_TOLERANCE * largest
+        remedy = "Products of inertia stand twice, with a minus sign: Ixy = -sum m x y in rows and columns 1 and 2."
+        rows.append(Requirement("inertia", inertia, is_symmetric, "be symmetric [kg m^2]", remedy))
+        if is_concrete(is_symmetric) and not is_symmetric:
+            return rows
+        moments = concretely(jnp.linalg.eigvalsh, inertia)
+    excess = 2 * moments.max() - moments.sum()
+    return [
+        *rows,
+        Requirement("inertia", inertia, moments > 0, "be positive (definite) [kg m^2]", form),
+        Requirement(
+            "inertia",
+            inertia,
+            excess <= TRIANGLE_TOLERANCE * moments.max(),
+            "obey the triangle rule: no principal moment is larger than the sum of the other two",
+            "No body has such moments: their sum is the integral of twice the squared distance from the center. Check "
+            "that they are taken about the center of mass, and their units; of a body that is thin or moves in a plane "
+            "give the small moments too.",
+        ),
+    ]
 
 
 def _unit_norm(field: str, quaternion: Numeric) -> Requirement:

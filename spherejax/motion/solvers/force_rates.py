@@ -5,7 +5,6 @@ decay and the root of that of -da/dq the fastest vibration. Both are found by po
 cost grows with the size of the system as that of its equations does.
 """
 
-import warnings
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.programs import ArrayPathWarning, program_for
+from spherejax.motion.programs import program_for
 from spherejax.physics.state import VELOCITY_SIZE, unpack
 
 N_PRODUCTS = 12
@@ -72,10 +71,8 @@ def force_rates(system: System, structure: Structure, theta: np.ndarray, constra
 def _rates_at(structure: Structure, numbers: bytes, start: bytes, changes) -> Rates:
     theta, y = np.frombuffer(numbers), np.frombuffer(start)
     n_v = jax.eval_shape(structure.system, jax.ShapeDtypeStruct(theta.shape, jnp.float64)).layout.n_velocity
-    with warnings.catch_warnings():
-        # A law without a scalar program is warned about where the motion is integrated, or the user knows.
-        warnings.simplefilter("ignore", ArrayPathWarning)
-        program = program_for(changes, structure, None, (len(y), n_v))
+    # Quiet: of a law without a scalar program one is warned where the motion is integrated, or the user knows.
+    program = program_for(changes, structure, None, (len(y), n_v), is_quiet=True)
     compiled = jax.jit(program) if program.scalar is None else None
 
     def products(x):

@@ -295,8 +295,8 @@ class LuGre(AbstractFrictionLaw):
 
         sigma_1(v) v <= 4 g(v)    or    sigma_1(v) v <= mu_s^2/(mu_s - g(v))  where 2 g(v) > mu_s,
 
-    at every v: bristles that began undeflected never exceed sigma_0 |z| = mu_s, and the bounds are those of such states,
-    derived here and tested by search. They hold for sigma_1 v_s <= 9 mu_k, for mu_s = mu_k always,
+    at every v: bristles that began undeflected never exceed sigma_0 |z| = mu_s, and the bounds are those of such
+    states, derived here and tested by search. They hold for sigma_1 v_s <= 9 mu_k, for mu_s = mu_k always,
     and with viscous friction for somewhat more. A law beyond it feeds energy into the joint and is refused
     (`passivity_margin`). A normal force that *rises* by F while the bristles are deflected stiffens them, and
     so feeds in at most F mu_s^2/(2 sigma_0), whatever sigma_1: for the defaults 0.11 um times the force, a few percent

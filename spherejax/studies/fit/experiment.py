@@ -24,9 +24,10 @@ from spherejax.motion.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.many import Build, built
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_along
-from spherejax.motion.simulate import choice_for, split, start_now, tolerances_of
+from spherejax.motion.simulate import choice_for, split, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.start import start_now
 from spherejax.motion.status import Status, diagnosis
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.fit.measured import Measured

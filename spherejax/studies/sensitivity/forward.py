@@ -19,9 +19,10 @@ from spherejax.motion.many import built
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import has_controlled_sensitivities, integrate_along
 from spherejax.motion.sensitivity_rows import scales_of
-from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for, split, start_now, tolerances_of
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for, split, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.start import start_now
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 

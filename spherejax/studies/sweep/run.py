@@ -14,7 +14,7 @@ from spherejax.foundations.checks import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import compile_scene
 from spherejax.motion.lanes import Block
-from spherejax.motion.many import Build, method_for, with_sensitivities
+from spherejax.motion.many import Build, method_for, warn_of_starts, with_sensitivities
 from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times
 from spherejax.motion.widths import ON_CPU, block_for
 from spherejax.runtime import require_float64
@@ -107,6 +107,7 @@ def sweep(
     lanes = block or block_for()
     method = method_for(build, dict(grid.values), rtol, atol, solver, max_steps, wanted.needs_work, lanes)
     method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, dict(grid.values))
+    warn_of_starts(build, dict(grid.values), times)
     workers = workers or default_workers()
     size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
     work = Work(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
