@@ -4,7 +4,6 @@
 queue for a block of lanes inside one compiled loop; see `motion.lanes`.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,9 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import SceneError
-from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.callbacks import without_host_checks
+from spherejax.motion.known_builds import Build, built, known_build
 from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.one_of_many import Method, Prepared
@@ -27,9 +26,6 @@ from spherejax.motion.simulate import check_tolerances, checked_times, choice_fo
 from spherejax.motion.trajectory import Trajectory
 from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
-
-Build = Callable[..., Scene]
-"""Makes a scene from the parameters of one run."""
 
 
 class Runs(NamedTuple):
@@ -98,6 +94,8 @@ def simulate_many(
     n_runs = count_of_runs(parameters)
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
     method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)
+    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
+    build = known_build(build, one, track_work, method.by)
     return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
 
 
@@ -156,14 +154,6 @@ def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> 
             f"({method.choice.reason}); pass solver=diffrax.Dopri8() or solver=sj.Ros34PW2()"
         )
     return method._replace(by=by)
-
-
-def built(build: Build, parameters: Any) -> Scene:
-    """The scene of one run."""
-    scene = build(**parameters) if isinstance(parameters, dict) else build(parameters)
-    if not isinstance(scene, Scene):
-        raise SceneError(f"build must return a Scene; it returned {type(scene).__name__}")
-    return scene
 
 
 @eqx.filter_jit

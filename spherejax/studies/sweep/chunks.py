@@ -18,7 +18,9 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.checks import SceneError
-from spherejax.motion.many import Build, Method, many
+from spherejax.motion.known_builds import Build
+from spherejax.motion.many import many
+from spherejax.motion.one_of_many import Method
 from spherejax.studies.sweep.records import Record
 
 
