@@ -52,7 +52,8 @@ def program_fingerprint(function: Callable, *examples: Any) -> Traced:
         function: pure JAX code.
         *examples: arrays or `jax.ShapeDtypeStruct`s, in any pytrees; only shapes and types matter.
     """
-    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
+    # A function of its own each time: JAX would remember an earlier trace, and what a module held then.
+    closed, shapes = jax.make_jaxpr(lambda *given: function(*given), return_shape=True)(*examples)
     words = _Words()
     words.program(closed.jaxpr, closed.consts)
     words.value([(each.shape, str(each.dtype)) for each in jax.tree.leaves(shapes)])
@@ -144,7 +145,7 @@ class _Words:
             self.program(value, ())
         elif isinstance(value, jax.ShapeDtypeStruct):
             self.word("shape", value.shape, value.dtype)
-        elif isinstance(value, np.ndarray | np.generic | jax.Array) and getattr(value, "dtype", None) != object:
+        elif isinstance(value, jax.Array) or (isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject):
             self.array(value)
         elif isinstance(value, enum.Enum):
             self.word(_name_of(type(value)), value.name)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.bounded_jit import bounded_jit, inlined
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import Structure, System, flatten_system
@@ -105,7 +106,7 @@ class Outcome(eqx.Module):
     assembly: Assembly
 
 
-@eqx.filter_jit
+@bounded_jit
 def integrate(
     plan: Plan,
     options: Options,
@@ -127,7 +128,7 @@ def integrate(
     correct = correction_for(plan)
     solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
     with without_host_checks():
-        solution = diffrax.diffeqsolve(
+        solution = inlined(diffrax.diffeqsolve)(
             diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
             wrapped(solver, correct, contacts),
             t0=ts[0],

@@ -41,6 +41,7 @@ class Known:
     itself: Callable | None = None
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """What the function answers."""
         return self.function(*arguments, **named)
 
 

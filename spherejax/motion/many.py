@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError
 from spherejax.model.system import compile_scene
 from spherejax.motion.callbacks import without_host_checks
@@ -156,7 +156,7 @@ def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> 
     return method._replace(by=by)
 
 
-@eqx.filter_jit
+@bounded_jit
 def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     prepared = Prepared(partial(built, build), method, ts)

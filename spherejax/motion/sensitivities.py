@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit, inlined
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.callbacks import without_host_checks
@@ -166,7 +167,7 @@ def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
     return jax.jacfwd(floats)(values)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
     scale = scales_of(values)
@@ -284,7 +285,7 @@ def integrate_rows(
     t1 = jnp.where(began.may_run, ts[-1], ts[0])
     saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
     with without_host_checks():
-        solution = diffrax.diffeqsolve(
+        solution = inlined(diffrax.diffeqsolve)(
             diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
             wrapped(solver_of_rows(options.solver, plan.structure, rate), correct, contacts),
             t0=ts[0],

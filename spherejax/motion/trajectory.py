@@ -10,6 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
@@ -317,7 +318,7 @@ class Trajectory(eqx.Module):
         return values[joint]
 
 
-@eqx.filter_jit
+@bounded_jit
 def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
     program = program_for(observe, structure, use_scalars)

@@ -71,7 +71,11 @@ def work_off(results: Results, crew: Crew, report: Report) -> None:
                     while waiting and len(under_way) < crew.at_once:
                         chunks, waiting = waiting[: crew.together], waiting[crew.together :]
                         attempts.update(chunks)
-                        under_way[_submitted(submit, chunks, results)] = chunks
+                        try:
+                            under_way[submit(chunks)] = chunks
+                        except Exception as error:
+                            _keep_finished(results, under_way)
+                            raise _told(error, results, chunks[0], attempts[chunks[0]]) from error
                     for future in wait(under_way, return_when=FIRST_COMPLETED).done:
                         chunks = under_way.pop(future)
                         error = _error_of(future)
@@ -100,13 +104,6 @@ def _where_it_stands(results: Results) -> str:
         f"sweep: stopped; {results.store.n_stored:,} of {results.grid.n_runs:,} runs are in "
         f"{str(results.store.path)!r}, and the same call goes on from there"
     )
-
-
-def _submitted(submit: Submit, chunks: Sequence[int], results: Results) -> "Future[list[ChunkResult]]":
-    try:
-        return submit(chunks)
-    except Exception as error:
-        raise _told(error, results, chunks[0], 1) from error
 
 
 def _error_of(future: Future) -> BaseException | None:

@@ -49,9 +49,10 @@ def explained(error: BaseException, chunk: int, n_runs: int, n_attempts: int) ->
         )
     if type(error).__name__ == "KilledWorker" or isinstance(error, BrokenExecutor):
         return SweepError(
-            f"the workers that had chunk {chunk} died ({told}), {n_attempts} of them. Most often they exceed a limit of "
-            f"memory: give them more, or hand out fewer runs at a time, e.g. chunk={max(n_runs // 4, 1)} (now {n_runs}; "
-            "a store keeps the chunk that it was begun with). A pool of processes that is broken must be made anew"
+            f"the workers that had chunk {chunk} died ({told}), {n_attempts} of them. Most often they exceed a limit "
+            f"of memory: give them more, or hand out fewer runs at a time, e.g. chunk={max(n_runs // 4, 1)} (now "
+            f"{n_runs}; a store keeps the chunk that it was begun with). A pool of processes that is broken must be "
+            "made anew"
         )
     if _is_disconnected(error):
         return SweepError(

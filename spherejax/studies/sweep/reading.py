@@ -75,7 +75,7 @@ def _coordinates(store: Store, dims: tuple[str, ...], shape: tuple[int, ...]) ->
         if dims == (RUN,):
             coordinates[name] = (RUN, np.asarray(arrays[name]))
         else:
-            # Along its own axis, from the first rows that have all of its values: those of 1e8 runs stay where they are.
+            # Along its own axis, from the first rows that have all of its values: 1e8 runs stay where they are.
             axis = dims.index(name)
             every = math.prod(shape[axis + 1 :])
             coordinates[name] = (name, np.asarray(arrays[name][: shape[axis] * every])[::every])
@@ -122,6 +122,6 @@ def _on_disk() -> Any:
                 rows[cut_off] = self.array.fill_value
             for axis in reversed(range(len(key) - n)):
                 rows = rows[(slice(None),) * (axis + 1) + (key[n + axis],)]
-            return rows.reshape(*runs.shape, *rows.shape[1:])
+            return rows.reshape((*runs.shape, *rows.shape[1:]))
 
     return OnDisk

@@ -91,8 +91,8 @@ def check_memory(n_runs: int, shapes: Mapping[str, Any]) -> None:
         largest = max(shapes, key=lambda name: int(np.prod(shapes[name].shape)))
         raise SceneError(
             f"the results of {n_runs:,} runs take {needed / 1e9:.3g} GB, and this machine has {there / 1e9:.3g} GB of "
-            f"memory. Give a folder, store='sweep.zarr', which takes them as they come, or keep less ({largest!r} is the "
-            "largest)"
+            "memory. Give a folder, store='sweep.zarr', which takes them as they come, or keep less (most is "
+            f"{largest!r})"
         )
 
 

@@ -349,8 +349,8 @@ def _reopened(path: Path, identity) -> Store:
     if "format" not in group.attrs:
         now = {key: value for key, value in now.items() if key not in SINCE_FORMAT_2}
         warnings.warn(
-            f"the store {str(path)!r} was written by an earlier version of spherejax, which compared the builder at one "
-            "run alone and no code of functions: see to it yourself that neither has changed since, or begin a new store",
+            f"the store {str(path)!r} was written by an earlier version of spherejax, which compared the builder at "
+            "one run alone and no code of functions: see to it yourself that neither has changed, or begin a new store",
             StoreWarning,
             stacklevel=5,
         )
