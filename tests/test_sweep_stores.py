@@ -279,7 +279,7 @@ def test_a_full_disk_loses_nothing(whole, tmp_path, monkeypatch):
         write(self, key, value)
 
     monkeypatch.setattr(zarr.Array, "__setitem__", until_full)
-    with pytest.raises(sj.SweepError, match="cannot write chunk 1 .* No space left on device.*Make room") as stop:
+    with pytest.raises(sj.SweepError, match=r"cannot write chunk 1 .* No space left on device.*Make room") as stop:
         swept(store=path)
     assert "2 of 4 runs are in" in stop.value.__notes__[0]
     monkeypatch.undo()

@@ -4,28 +4,48 @@ JAX keeps what it has compiled for as long as the process lives: 15 to 30 MB for
 number of samples, each structure, each builder. A study that varies them grows until it is killed.
 """
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import partial, update_wrapper
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 
-N_PROGRAMS = 24
-"""Programs of one function that are kept: at most about half a gigabyte of a mechanism such as the four-bar."""
+N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
+"""Programs of one function that are kept: of a mechanism such as the four-bar about half a gigabyte.
+
+A study that goes round more lengths of records, or mechanisms, than this compiles them again each time: set the
+environment variable `SPHEREJAX_PROGRAMS` to more before the import, or to less where memory is short."""
 
 
-class _Static(eqx.Module):
-    value: Any = eqx.field(static=True)
+class _Entry:
+    """One program: a `jax.jit` of its own, so that it can be let go alone.
 
+    Only leaves go in and out of it. JAX remembers trees of arguments and results for ever, with all that is static in
+    them.
+    """
 
-class _Entry(NamedTuple):
-    """One program: a `jax.jit` of its own, so that it can be let go alone, and what it has compiled ahead of time."""
+    def __init__(self, function: Callable, rest: Any, tree: Any):
+        self.compiled: Any = None
+        self._results: Any = None
 
-    jitted: Any
-    ahead: dict[str, Any]
+        def run(*leaves: Any) -> Any:
+            positional, named = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
+            arrays, static = eqx.partition(function(*positional, **named), eqx.is_array)
+            found, found_tree = jax.tree.flatten(arrays)
+            self._results = (found_tree, static)
+            return tuple(found)
+
+        run.__name__ = run.__qualname__ = getattr(function, "__name__", "program")
+        self.jitted: Any = jax.jit(run)
+
+    def results(self, leaves: tuple) -> Any:
+        """What the function returned, from the leaves that were computed."""
+        tree, static = self._results
+        return eqx.combine(jax.tree.unflatten(tree, leaves), static)
 
 
 class BoundedJit:
@@ -39,21 +59,19 @@ class BoundedJit:
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Evaluate; what has not been seen is traced and compiled."""
-        entry, arrays = self._entry_for((arguments, named))
-        found, static = entry.jitted(arrays)
-        return eqx.combine(found, static.value)
+        entry, leaves = self._entry_for(arguments, named)
+        return entry.results(entry.jitted(*leaves))
 
     def compiled(self, *arguments: Any) -> Callable:
         """The program for arguments like these, compiled now: threads that share it do not compile it again."""
-        entry, arrays = self._entry_for((arguments, {}))
+        entry, leaves = self._entry_for(arguments, {})
         with self._lock:
-            if "program" not in entry.ahead:
-                entry.ahead["program"] = entry.jitted.lower(arrays).compile()
-        program = entry.ahead["program"]
+            if entry.compiled is None:
+                entry.compiled = entry.jitted.lower(*leaves).compile()
+        program = entry.compiled
 
         def run(*arguments: Any) -> Any:
-            found, static = program(eqx.filter((arguments, {}), eqx.is_array))
-            return eqx.combine(found, static.value)
+            return entry.results(program(*jax.tree.leaves(eqx.filter((arguments, {}), eqx.is_array))))
 
         return run
 
@@ -68,29 +86,20 @@ class BoundedJit:
             while self._entries:
                 self._let_go()
 
-    def _entry_for(self, arguments: tuple) -> tuple[_Entry, Any]:
-        arrays, rest = eqx.partition(arguments, eqx.is_array)
-        leaves, tree = jax.tree.flatten(rest)
-        avals = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in jax.tree.leaves(arrays))
-        key = (tree, tuple(leaves), jax.tree.structure(arrays), avals)
+    def _entry_for(self, arguments: tuple, named: dict) -> tuple[_Entry, list]:
+        arrays, rest = eqx.partition((arguments, named), eqx.is_array)
+        leaves, tree = jax.tree.flatten(arrays)
+        static, static_tree = jax.tree.flatten(rest)
+        kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
+        key = (static_tree, tuple(static), tree, kinds)
         with self._lock:
             entry = self._entries.get(key)
             if entry is None:
-                entry = self._entries[key] = _Entry(self._jitted(rest), {})
+                entry = self._entries[key] = _Entry(self._function, rest, tree)
             self._entries.move_to_end(key)
             while len(self._entries) > self._n_programs:
                 self._let_go()
-        return entry, arrays
-
-    def _jitted(self, rest: Any) -> Any:
-        def run(arrays):
-            positional, named = eqx.combine(arrays, rest)
-            found = self._function(*positional, **named)
-            arrays_found, static = eqx.partition(found, eqx.is_array)
-            return arrays_found, _Static(static)
-
-        run.__name__ = run.__qualname__ = self._function.__name__
-        return jax.jit(run)
+        return entry, leaves
 
     def _let_go(self) -> None:
         _, entry = self._entries.popitem(last=False)
