@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.core
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core as jex
 
@@ -128,7 +129,7 @@ class _Words:
             self.is_bound = True
             self.word("traced", value.aval)
             return
-        if hasattr(value, "dtype") and jax.dtypes.issubdtype(value.dtype, jax.dtypes.extended):
+        if hasattr(value, "dtype") and jnp.issubdtype(value.dtype, jax.dtypes.extended):
             value = jax.random.key_data(value)
         array = np.asarray(value)
         self.word("array", array.dtype, array.shape)
