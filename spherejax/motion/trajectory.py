@@ -20,7 +20,7 @@ from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
 from spherejax.motion.redundancy import ConstraintReport, report_at, singular_joints
 from spherejax.motion.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
-from spherejax.physics.state import State, unpack
+from spherejax.physics.state import Layout, State, unpack
 
 if TYPE_CHECKING:
     import xarray
@@ -128,23 +128,23 @@ class Trajectory(eqx.Module):
     @property
     def state(self) -> State:
         """The state by name, with leading axis of samples."""
-        return unpack(self.system.layout, self.ys)
+        return _unpacked(self.system.layout, self.ys)
 
     def position(self, body: str) -> Float[Array, "n 3"]:
         """Center of mass of a body, world axes [m]."""
-        return self.state.position[..., self._body(body), :]
+        return _of_body(self.state.position, self._body(body))
 
     def quaternion(self, body: str) -> Float[Array, "n 4"]:
         """Orientation of a body, unit quaternion, scalar first."""
-        return self.state.quaternion[..., self._body(body), :]
+        return _of_body(self.state.quaternion, self._body(body))
 
     def velocity(self, body: str) -> Float[Array, "n 3"]:
         """Velocity of a body's center of mass, world axes [m/s]."""
-        return self.state.velocity[..., self._body(body), :]
+        return _of_body(self.state.velocity, self._body(body))
 
     def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
         """Angular velocity of a body, world axes [rad/s]."""
-        return self.state.angular_velocity[..., self._body(body), :]
+        return _of_body(self.state.angular_velocity, self._body(body))
 
     # Observables -------------------------------------------------------------------------------------------------
 
@@ -316,6 +316,17 @@ class Trajectory(eqx.Module):
         if self._joint(joint) not in values:
             raise SceneError(f"joint {joint!r} is not spherical: it has no eccentricity")
         return values[joint]
+
+
+# Compiled, though it is little: by themselves a dozen kernels would be kept for each number of samples, 1.5 MB each.
+@bounded_jit
+def _unpacked(layout: Layout, ys) -> State:
+    return unpack(layout, ys)
+
+
+@bounded_jit
+def _of_body(quantity, body: int):
+    return quantity[..., body, :]
 
 
 @bounded_jit
