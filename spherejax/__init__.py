@@ -153,7 +153,18 @@ from spherejax.studies.fit import (
     fit,
 )
 from spherejax.studies.sensitivity import Sensitivities, sensitivity
-from spherejax.studies.sweep import Grid, Sensitivity, open_sweep, product, random_samples, sobol_samples, sweep, zipped
+from spherejax.studies.sweep import (
+    Grid,
+    Sensitivity,
+    StoreWarning,
+    SweepError,
+    open_sweep,
+    product,
+    random_samples,
+    sobol_samples,
+    sweep,
+    zipped,
+)
 
 if _TYPE_CHECKING:
     from spherejax import plot
@@ -263,7 +274,9 @@ __all__ = [
     "StartWarning",
     "Status",
     "Step",
+    "StoreWarning",
     "Sum",
+    "SweepError",
     "System",
     "Table",
     "Threlfall",

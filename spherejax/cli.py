@@ -53,6 +53,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (sj.SceneError, sj.runtime.PrecisionError) as error:
         print(f"spherejax: {_one_line(error)}", file=sys.stderr)
         return BAD_REQUEST
+    except sj.SweepError as error:
+        print("\n".join([f"spherejax: {_one_line(error)}", *getattr(error, "__notes__", ())]), file=sys.stderr)
+        return FAILED_RUN
     except sj.SimulationError as error:
         print(f"spherejax: the run failed: {_one_line(error)}", file=sys.stderr)
         return FAILED_RUN

@@ -90,7 +90,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
     names, grid = grid_of(options)
     found = chosen(_with_first_values(options, names, grid))
     build = builder(found, options, names)
-    record = options.record or _default_record(found, build(**{n: v[0] for n, v in grid.values.items()}))
+    record = options.record or _default_record(found, build(**grid.row(0)))
     begin = time.perf_counter()
     result = sj.sweep(
         build,
@@ -159,7 +159,7 @@ def _values(text: str, parts: list[str]) -> np.ndarray:
 
 def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid: sj.Grid) -> argparse.Namespace:
     """Options with the first run's values, to check that they mean something together."""
-    first = {key: float(values[0]) for key, values in grid.values.items() if names[key] in USED_BY}
+    first = {key: float(value) for key, value in grid.row(0).items() if names[key] in USED_BY}
     for key in first:
         if getattr(options, key) is not None:
             raise sj.SceneError(f"--{names[key]} is given, and varied as well; leave one out")

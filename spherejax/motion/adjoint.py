@@ -24,12 +24,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.dynamics import state_rate
@@ -125,7 +125,7 @@ def _differentiable(solver: Any) -> diffrax.AbstractSolver:
     return solver if is_explicit or isinstance(solver, AbstractRosenbrock) else Ros34PW2()
 
 
-@eqx.filter_jit
+@bounded_jit
 def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal) -> KeptRun:
     rate = program_for(state_rate, plan.structure, plan.scalar)
     began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
@@ -193,7 +193,7 @@ def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray)
     return _Legs(filled(starts[state]), filled(t_next), filled(state), filled(sample), np.asarray(order.size))
 
 
-@eqx.filter_jit
+@bounded_jit
 def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
     step, event = _step_of(plan, solver, rate), _event_of(plan, rate)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import Structure, System, flatten_system
@@ -109,7 +110,7 @@ class Outcome(eqx.Module):
     assembly: Assembly
 
 
-@eqx.filter_jit
+@bounded_jit
 def integrate(
     plan: Plan,
     options: Options,

@@ -5,22 +5,21 @@ queue for a block of lanes inside one compiled loop; see `motion.lanes`.
 """
 
 import warnings
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Numeric
-from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
+from spherejax.motion.known_builds import Build, built, known_build
 from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.one_of_many import Method, Prepared
@@ -30,9 +29,6 @@ from spherejax.motion.start import StartWarning, changed_starts
 from spherejax.motion.trajectory import Trajectory
 from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
-
-Build = Callable[..., Scene]
-"""Makes a scene from the parameters of one run."""
 
 
 class Runs(NamedTuple):
@@ -103,6 +99,8 @@ def simulate_many(
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
     method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)
     warn_of_starts(build, parameters, ts)
+    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
+    build = known_build(build, one, track_work, method.by)
     return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
 
 
@@ -183,15 +181,7 @@ def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> 
     return method._replace(by=by)
 
 
-def built(build: Build, parameters: Any) -> Scene:
-    """The scene of one run."""
-    scene = build(**parameters) if isinstance(parameters, dict) else build(parameters)
-    if not isinstance(scene, Scene):
-        raise SceneError(f"build must return a Scene; it returned {type(scene).__name__}")
-    return scene
-
-
-@eqx.filter_jit
+@bounded_jit
 def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     prepared = Prepared(partial(built, build), method, ts)

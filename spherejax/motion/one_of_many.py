@@ -20,7 +20,7 @@ from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.audit import limits_of
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
-from spherejax.motion.integrate import Plan, audit_of, beginning, contacts_of, correction_for, stages_of
+from spherejax.motion.integrate import Plan, audit_of, beginning, contacts_of, correction_for, example_of, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.longest_step import longest_step
 from spherejax.motion.many_sensitivities import problem_of_rows, start_of_rows
@@ -99,6 +99,12 @@ class Prepared:
         self.scene_of, self.method, self.ts = scene_of, method, ts
         self.plan: Plan | None = None
         self.shared_tolerances: Any = None
+
+    @property
+    def contact_joints(self) -> tuple[str, ...]:
+        """Names of the joints whose contacts are counted."""
+        assert self.plan is not None
+        return example_of(self.plan.structure).contact_joints
 
     def start(self, parameters) -> Start:
         """The start of one run, with its sensitivities as rows below the state where they are asked for."""

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.diffrax_integration import diffeqsolve
@@ -175,7 +176,7 @@ def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
     return jax.jacfwd(floats)(values)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
     scale = scales_of(values)

@@ -10,6 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
@@ -20,7 +21,7 @@ from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
 from spherejax.motion.redundancy import ConstraintReport, report_at, singular_joints
 from spherejax.motion.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
-from spherejax.physics.state import State, unpack
+from spherejax.physics.state import Layout, State, unpack
 
 if TYPE_CHECKING:
     import xarray
@@ -144,23 +145,23 @@ class Trajectory(eqx.Module):
     @property
     def state(self) -> State:
         """The state by name, with leading axis of samples."""
-        return unpack(self.system.layout, self.ys)
+        return _unpacked(self.system.layout, self.ys)
 
     def position(self, body: str) -> Float[Array, "n 3"]:
         """Center of mass of a body, world axes [m]."""
-        return self.state.position[..., self._body(body), :]
+        return _of_body(self.state.position, self._body(body))
 
     def quaternion(self, body: str) -> Float[Array, "n 4"]:
         """Orientation of a body, unit quaternion, scalar first."""
-        return self.state.quaternion[..., self._body(body), :]
+        return _of_body(self.state.quaternion, self._body(body))
 
     def velocity(self, body: str) -> Float[Array, "n 3"]:
         """Velocity of a body's center of mass, world axes [m/s]."""
-        return self.state.velocity[..., self._body(body), :]
+        return _of_body(self.state.velocity, self._body(body))
 
     def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
         """Angular velocity of a body, world axes [rad/s]."""
-        return self.state.angular_velocity[..., self._body(body), :]
+        return _of_body(self.state.angular_velocity, self._body(body))
 
     # Observables -------------------------------------------------------------------------------------------------
 
@@ -338,7 +339,18 @@ class Trajectory(eqx.Module):
         return values[joint]
 
 
-@eqx.filter_jit
+# Compiled, though it is little: by themselves a dozen kernels would be kept for each number of samples, 1.5 MB each.
+@bounded_jit
+def _unpacked(layout: Layout, ys) -> State:
+    return unpack(layout, ys)
+
+
+@bounded_jit
+def _of_body(quantity, body: int):
+    return quantity[..., body, :]
+
+
+@bounded_jit
 def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
     program = program_for(observe, structure, use_scalars)

@@ -54,7 +54,7 @@ def _smallest(a: np.ndarray, stages: np.ndarray) -> np.ndarray:
     return found
 
 
-@lru_cache
+@lru_cache(maxsize=16)
 def trees_of(size: int) -> list[Tree]:
     """All rooted trees with this many nodes; a tree is the sorted tuple of the trees at its root."""
     return sorted(set(_forests(size - 1, size - 1)))

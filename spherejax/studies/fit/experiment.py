@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
@@ -328,15 +329,15 @@ def _run_of(frame: Frame, setting: Setting, values, ys, assembly) -> Trajectory:
     )
 
 
-_predicted_with_slopes = eqx.filter_jit(_with_slopes)
+_predicted_with_slopes = bounded_jit(_with_slopes)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
     return jax.vmap(lambda each: _with_slopes(frame, setting, each))(numbers)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
     outcome: Outcome = integrate(
         frame.plan, setting.options, numbers.values, setting.known, setting.ts, setting.start, numbers.are_legal
@@ -346,7 +347,7 @@ def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Predic
     return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _cost_and_slopes(frame: Frame, setting: Setting, values, run: KeptRun, data, weights):
     """Half the sum of squares of a run, and its derivatives by the traced numbers and by the sampled states."""
 

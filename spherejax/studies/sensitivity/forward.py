@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system
@@ -166,10 +167,10 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
     return Found(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
 
 
-_integrated = eqx.filter_jit(integrate_along)
+_integrated = bounded_jit(integrate_along)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _observed(prepared: Prepared, wanted: tuple[Wanted, ...], values, directions, ys, slopes):
     """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
 

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.motion.adjoint import gradients, kept_run
 from spherejax.motion.sensitivity_rows import scales_of
 from spherejax.motion.status import Status
@@ -48,7 +48,7 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
     return Found(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
 
 
-@eqx.filter_jit
+@bounded_jit
 def _value_and_slopes(prepared: Prepared, wanted: Wanted, values, ys):
     """The number, and its derivatives by the numbers of the system and by the sampled states."""
 

@@ -18,8 +18,11 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.files.code import modules_in, run_again
+from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import SceneError
-from spherejax.motion.many import Build, Method, many
+from spherejax.motion.known_builds import Build
+from spherejax.motion.many import many
+from spherejax.motion.one_of_many import Method
 from spherejax.studies.sweep.records import Record
 
 
@@ -70,8 +73,7 @@ Rows = dict[str, Float[np.ndarray, " n"]]
 
 def compiled_for(work: Work, rows: Rows) -> Callable:
     """The program of a chunk, compiled: threads that share it do not compile it again."""
-    program: Any = _program
-    return program.lower(work, *filled(work, rows)).compile()
+    return _program.compiled(work, *filled(work, rows))
 
 
 def shapes_of(work: Work, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
@@ -124,7 +126,7 @@ def made(work: Work, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
     return work.record.of(runs), outcome
 
 
-_program = eqx.filter_jit(made)
+_program = bounded_jit(made)
 
 
 # In other processes ------------------------------------------------------------------------------------------------

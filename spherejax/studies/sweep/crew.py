@@ -2,8 +2,8 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
 from queue import SimpleQueue
 from threading import Thread
@@ -14,6 +14,7 @@ import jax
 from spherejax.foundations.checks import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult, compiled_for, packed, run_chunk, run_packed_chunk
 from spherejax.studies.sweep.devices import compiled_for_all, run_side_by_side
+from spherejax.studies.sweep.failures import SweepError, explained
 from spherejax.studies.sweep.progress import Report, Seen
 from spherejax.studies.sweep.results import Results
 
@@ -70,24 +71,29 @@ def work_off(results: Results, crew: Crew, report: Report) -> None:
                     while waiting and len(under_way) < crew.at_once:
                         chunks, waiting = waiting[: crew.together], waiting[crew.together :]
                         attempts.update(chunks)
-                        under_way[submit(chunks)] = chunks
+                        try:
+                            under_way[submit(chunks)] = chunks
+                        except Exception as error:
+                            _keep_finished(results, under_way)
+                            raise _told(error, results, chunks[0], attempts[chunks[0]]) from error
                     for future in wait(under_way, return_when=FIRST_COMPLETED).done:
                         chunks = under_way.pop(future)
-                        error = future.exception()
+                        error = _error_of(future)
                         if error is None:
                             for chunk, result in zip(chunks, future.result(), strict=True):
                                 results.put(chunk, result)
                                 seen = seen.with_chunk(result)
                             report(seen)
-                        elif max(attempts[chunk] for chunk in chunks) < ATTEMPTS and not isinstance(error, SceneError):
+                        elif _may_try_again(error, max(attempts[chunk] for chunk in chunks)):
                             waiting = [*waiting, *chunks]
                         else:
-                            raise error
+                            _keep_finished(results, under_way)
+                            raise _told(error, results, chunks[0], attempts[chunks[0]])
             finally:
                 for future in under_way:
                     future.cancel()
-    except KeyboardInterrupt as interrupt:
-        interrupt.add_note(_where_it_stands(results))
+    except (KeyboardInterrupt, SweepError) as stop:
+        stop.add_note(_where_it_stands(results))
         raise
 
 
@@ -98,6 +104,33 @@ def _where_it_stands(results: Results) -> str:
         f"sweep: stopped; {results.store.n_stored:,} of {results.grid.n_runs:,} runs are in "
         f"{str(results.store.path)!r}, and the same call goes on from there"
     )
+
+
+def _error_of(future: Future) -> BaseException | None:
+    try:
+        return future.exception()
+    except CancelledError as cancelled:
+        return cancelled
+
+
+def _may_try_again(error: BaseException, attempts: int) -> bool:
+    """A worker may have died; a scheduler that has gone takes no more chunks, and waits for ever."""
+    return attempts < ATTEMPTS and not isinstance(error, SceneError | SweepError | CancelledError | BrokenExecutor)
+
+
+def _told(error: BaseException, results: Results, chunk: int, attempts: int) -> BaseException:
+    told = explained(error, chunk, results.work.size, attempts)
+    if told is not error:
+        told.__cause__ = error
+    return told
+
+
+def _keep_finished(results: Results, under_way: Mapping[Future, list[int]]) -> None:
+    """Take what other workers have finished meanwhile."""
+    for future, chunks in under_way.items():
+        if future.done() and _error_of(future) is None:
+            for chunk, result in zip(chunks, future.result(), strict=True):
+                results.put(chunk, result)
 
 
 # The three crews ---------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """The results of a sweep as a labelled data set."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -75,6 +76,7 @@ def dataset_of(
     columns: Mapping[str, Column],
     values: Mapping[str, Any],
     facts: Mapping[str, Any],
+    account: "Account",
 ) -> "xarray.Dataset":
     """Everything that a sweep has kept, with the parameters as coordinates.
 
@@ -84,6 +86,7 @@ def dataset_of(
         columns: what there is.
         values: arrays that begin with the grid's axes; in memory, or read when they are asked for.
         facts: attributes.
+        account: more of them: time, lanes, failures.
     """
     import xarray
 
@@ -92,32 +95,64 @@ def dataset_of(
     by = next((attributes["by"] for own, attributes in columns.values() if PARAMETER in own), "")
     extra = {"axis": list(AXES), "component": list(COMPONENTS), PARAMETER: by.split()}
     dataset = dataset.assign_coords({name: labels for name, labels in extra.items() if name in dataset.dims})
-    return dataset.assign_attrs({**facts, "failures": failures_of(dataset["status"].values)})
+    return dataset.assign_attrs({**facts, **account.attributes})
 
 
-def account_of(n_steps: np.ndarray, seconds: np.ndarray, n_lane_steps: np.ndarray) -> dict[str, Any]:
-    """Time and lanes, for the attributes.
+N_NAMED = 5
+"""Runs that failed in one way and are named by their number."""
 
-    Args:
-        n_steps: of every run.
+
+@dataclass
+class Account:
+    """Time, lanes and failures, added up chunk by chunk.
+
+    Attributes:
+        is_stored: of every chunk.
+        n_runs: of the sweep.
         seconds: of every chunk [s].
         n_lane_steps: of every chunk.
+        n_steps: of all runs together.
+        failed: how many runs failed in each way, and which ones first.
     """
-    total = int(np.sum(n_lane_steps))
-    return {
-        "seconds_of_chunks": np.asarray(seconds, float),
-        "n_lane_steps": total,
-        "lane_efficiency": int(np.sum(np.maximum(n_steps, 0))) / max(total, 1),
-    }
 
+    is_stored: np.ndarray
+    n_runs: int
+    seconds: np.ndarray
+    n_lane_steps: np.ndarray
+    n_steps: int
+    failed: dict[Status, tuple[int, list[int]]]
 
-def failures_of(status: np.ndarray) -> str:
-    """How many runs failed, why, and what to do; empty when none did."""
-    flat = status.ravel()
-    sentences = []
-    for kind in Status:
-        where = np.flatnonzero(flat == kind)
-        if kind != Status.SUCCEEDED and where.size:
-            which = ", ".join(map(str, where[:5])) + (", ..." if where.size > 5 else "")
-            sentences.append(f"{where.size} runs ({which}), {kind.name.lower()}: {REMEDIES[kind]}.")
-    return "\n".join(sentences)
+    @staticmethod
+    def of_nothing(is_stored: np.ndarray, n_runs: int, seconds: np.ndarray, n_lane_steps: np.ndarray) -> "Account":
+        """Before any run has been counted."""
+        return Account(is_stored, n_runs, np.asarray(seconds, float), n_lane_steps, 0, {})
+
+    def add(self, first: int, status: np.ndarray, n_steps: np.ndarray) -> None:
+        """Count runs, of which the first has the number `first`."""
+        self.n_steps += int(np.sum(np.maximum(n_steps, 0)))
+        for kind in np.unique(status[status > Status.SUCCEEDED]):
+            n, which = self.failed.get(Status(kind), (0, []))
+            found = np.flatnonzero(status == kind)
+            named = [*which, *(first + int(run) for run in found[: N_NAMED + 1 - len(which)])]
+            self.failed[Status(kind)] = (n + found.size, named)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the result says of them."""
+        total = int(np.sum(self.n_lane_steps))
+        return {
+            "seconds_of_chunks": self.seconds,
+            "n_lane_steps": total,
+            "lane_efficiency": self.n_steps / max(total, 1),
+            "failures": self.failures,
+        }
+
+    @property
+    def failures(self) -> str:
+        """How many runs failed, why, and what to do; empty when none did."""
+        sentences = []
+        for kind in sorted(self.failed):
+            n, which = self.failed[kind]
+            named = ", ".join(map(str, which[:N_NAMED])) + (", ..." if n > N_NAMED else "")
+            sentences.append(f"{n} runs ({named}), {kind.name.lower()}: {REMEDIES[kind]}.")
+        return "\n".join(sentences)

@@ -1,7 +1,8 @@
 """What is swept: names and values of parameters, by product, side by side, at random, or by Sobol's sequence."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,34 @@ from spherejax.foundations.checks import SceneError
 
 Range = tuple[float, float]
 """Least and largest value."""
+
+
+SLAB = 2**20
+"""Runs whose parameters are in memory at a time, where not all of them need be."""
+
+
+class Combinations(Mapping[str, Float[np.ndarray, " n_runs"]]):
+    """Each parameter's value in each run of a product, made when it is asked for: 1e8 runs take 0.8 GB for each."""
+
+    def __init__(self, axes: Mapping[str, Float[np.ndarray, " n"]]):
+        self.axes = axes
+        self.shape = tuple(len(values) for values in axes.values())
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, " n_runs"]:
+        return self.between(name, 0, math.prod(self.shape))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.axes)
+
+    def __len__(self) -> int:
+        return len(self.axes)
+
+    def between(self, name: str, start: int, stop: int) -> Float[np.ndarray, " n"]:
+        """The values of some runs."""
+        place = list(self.axes).index(name)
+        # The last axis varies fastest.
+        turns = np.arange(start, stop) // math.prod(self.shape[place + 1 :])
+        return self.axes[name][turns % self.shape[place]]
 
 
 @dataclass(frozen=True)
@@ -31,12 +60,17 @@ class Grid:
     @property
     def n_runs(self) -> int:
         """Number of runs."""
-        return len(next(iter(self.values.values())))
+        return math.prod(self.shape)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(self.values)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Lengths of the axes; one axis of runs where it is no product."""
-        return tuple(len(values) for values in self.axes.values()) or (self.n_runs,)
+        return tuple(len(values) for values in self.axes.values()) or (len(next(iter(self.values.values()))),)
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -45,15 +79,31 @@ class Grid:
 
     def rows(self, start: int, stop: int) -> dict[str, Float[np.ndarray, " n"]]:
         """The parameters of some runs."""
-        return {name: values[start:stop] for name, values in self.values.items()}
+        return {name: self.between(name, start, stop) for name in self.names}
+
+    def between(self, name: str, start: int, stop: int) -> Float[np.ndarray, " n"]:
+        """One parameter of some runs."""
+        if isinstance(self.values, Combinations):
+            return self.values.between(name, start, stop)
+        return self.values[name][start:stop]
+
+    def row(self, run: int) -> dict[str, float]:
+        """The parameters of one run."""
+        return {name: values[0] for name, values in self.rows(run, run + 1).items()}
+
+    def slabs(self, name: str) -> Iterator[Float[np.ndarray, " n"]]:
+        """All values of one parameter, some runs at a time."""
+        for start in range(0, self.n_runs, SLAB):
+            yield self.between(name, start, min(start + SLAB, self.n_runs))
 
     @property
     def fingerprint(self) -> str:
         """A digest of names, values and order: two grids with the same one ask for the same runs."""
         digest = hashlib.sha256(repr((self.kind, self.dims, self.shape)).encode())
-        for name, values in self.values.items():
+        for name in self.names:
             digest.update(name.encode())
-            digest.update(np.ascontiguousarray(values, np.float64).tobytes())
+            for values in self.slabs(name):
+                digest.update(np.ascontiguousarray(values, np.float64).tobytes())
         return digest.hexdigest()
 
 
@@ -67,8 +117,7 @@ def product(values: Mapping[str, Any]) -> Grid:
         SceneError: for no parameter, no value, or values that are not finite.
     """
     axes = {name: _numbers(name, given) for name, given in _named(values).items()}
-    combined = np.meshgrid(*axes.values(), indexing="ij")
-    return Grid({name: each.ravel() for name, each in zip(axes, combined, strict=True)}, axes, "product")
+    return Grid(Combinations(axes), axes, "product")
 
 
 def zipped(values: Mapping[str, Any]) -> Grid:

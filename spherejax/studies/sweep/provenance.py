@@ -1,4 +1,4 @@
-"""What makes a sweep the same sweep, and what a reader wants to know about it."""
+"""What a reader wants to know about a sweep: scene, tolerances, method, versions, commit."""
 
 import hashlib
 import re
@@ -10,10 +10,12 @@ import numpy as np
 from spherejax.foundations.checks import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.many import Build, Method, built
+from spherejax.motion.known_builds import Build, built
+from spherejax.motion.one_of_many import Method
 from spherejax.motion.widths import platform_of_runs
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Record
+from spherejax.studies.sweep.store import times_fingerprint
 
 
 def example_of(build: Build, grid: Grid) -> Scene:
@@ -25,13 +27,13 @@ def example_of(build: Build, grid: Grid) -> Scene:
     problem: SceneError | None = None
     for run in sorted({0, grid.n_runs // 2, grid.n_runs - 1}):
         try:
-            scene = built(build, {name: values[run] for name, values in grid.values.items()})
+            scene = built(build, grid.row(run))
             compile_scene(scene)
             return scene
         except SceneError as error:
             problem = problem or error
         except TypeError as error:
-            raise SceneError(f"build cannot be called with the parameters {', '.join(grid.values)}: {error}") from error
+            raise SceneError(f"build cannot be called with the parameters {', '.join(grid.names)}: {error}") from error
     assert problem is not None
     raise problem
 
@@ -49,7 +51,7 @@ def provenance(scene: Scene, grid: Grid, method: Method, ts: np.ndarray, wanted:
         "numbers": _digest(np.asarray(theta).tobytes().hex()),
         "grid_kind": grid.kind,
         "record": wanted.described,
-        "times": _digest(ts.tobytes().hex()),
+        "times": times_fingerprint(ts),
         "rtol": float(method.rtol),
         "atol": "by component" if method.atol is None else float(method.atol),
         "method": method.choice.reason,

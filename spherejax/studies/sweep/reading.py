@@ -1,42 +1,57 @@
 """The store of a sweep as a data set that is read where it is looked at, so that memory holds what is asked for."""
 
+import math
 import os
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spherejax.foundations.checks import SceneError
-from spherejax.studies.sweep.dataset import RUN, Column, account_of, dataset_of
+from spherejax.studies.sweep.dataset import RUN, Account, Column, dataset_of
+from spherejax.studies.sweep.failures import StoreWarning
 from spherejax.studies.sweep.store import Store, opened
 
 if TYPE_CHECKING:
     import xarray
 
 
-def open_sweep(path: str | os.PathLike) -> "xarray.Dataset":
+def open_sweep(path: str | os.PathLike, *, verify: bool = True) -> "xarray.Dataset":
     """The results in the store of a sweep, finished or not.
 
-    Arrays are read when they are looked at; `.load()` brings all of them into memory. Runs that have not been made yet
-    have status -1 and no values (NaN).
+    Arrays are read when they are looked at; `.load()` brings all of them into memory. Runs that had not been made when
+    the store was opened have status -1 and no values (NaN).
 
     Args:
         path: folder that `sj.sweep(store=)` or `spherejax sweep --out` has written.
+
+    Other args:
+        verify: read everything once and compare it with the digests that were written with it: runs, times,
+            parameters, units. That reads some hundred megabytes a second. Without it a `StoreWarning` says that nothing
+            was compared.
 
     Returns:
         What `sj.sweep` returns.
 
     Raises:
-        SceneError: where there is no such store.
+        SceneError: where there is no such store; for one in which something is missing or not what was written.
     """
     path = Path(path).expanduser()
     if not path.exists():
         raise SceneError(f"there is no store {str(path)!r}")
-    return dataset_in(Store(path, opened(path, "r")))
+    store = Store(path, opened(path, "r"))
+    if not verify:
+        warnings.warn(
+            f"the store {str(path)!r} is read as it is: verify=False compares nothing with what was written",
+            StoreWarning,
+            stacklevel=2,
+        )
+    return dataset_in(store, store.read_through(verify=verify))
 
 
-def dataset_in(store: Store) -> "xarray.Dataset":
-    """What a store holds."""
+def dataset_in(store: Store, account: Account) -> "xarray.Dataset":
+    """What a store holds, where `account` says that it is stored."""
     from xarray.core import indexing
 
     attrs, arrays = store.group.attrs, store.arrays
@@ -44,22 +59,26 @@ def dataset_in(store: Store) -> "xarray.Dataset":
     columns = {name: Column(_own_dims(arrays[name]), dict(arrays[name].attrs)) for name in store.names}
     on_disk: Any = _on_disk()
     lazy: Any = indexing
-    values = {name: lazy.CopyOnWriteArray(lazy.LazilyIndexedArray(on_disk(arrays[name], shape))) for name in columns}
-    account = account_of(*(store.of_all(name) for name in ("n_steps", "seconds", "n_lane_steps")))
-    return dataset_of(dims, _coordinates(store, dims, shape), columns, values, {**attrs["facts"], **account})
+
+    def lazily(name: str) -> Any:
+        array = on_disk(arrays[name], shape, account.is_stored, store.chunk_size)
+        return lazy.CopyOnWriteArray(lazy.LazilyIndexedArray(array))
+
+    values = {name: lazily(name) for name in columns}
+    return dataset_of(dims, _coordinates(store, dims, shape), columns, values, attrs["facts"], account)
 
 
 def _coordinates(store: Store, dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, tuple]:
     arrays = store.arrays
     coordinates: dict[str, tuple] = {"time": ("time", np.asarray(arrays["time"]), dict(arrays["time"].attrs))}
     for name in store.group.attrs["parameters"]:
-        values = np.asarray(arrays[name])
         if dims == (RUN,):
-            coordinates[name] = (RUN, values)
+            coordinates[name] = (RUN, np.asarray(arrays[name]))
         else:
+            # Along its own axis, from the first rows that have all of its values: 1e8 runs stay where they are.
             axis = dims.index(name)
-            along = values.reshape(shape)[(0,) * axis + (slice(None),) + (0,) * (len(dims) - axis - 1)]
-            coordinates[name] = (name, along)
+            every = math.prod(shape[axis + 1 :])
+            coordinates[name] = (name, np.asarray(arrays[name][: shape[axis] * every])[::every])
     return coordinates
 
 
@@ -75,8 +94,9 @@ def _on_disk() -> Any:
     class OnDisk(BackendArray):
         """An array of a store, its first axis, the runs, seen with the axes of the grid."""
 
-        def __init__(self, array: Any, grid_shape: tuple[int, ...]):
+        def __init__(self, array: Any, grid_shape: tuple[int, ...], is_stored: np.ndarray, chunk_size: int):
             self.array, self.grid_shape = array, grid_shape
+            self.is_stored, self.chunk_size = is_stored, chunk_size
             self.shape, self.dtype = (*grid_shape, *array.shape[1:]), array.dtype
 
         def __getitem__(self, key):
@@ -95,8 +115,13 @@ def _on_disk() -> Any:
                 rows = self.array[int(wanted[0]) : int(wanted[-1]) + 1]
             else:
                 rows = self.array.oindex[(wanted, *(slice(None),) * (self.array.ndim - 1))]
+            cut_off = ~self.is_stored[wanted // self.chunk_size]
+            if np.any(cut_off):
+                # What a chunk has that was not written to its end is no result.
+                rows = np.array(rows)
+                rows[cut_off] = self.array.fill_value
             for axis in reversed(range(len(key) - n)):
                 rows = rows[(slice(None),) * (axis + 1) + (key[n + axis],)]
-            return rows.reshape(*runs.shape, *rows.shape[1:])
+            return rows.reshape((*runs.shape, *rows.shape[1:]))
 
     return OnDisk

@@ -21,6 +21,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import SceneError
 from spherejax.model.system import System
+from spherejax.motion.known_builds import Known
 from spherejax.motion.many import Runs
 from spherejax.motion.many_sensitivities import RunSlopes
 from spherejax.motion.quantities import Quantity, quantity
@@ -78,6 +79,12 @@ class Kept:
     function: Callable | None = None
     inner: "Kept | None" = None
     by: tuple[str, ...] = ()
+
+    @property
+    def known_function(self) -> Known | None:
+        """The function, its own or that of its derivatives, when it has been traced."""
+        function = (self.inner or self).function
+        return function if isinstance(function, Known) else None
 
     @property
     def dims(self) -> tuple[str, ...] | None:

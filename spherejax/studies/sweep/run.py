@@ -13,19 +13,22 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import compile_scene
+from spherejax.motion.known_builds import Build, known_build
 from spherejax.motion.lanes import Block
-from spherejax.motion.many import Build, method_for, warn_of_starts, with_sensitivities
+from spherejax.motion.many import method_for, warn_of_starts, with_sensitivities
 from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times
 from spherejax.motion.widths import ON_CPU, block_for
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import Work
 from spherejax.studies.sweep.crew import crew_for, default_workers, work_off
 from spherejax.studies.sweep.grids import Grid, as_grid
+from spherejax.studies.sweep.identity import identity_of, with_known_functions
+from spherejax.studies.sweep.lock import held
 from spherejax.studies.sweep.progress import Report, reporting
 from spherejax.studies.sweep.provenance import example_of, provenance
 from spherejax.studies.sweep.records import TAKEN, Record, Wanted, record_of
 from spherejax.studies.sweep.results import Results
-from spherejax.studies.sweep.store import stored_chunk_size
+from spherejax.studies.sweep.store import check_path, stored_chunk_size
 
 if TYPE_CHECKING:
     import xarray
@@ -87,7 +90,10 @@ def sweep(
         `n_steps` and `n_rejected`; the attributes tell lane efficiency, seconds, failures, methods and versions.
 
     Raises:
-        SceneError: for a request that cannot be simulated, before anything is computed.
+        SceneError: for a request that cannot be simulated, before anything is computed: among them a store that another
+            process is writing, the store of another sweep, and one that is not what was written.
+        SweepError: for a disk that is full, workers that die, an executor that stops, memory that does not suffice.
+            What a store has got it keeps; the same call goes on from there.
     """
     require_float64()
     grid = as_grid(grid)
@@ -99,22 +105,29 @@ def sweep(
     if workers is not None:
         workers = whole_number("workers", workers, "Leave it out for all cores.")
     path = None if store is None else Path(store).expanduser()
-    stored = None if path is None else stored_chunk_size(path)
-    example = example_of(build, grid)
-    system = compile_scene(example, track_work=True).system
-    wanted = record_of(record, system, tuple(grid.values))
-    _check_names(grid, wanted)
-    lanes = block or block_for()
-    method = method_for(build, dict(grid.values), rtol, atol, solver, max_steps, wanted.needs_work, lanes)
-    method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, dict(grid.values))
-    warn_of_starts(build, dict(grid.values), times)
-    workers = workers or default_workers()
-    size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
-    work = Work(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
-    results = Results(grid, work, path, provenance(example, grid, method, times, wanted))
-    with reporting(progress, grid.n_runs) as report:
-        work_off(results, crew_for(results, workers, executor), report)
-    return results.dataset()
+    if path is not None:
+        check_path(path)
+    with held(path):
+        stored = None if path is None else stored_chunk_size(path)
+        example = example_of(build, grid)
+        system = compile_scene(example, track_work=True).system
+        wanted = record_of(record, system, grid.names)
+        _check_names(grid, wanted)
+        lanes = block or block_for()
+        some = _some_runs(grid)
+        warn_of_starts(build, _some_runs(grid, 16), times)
+        method = method_for(build, some, rtol, atol, solver, max_steps, wanted.needs_work, lanes)
+        method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, some)
+        build = known_build(build, grid.row(0), method.track_work, method.by)
+        wanted = with_known_functions(wanted, build, method, grid, times)
+        workers = workers or default_workers()
+        size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
+        work = Work(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
+        facts = provenance(example, grid, method, times, wanted)
+        results = Results(grid, work, path, facts, identity_of(build, grid, wanted))
+        with reporting(progress, grid.n_runs) as report:
+            work_off(results, crew_for(results, workers, executor), report)
+        return results.dataset()
 
 
 def _chunk_size(n_runs: int, workers: int, block: Block, n_samples: int) -> int:
@@ -132,8 +145,14 @@ def _chunk_size(n_runs: int, workers: int, block: Block, n_samples: int) -> int:
     return -(-n_runs // (workers * rounds))
 
 
+def _some_runs(grid: Grid, n: int = 4) -> dict[str, Float[np.ndarray, " n"]]:
+    """Runs that stand for all: the first, the last, and some in between."""
+    rows = [grid.row(run) for run in sorted({(grid.n_runs - 1) * k // (n - 1) for k in range(n)})]
+    return {name: np.array([row[name] for row in rows]) for name in grid.names}
+
+
 def _check_names(grid: Grid, wanted: Record) -> None:
     taken = {*TAKEN, "axis", "component", "parameter", "chunk", *(kept.name for kept in wanted.kept)}
-    name = next((name for name in grid.values if name in taken), None)
+    name = next((name for name in grid.names if name in taken), None)
     if name is not None:
         raise SceneError(f"a parameter is called {name!r}, as something in the result is; choose another name")

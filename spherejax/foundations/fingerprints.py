@@ -1,0 +1,291 @@
+"""Fingerprints of what code computes: of traced programs, and of Python values that cannot be traced.
+
+A traced program is told by its operations and constants, not by how it was written: renaming, comments and moving code
+about leave its fingerprint as it is, and a changed number anywhere, in helpers too, does not. Python functions that are
+not traced (a force in a scene, a callback on the host) are told by their bytecode, defaults, closures, and what
+they use of their modules. Addresses and the order of sets are left out, so that another process finds the same.
+"""
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import re
+import site
+import sys
+import sysconfig
+import types
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core as jex
+
+NOT_COMPUTED = frozenset({
+    "name", "debug_info", "ctx_mesh",
+    "jvp_jaxpr_fun", "fwd_jaxpr_thunk", "fwd", "bwd", "out_trees", "call", "jvp", "transpose_rule",
+})  # fmt: skip
+"""Parameters of operations that say nothing about the value: names, and rules of derivatives, which are functions that
+JAX makes anew in each trace. Where derivatives are wanted, trace them."""
+
+
+class Traced(NamedTuple):
+    """What a function computes.
+
+    Attributes:
+        fingerprint: the same for functions that compute the same.
+        is_bound: whether equal code may stand for different objects: it calls Python when it runs
+            (`jax.pure_callback`), or closes over a traced value.
+    """
+
+    fingerprint: str
+    is_bound: bool
+
+
+def program_fingerprint(function: Callable, *examples: Any) -> Traced:
+    """What a function computes from arrays.
+
+    Args:
+        function: pure JAX code.
+        *examples: arrays or `jax.ShapeDtypeStruct`s, in any pytrees; only shapes and types matter.
+    """
+    # A function of its own each time: JAX would remember an earlier trace, and what a module held then.
+    closed, shapes = jax.make_jaxpr(lambda *given: function(*given), return_shape=True)(*examples)
+    words = _Words()
+    words.program(closed.jaxpr, closed.consts)
+    words.value([(each.shape, str(each.dtype)) for each in jax.tree.leaves(shapes)])
+    return Traced(words.fingerprint, words.is_bound)
+
+
+def value_fingerprint(value: Any) -> str:
+    """What a Python value is: numbers, containers, objects by their fields, functions and classes by their code."""
+    words = _Words()
+    words.value(value)
+    return words.fingerprint
+
+
+def combined(*fingerprints: str) -> str:
+    """One fingerprint of several."""
+    return _digest("\0".join(fingerprints).encode())
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+class _Words:
+    """Words that are hashed one after the other."""
+
+    def __init__(self):
+        self._hash = hashlib.sha256()
+        self.is_bound = False
+        self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
+
+    @property
+    def fingerprint(self) -> str:
+        return self._hash.hexdigest()[:32]
+
+    def word(self, *words: object) -> None:
+        for each in words:
+            text = str(each).encode()
+            self._hash.update(len(text).to_bytes(8, "big") + text)
+
+    # Programs -------------------------------------------------------------------------------------------------------
+
+    def program(self, jaxpr: Any, constants: Any) -> None:
+        number: dict[Any, int] = {}
+
+        def read(atom: Any) -> None:
+            if isinstance(atom, jex.Literal):
+                self.word("literal", atom.aval)
+                self.array(atom.val)
+            else:
+                self.word(number[atom])
+
+        for variable in (*jaxpr.constvars, *jaxpr.invars):
+            self.word(number.setdefault(variable, len(number)), variable.aval)
+        for constant in constants:
+            self.array(constant)
+        for equation in jaxpr.eqns:
+            self.word("equation", equation.primitive.name)
+            self.is_bound |= "callback" in equation.primitive.name
+            for atom in equation.invars:
+                read(atom)
+            for key in sorted(set(equation.params) - NOT_COMPUTED):
+                self.word(key)
+                self.value(equation.params[key])
+            for variable in equation.outvars:
+                self.word(number.setdefault(variable, len(number)), variable.aval)
+        for atom in jaxpr.outvars:
+            read(atom)
+
+    def array(self, value: Any) -> None:
+        if isinstance(value, jax.core.Tracer):
+            # A constant of a trace around this one: what it holds is not known, what it is, is.
+            self.is_bound = True
+            self.word("traced", value.aval)
+            return
+        if hasattr(value, "dtype") and jnp.issubdtype(value.dtype, jax.dtypes.extended):
+            value = jax.random.key_data(value)
+        array = np.asarray(value)
+        self.word("array", array.dtype, array.shape)
+        self._hash.update(np.ascontiguousarray(array).tobytes())
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    def value(self, value: Any) -> None:
+        if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.dtype):
+            self.word(type(value).__name__, repr(value))
+        elif isinstance(value, jex.ClosedJaxpr):
+            self.program(value.jaxpr, value.consts)
+        elif isinstance(value, jex.Jaxpr):
+            self.program(value, ())
+        elif isinstance(value, jax.ShapeDtypeStruct):
+            self.word("shape", value.shape, value.dtype)
+        elif isinstance(value, jax.Array) or (isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject):
+            self.array(value)
+        elif isinstance(value, enum.Enum):
+            self.word(_name_of(type(value)), value.name)
+        elif isinstance(value, types.ModuleType):
+            self.word("module", value.__name__)
+        elif id(value) in self._met:
+            self.word("met", self._met[id(value)][0])
+        else:
+            self._met[id(value)] = (len(self._met), value)
+            self._composed(value)
+
+    def _composed(self, value: Any) -> None:
+        if isinstance(value, Mapping):
+            self.word(type(value).__name__, len(value))
+            for key in sorted(value, key=repr):
+                self.value(key)
+                self.value(value[key])
+        elif isinstance(value, set | frozenset):
+            self.word(type(value).__name__, *sorted(value_fingerprint(each) for each in value))
+        elif isinstance(value, tuple | list | np.ndarray):
+            self.word(type(value).__name__, len(value))
+            for each in value:
+                self.value(each)
+        elif isinstance(value, functools.partial):
+            self.value(("partial", value.func, value.args, value.keywords))
+        elif isinstance(value, types.MethodType):
+            self.value(("method", value.__func__, value.__self__))
+        elif isinstance(value, type):
+            self._class(value)
+        elif isinstance(value, types.FunctionType):
+            self._function(value)
+        elif isinstance(value, property | staticmethod | classmethod | functools.cached_property):
+            self.value([getattr(value, name, None) for name in ("fget", "__func__", "func")])
+        elif isinstance(value, jax.tree_util.PyTreeDef) or (_is_of_jax(value) and not dataclasses.is_dataclass(value)):
+            self.word(_without_addresses(repr(value)))
+        else:
+            self._object(value)
+
+    def _object(self, value: Any) -> None:
+        wrapped = getattr(value, "__wrapped__", None)
+        if callable(wrapped):  # jax.jit, functools.lru_cache and their like
+            self.value(("wrapped", type(value).__name__, wrapped))
+            return
+        self.value(type(value))
+        if dataclasses.is_dataclass(value):
+            fields = {field.name: getattr(value, field.name, None) for field in dataclasses.fields(value)}
+        else:
+            slots = [name for kind in type(value).__mro__ for name in _as_list(getattr(kind, "__slots__", ()))]
+            fields = {**{name: getattr(value, name, None) for name in slots}, **getattr(value, "__dict__", {})}
+        if fields:
+            self.value(fields)
+        else:
+            self.word(_without_addresses(repr(value)))
+
+    def _class(self, kind: type) -> None:
+        self.word("class", _name_of(kind))
+        if _is_installed(kind.__module__, None):
+            return
+        self.value([base for base in kind.__bases__ if base is not object])
+        own = {name: each for name, each in vars(kind).items() if not name.startswith("__") or name == "__call__"}
+        self.value({name: each for name, each in own.items() if not name.startswith("_abc")})
+
+    def _function(self, function: types.FunctionType) -> None:
+        if _is_installed(function.__module__, function.__code__.co_filename):
+            self.word("function", _name_of(function))
+            return
+        self._code(function.__code__, function.__doc__)
+        self.value([function.__defaults__, function.__kwdefaults__])
+        for cell in function.__closure__ or ():
+            try:
+                self.value(cell.cell_contents)
+            except ValueError:  # a cell that has not been filled yet
+                self.word("empty")
+        for name, used in _used_globals(function):
+            self.word(name)
+            self.value(used)
+
+    def _code(self, code: types.CodeType, doc: str | None) -> None:
+        """Operations, constants and names of what is looked up; not the names of variables, lines, or the docstring."""
+        self.word("code", code.co_code.hex(), code.co_argcount, code.co_kwonlyargcount, code.co_flags, code.co_names)
+        for constant in code.co_consts:
+            if isinstance(constant, types.CodeType):
+                self._code(constant, None)
+            elif constant != doc or doc is None:
+                self.value(constant)
+
+
+def _used_globals(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """What a function and those within it look up in their module, and in modules of the user's named there."""
+    names = _names_in(function.__code__)
+    for name in names:
+        if name not in function.__globals__:
+            continue
+        used = function.__globals__[name]
+        yield name, used
+        if isinstance(used, types.ModuleType) and not _is_installed(used.__name__, getattr(used, "__file__", None)):
+            yield from ((f"{name}.{inner}", getattr(used, inner)) for inner in names if hasattr(used, inner))
+
+
+def _names_in(code: types.CodeType) -> list[str]:
+    names = dict.fromkeys(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            names.update(dict.fromkeys(_names_in(constant)))
+    return list(names)
+
+
+def _is_of_jax(value: Any) -> bool:
+    return type(value).__module__.split(".")[0] in ("jax", "jaxlib") and not callable(
+        getattr(value, "__wrapped__", None)
+    )
+
+
+_OWN = __name__.split(".")[0]
+
+
+@functools.lru_cache(maxsize=1)
+def _installed_folders() -> tuple[str, ...]:
+    paths = sysconfig.get_paths()
+    folders = [paths[key] for key in ("stdlib", "platstdlib", "purelib", "platlib")]
+    return tuple(str(Path(each)) for each in (*folders, site.getusersitepackages()))
+
+
+def _is_installed(module: str | None, file: str | None) -> bool:
+    """Whether code belongs to Python, an installed package or this one: their versions tell them."""
+    top = (module or "").split(".")[0]
+    if top == _OWN or top in sys.builtin_module_names or top in sys.stdlib_module_names:
+        return top != "__main__"
+    file = file or getattr(sys.modules.get(module or ""), "__file__", None)
+    return file is not None and (file.startswith(("<frozen", *_installed_folders())))
+
+
+def _name_of(value: Any) -> str:
+    return f"{value.__module__}.{value.__qualname__}"
+
+
+def _as_list(slots: Any) -> list[str]:
+    return [slots] if isinstance(slots, str) else list(slots)
+
+
+def _without_addresses(text: str) -> str:
+    return re.sub(r" at 0x[0-9a-f]+|id=\d+", "", text)

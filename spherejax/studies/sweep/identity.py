@@ -1,0 +1,76 @@
+"""What makes a sweep the same sweep: what it computes, from the traced programs of its builder and its functions.
+
+Two builders may agree at one run and differ at the others; so what is compared is the program for all runs. Renaming,
+comments and moving code about leave it as it is: a store is gone on with as long as the numbers are the same.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
+from spherejax.motion.audit import CHECKS
+from spherejax.motion.known_builds import Known, built, known, numbers_fingerprint
+from spherejax.motion.lanes import LaneOutcome
+from spherejax.motion.one_of_many import Method, Prepared
+from spherejax.motion.trajectory import Trajectory
+from spherejax.studies.sweep.grids import Grid
+from spherejax.studies.sweep.records import Kept, Record
+
+N_POINTS = 8
+"""Runs at which the numbers of the scene are compared as well: the first, the middle, the last, and others by chance.
+
+What a builder asks Python or a file for (`jax.pure_callback`) shows in numbers alone."""
+
+
+def points_of(grid: Grid) -> list[int]:
+    """The runs at which numbers are compared: the same in every call with this grid."""
+    n = grid.n_runs
+    by_chance = np.random.default_rng(n).integers(n, size=N_POINTS - 3)
+    return sorted({0, n // 2, n - 1, *(int(run) for run in by_chance)})
+
+
+def identity_of(build: Known, grid: Grid, wanted: Record) -> dict[str, Any]:
+    """Fingerprints of the program of the builder, of numbers of its scenes, and of the functions that are recorded."""
+    return {
+        "program": build.fingerprint,
+        "points": combined(*(numbers_fingerprint(build.function, grid.row(run)) for run in points_of(grid))),
+        "functions": {kept.name: kept.known_function.fingerprint for kept in wanted.kept if kept.known_function},
+    }
+
+
+def with_known_functions(wanted: Record, build: Known, method: Method, grid: Grid, ts: np.ndarray) -> Record:
+    """The record, its functions told by what they compute: two calls with equal lambdas share one program."""
+    if not any((kept.inner or kept).function for kept in wanted.kept):
+        return wanted
+    one = {name: jax.ShapeDtypeStruct((), jnp.float64) for name in grid.names}
+    run = jax.eval_shape(partial(_run_of, build, method, jnp.asarray(ts)), one)
+    return Record(tuple(_known(kept, run, False) for kept in wanted.kept))
+
+
+def _known(kept: Kept, run: Trajectory, has_slopes: bool) -> Kept:
+    if kept.inner is not None:
+        return replace(kept, inner=_known(kept.inner, run, True))
+    if kept.function is None:
+        return kept
+    traced = program_fingerprint(kept.function, run)
+    if has_slopes:
+        # Rules of derivatives are no part of the program; they are in the code.
+        traced = Traced(combined(traced.fingerprint, value_fingerprint(kept.function)), traced.is_bound)
+    return replace(kept, function=known(kept.function, traced))
+
+
+def _run_of(build: Known, method: Method, ts, parameters) -> Trajectory:
+    """What a function is given, with zeros where the integration would be: only shapes matter."""
+    prepared = Prepared(partial(built, build), method, ts)
+    start = prepared.start_of_state(parameters)
+    zero, n_contacts = jnp.zeros((), jnp.int64), len(prepared.contact_joints)
+    ys = jnp.zeros((len(ts), len(start.y0)))
+    none = jnp.zeros(n_contacts, jnp.int64)
+    touching, peaks, audit = jnp.zeros(n_contacts), jnp.zeros(0), jnp.zeros(len(CHECKS))
+    outcome = LaneOutcome(ys, ts[0], zero, zero, zero, none, touching, peaks, start.y0, audit, zero)
+    return prepared.trajectory(start, outcome)
