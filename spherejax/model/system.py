@@ -255,3 +255,9 @@ def flatten_system(system: System):
     if all(is_concrete(leaf) for leaf in leaves):
         return structure, np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in leaves])
     return structure, jnp.concatenate([jnp.ravel(jnp.asarray(leaf, jnp.float64)) for leaf in leaves])
+
+
+def example_of(structure: Structure) -> System:
+    """A system of the structure, with shapes for numbers."""
+    n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
+    return jax.eval_shape(structure.system, jax.ShapeDtypeStruct((n_numbers,), jnp.float64))

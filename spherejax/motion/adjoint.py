@@ -31,6 +31,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
+from spherejax.model.system import example_of
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit_rows import solver_with_fixed_matrix
@@ -40,7 +41,6 @@ from spherejax.motion.integrate import (
     Plan,
     contacts_of,
     correction_for,
-    example_of,
     parameters_from,
 )
 from spherejax.motion.programs import Program, program_for

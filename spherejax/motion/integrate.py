@@ -15,14 +15,14 @@ from jaxtyping import Array, Float
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Scalar
-from spherejax.model.system import Structure, System, flatten_system
+from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 from spherejax.motion.audit import Audit, Limits, limits_of, look_of
 from spherejax.motion.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.diffrax_integration import diffeqsolve
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
-from spherejax.motion.longest_step import longest_step
+from spherejax.motion.longest_step import longest_step, room_for
 from spherejax.motion.programs import Program, program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.auditing import AuditingSolver, of_audited, watch_of
@@ -142,7 +142,7 @@ def integrate(
         saveat=diffrax.SaveAt(
             subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
         ),
-        stepsize_controller=landing_controller(options, solver, contacts, plan, ts),
+        stepsize_controller=landing_controller(options, solver, contacts, plan, ts, room_of(plan)),
         adjoint=options.adjoint,
         max_steps=options.max_steps,
         throw=False,
@@ -158,12 +158,23 @@ def integrate(
 
 
 def landing_controller(
-    options: Options, solver: diffrax.AbstractSolver, contacts: Contacts | None, plan: Plan, ts: Float[Array, " n"]
+    options: Options,
+    solver: diffrax.AbstractSolver,
+    contacts: Contacts | None,
+    plan: Plan,
+    ts: Float[Array, " n"],
+    room: Callable | None,
 ) -> LandingController:
     """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
     longest = longest_step(plan.structure, ts, scalar=plan.scalar)
     interpolation: Any = solver.interpolation_cls
-    return LandingController(options.controller, contacts, interpolation, longest)  # pyright: ignore[reportCallIssue]
+    return LandingController(options.controller, contacts, interpolation, longest, room)  # pyright: ignore[reportCallIssue]
+
+
+def room_of(plan: Plan) -> Callable | None:
+    """How soon something comes that a step must not pass over, a function of (parameters, t, y)."""
+    program = room_for(plan.structure, plan.scalar)
+    return None if program is None else lambda parameters, t, y: program(parameters.theta, t, y)
 
 
 def audit_of(plan: Plan) -> Audit:
@@ -250,12 +261,6 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
     slots = {slot.joint: slot for slot in example.memory_slots}
     entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
     return Contacts(crossing_at, updated, updated_lanes, entries)
-
-
-def example_of(structure: Structure) -> System:
-    """A system of the structure, with shapes for numbers."""
-    n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
-    return jax.eval_shape(structure.system, jax.ShapeDtypeStruct((n_numbers,), jnp.float64))
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:

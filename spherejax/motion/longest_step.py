@@ -1,15 +1,25 @@
 """How long a step may be where something depends on time by itself: a road, a drive, an applied force.
 
 At rest nothing limits a step of a stiff method but its error, which is nothing; it would pass over a bump in the road
-without ever looking there. Motion that follows from the state alone needs no such limit.
+without ever looking there. Roads and drives that know where they begin, end and turn (`AbstractFunction.room`) are met
+there, however short they are; of a function of the user's own nothing is known, and a hundredth of the motion is the
+limit. Motion that follows from the state alone needs none.
 """
 
+from collections.abc import Callable
+from functools import lru_cache
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.model.system import Structure
+from spherejax.foundations.types import Scalar
+from spherejax.model.system import Structure, System, example_of
+from spherejax.motion.body_motions import body_motions
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.programs import program_for
+from spherejax.physics.functions.base import least_room
+from spherejax.physics.state import unpack
 
 STEPS_AT_LEAST = 100
 """Steps over the whole motion, at least: what lasts for a fiftieth of it is met."""
@@ -33,3 +43,20 @@ def longest_step(
     if program is not None and not program.reads(_TIME):
         return None
     return (jnp.asarray(ts)[-1] - jnp.asarray(ts)[0]) / STEPS_AT_LEAST
+
+
+def room(system: System, t: Scalar, y: Float[Array, " size"]) -> Scalar | None:
+    """How soon [s] something comes that a longer step could pass over; None if nothing is known."""
+    motions = body_motions(system, unpack(system.layout, y))
+    functions = [function for joint in system.joints.values() for function in joint.functions_of_time]
+    rooms = [function.room(t, True) for function in functions]
+    return least_room([*rooms, *(force.room(t, motions) for force in system.forces.values())])
+
+
+@lru_cache(maxsize=64)
+def room_for(structure: Structure, scalar: bool | None) -> Callable | None:
+    """The same as a program (theta, t, y) for the integrator; None for a system of which nothing is known."""
+    system = example_of(structure)
+    number, state = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (system.layout.size,)))
+    known = jax.eval_shape(room, system, number, state)
+    return None if known is None else program_for(room, structure, scalar)

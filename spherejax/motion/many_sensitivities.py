@@ -20,6 +20,7 @@ from spherejax.motion.sensitivity_rows import (
     correcting_rows,
     judging_rows,
     linearized,
+    of_first_row,
     rows_rate,
     scales_of,
     with_rows,
@@ -106,6 +107,7 @@ def problem_of_rows(problem: LaneProblem, structure: Structure, rate: Program) -
         contacts=None if problem.contacts is None else with_rows(problem.contacts, rate),
         watch=None if problem.watch is None else watch,
         audit=None if problem.audit is None else problem.audit.of_rows(),
+        room=of_first_row(problem.room),
     )
 
 

@@ -15,12 +15,12 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
-from spherejax.model.system import Structure, compile_scene, flatten_system
+from spherejax.model.system import Structure, compile_scene, example_of, flatten_system
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.audit import limits_of
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
-from spherejax.motion.integrate import Plan, audit_of, beginning, contacts_of, correction_for, example_of, stages_of
+from spherejax.motion.integrate import Plan, audit_of, beginning, contacts_of, correction_for, room_of, stages_of
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.longest_step import longest_step
 from spherejax.motion.many_sensitivities import problem_of_rows, start_of_rows
@@ -162,6 +162,7 @@ class Prepared:
             watching(plan.structure, method.watch),
             longest_step(plan.structure, self.ts),
             audit_of(plan),
+            room_of(plan),
         )
         return problem_of_rows(problem, plan.structure, rate) if method.by else problem
 

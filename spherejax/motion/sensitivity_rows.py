@@ -188,6 +188,11 @@ def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Flo
     return rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
 
 
+def of_first_row(function: Callable | None) -> Callable | None:
+    """A function (parameters, t, y) of the state, as one of the rows that it stands above."""
+    return None if function is None else lambda parameters, t, rows: function(parameters.value, t, rows[0])
+
+
 def judging_rows(controller):
     """The controller with the norm of the worst row, so that many numbers do not dilute the error of one."""
     if not isinstance(controller, diffrax.PIDController):

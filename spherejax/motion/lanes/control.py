@@ -67,7 +67,7 @@ class Repeating:
         problem = self.problem
         interpolation = problem.solver.interpolation_cls
         return LandingController(
-            problem.controller_of(parameters), problem.contacts, interpolation, problem.longest_step
+            problem.controller_of(parameters), problem.contacts, interpolation, problem.longest_step, problem.room
         )  # pyright: ignore[reportCallIssue]
 
     def init(self, term, t0, t_end, y0, parameters):

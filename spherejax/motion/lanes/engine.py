@@ -50,6 +50,7 @@ class LaneProblem(NamedTuple):
         watch: numbers (t, y, parameters) whose largest values at the ends of all steps are kept, or None.
         longest_step: of every run [s], or None.
         audit: what is looked at, at the end of each step, or None.
+        room: how soon [s] something comes that no step may pass over (parameters, t, y), or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -61,6 +62,7 @@ class LaneProblem(NamedTuple):
     watch: Callable | None = None
     longest_step: Array | None = None
     audit: Audit | None = None
+    room: Callable | None = None
 
 
 class Lane(NamedTuple):

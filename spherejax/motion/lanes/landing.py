@@ -95,7 +95,8 @@ class Landing:
         pace = Pace(
             start, -jnp.ones_like(start.value), jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, no
         )
-        return t0 + self._limited(t1 - t0), pace
+        room = jnp.inf if problem.room is None else problem.room(parameters, t0, y0)
+        return t0 + self._limited(t1 - t0, room, shortest_step(t0, t1)), pace
 
     def in_root_of_time(self, state: Pace) -> Bool[Array, " n_lanes"]:
         """Whether the coming step is made in the root of time."""
@@ -117,10 +118,10 @@ class Landing:
             judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
         keep = judgment.keep
         has_stalled = ~keep & (size <= shortest)
-        t = jnp.where(keep, judgment.t, step.t0)
+        t, y = jnp.where(keep, judgment.t, step.t0), jnp.where(keep, judgment.y, step.y0)
         return judgment._replace(
             t=t,
-            t_next=t + self._limited(judgment.t_next),
+            t_next=t + self._limited(judgment.t_next, self._room(step.parameters, t, y), shortest),
             made_jump=jnp.where(keep, judgment.made_jump, was_jump),
             verdict=in_lanes(_verdict)(has_stalled),
         )
@@ -249,7 +250,12 @@ class Landing:
         error = jnp.max(by_row, axis=tuple(range(by_row.ndim - 1)))
         return jax.lax.stop_gradient(jnp.where(jnp.isnan(error), jnp.inf, error))
 
-    def _limited(self, size) -> Float[Array, " n_lanes"]:
+    def _room(self, parameters, t, y) -> Float[Array, " n_lanes"] | float:
+        """How soon something comes that the coming steps must not pass over."""
+        return jnp.inf if self.problem.room is None else in_lanes(self.problem.room)(parameters, t, y)
+
+    def _limited(self, size, room, shortest) -> Float[Array, " n_lanes"]:
+        size = jnp.minimum(size, jnp.maximum(room, shortest))
         longest = self.problem.longest_step
         return size if longest is None else jnp.minimum(size, longest)
 

@@ -151,12 +151,14 @@ class LandingController(AbstractForwardingController):
         contacts: the system's contacts, or None for a system without.
         interpolation: the solver's `interpolation_cls`.
         longest: the longest step [s], whatever the wrapped controller says, or None; see `motion.longest_step`.
+        room: how soon [s] something comes that no step may pass over, a function of (parameters, t, y), or None.
     """
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
     contacts: Contacts | None = eqx.field(static=True)
     interpolation: Callable = eqx.field(static=True)
     longest: Float[Array, ""] | None = None
+    room: Callable | None = eqx.field(static=True, default=None)
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""
@@ -168,7 +170,7 @@ class LandingController(AbstractForwardingController):
         start = None if self.contacts is None else jax.lax.stop_gradient(self.contacts.crossings(args, t0, y0))
         unknown = jnp.zeros(0) if start is None else -jnp.ones_like(start.value)
         state = LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False), start, unknown)
-        return self._limited(t0, first), state
+        return self._limited(t0, first, args, y0), state
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """Judge the step's error, then whether it may end where it ends."""
@@ -176,7 +178,7 @@ class LandingController(AbstractForwardingController):
         keep, next_t0, next_t1, made_jump, inner, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, error, error_order, controller_state.inner
         )
-        next_t1 = self._limited(next_t0, next_t1)
+        next_t1 = self._limited(next_t0, next_t1, args, jnp.where(keep, y1_candidate, y0))
         size, shortest = t1 - t0, shortest_step(t0, t1)
         has_stalled = ~keep & (jnp.abs(size) <= shortest)
         result = diffrax.RESULTS.where(
@@ -232,8 +234,11 @@ class LandingController(AbstractForwardingController):
         numbers = by_fraction(start), by_fraction(end)
         return first_event(*numbers, inside, was_pressing, keep, LANDING_WINDOW, contacts.n_contacts, before)
 
-    def _limited(self, t0, t1):
-        """The end of a step, no later than the longest step allows."""
+    def _limited(self, t0, t1, args, y):
+        """The end of a step from the state y, no later than the longest step and what comes next allow."""
+        if self.room is not None:
+            room = jax.lax.stop_gradient(self.room(args, t0, y))
+            t1 = jnp.minimum(t1, t0 + jnp.maximum(room, shortest_step(t0, t1)))
         return t1 if self.longest is None else jnp.minimum(t1, t0 + self.longest)
 
 

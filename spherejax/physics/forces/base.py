@@ -123,6 +123,11 @@ class AbstractForce(eqx.Module):
         del t, motions
         return ()
 
+    def room(self, t: Scalar, motions: Motions) -> Scalar | None:
+        """How soon [s] something comes that a longer step could pass over, such as a bump; None if nothing is known."""
+        del t, motions
+        return None
+
     def parts(self, t: Scalar, motions: Motions) -> dict[str, Array]:
         """Named results for inspection, e.g. `length` [m], `force` [N]; see `Trajectory.force`."""
         del t, motions

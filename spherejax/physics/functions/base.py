@@ -6,7 +6,7 @@ one number; `jax.vmap(f)(xs)` evaluates it at many.
 
 import abc
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement, SceneError
-from spherejax.foundations.types import Number, Scalar
+from spherejax.foundations.types import Number, Numeric, Scalar
 
 
 class AbstractFunction(eqx.Module):
@@ -45,9 +45,34 @@ class AbstractFunction(eqx.Module):
         """d2f/dx2; zero at a kink."""
         return _derivative(lambda x: _derivative(self, x), x)
 
+    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+        """How far from x something begins, ends or turns [unit of x], ahead or, with `is_forward` False, behind.
+
+        A step of the integration goes no further, so that no bump in a road and no jump of a drive is passed over.
+        None, unless a function says otherwise: then only a hundredth of the whole motion bounds the steps.
+        """
+        del x, is_forward
+        return None
+
     def requirements(self) -> list[Requirement]:
         """What the function's numbers must satisfy."""
         return []
+
+
+def room_between(marks: Sequence[Number] | Numeric, x: Number, is_forward: Number) -> Scalar:
+    """The distance from x to the nearest of the marks ahead, or behind; infinite behind the last one.
+
+    A mark as near as rounding is passed: a step that ends on it does not stay there.
+    """
+    places = jnp.stack([jnp.asarray(mark, jnp.float64) for mark in marks])
+    ahead = jnp.where(is_forward, places - x, x - places)
+    return jnp.min(jnp.where(ahead > 1e-12 * (jnp.abs(x) + jnp.abs(places)), ahead, jnp.inf))
+
+
+def least_room(rooms: Iterable[Scalar | None]) -> Scalar | None:
+    """The least of several; None where none is known."""
+    known = [room for room in rooms if room is not None]
+    return jnp.min(jnp.stack([jnp.asarray(room, jnp.float64) for room in known])) if known else None
 
 
 def _derivative(function: Callable, x: Number) -> Scalar:

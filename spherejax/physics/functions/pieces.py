@@ -8,7 +8,13 @@ import numpy as np
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
+from spherejax.physics.functions.base import (
+    AbstractFunction,
+    as_function,
+    function_requirements,
+    least_room,
+    room_between,
+)
 from spherejax.physics.laws.base import numeric
 
 
@@ -59,6 +65,12 @@ class Piecewise(AbstractFunction):
             total = total + piece.primitive(end) - piece.primitive(low)
         return total
 
+    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+        """To the next break, or less where a piece says so."""
+        return least_room(
+            [room_between(self.breaks, x, is_forward), *(piece.room(x, is_forward) for piece in self.pieces)]
+        )
+
     def requirements(self) -> list[Requirement]:
         """Increasing breaks, one piece more than breaks, and what the pieces require."""
         b = numeric(self.breaks)
@@ -104,6 +116,10 @@ class Sum(AbstractFunction):
     def primitive(self, x: Number) -> Scalar:
         """Sum of the primitives."""
         return sum((term.primitive(x) for term in self.terms), jnp.zeros(()))
+
+    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+        """The least of the terms."""
+        return least_room(term.room(x, is_forward) for term in self.terms)
 
     def requirements(self) -> list[Requirement]:
         """What the terms require."""

@@ -7,7 +7,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import horner
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions.base import AbstractFunction
+from spherejax.physics.functions.base import AbstractFunction, room_between
 from spherejax.physics.laws.base import above, numeric, positive
 
 
@@ -125,6 +125,10 @@ class Sine(_KnowsPrimitive):
         rate = 2 * np.pi * self.frequency
         return self.offset * x - self.amplitude / rate * jnp.cos(rate * x + self.phase)
 
+    def room(self, x: Number, is_forward: Number) -> Scalar:
+        """Half a cycle, from anywhere."""
+        return 0.5 / jnp.maximum(jnp.abs(self.frequency), 1e-300)
+
     def requirements(self) -> list[Requirement]:
         """A positive frequency, the others finite."""
         return [
@@ -162,6 +166,10 @@ class Step(_KnowsPrimitive):
         past = jnp.where(x < self.at, 0.0, x - self.at)
         return self.before * x + (self.after - self.before) * past
 
+    def room(self, x: Number, is_forward: Number) -> Scalar:
+        """To the step."""
+        return room_between([self.at], x, is_forward)
+
     def requirements(self) -> list[Requirement]:
         """Finite numbers."""
         return [finite("at", self.at), finite("before", self.before), finite("after", self.after)]
@@ -197,6 +205,10 @@ class SmoothStep(_KnowsPrimitive):
         inside = (self.end - self.start) * (u * u * u * u * (2.5 + u * (u - 3.0)))
         past = jnp.where(x < self.end, 0.0, x - self.end)
         return self.before * x + (self.after - self.before) * (inside + past)
+
+    def room(self, x: Number, is_forward: Number) -> Scalar:
+        """To where it begins or ends to change."""
+        return room_between([self.start, self.end], x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """Start before end, all finite."""
@@ -239,6 +251,10 @@ class Bump(_KnowsPrimitive):
         """F(x) = height length/2 (u - sin(2 pi u)/(2 pi))."""
         u = _fraction(x, self.start, self.length)
         return 0.5 * self.height * self.length * (u - jnp.sin(2 * np.pi * u) / (2 * np.pi))
+
+    def room(self, x: Number, is_forward: Number) -> Scalar:
+        """To the next of its start, its crest and its end."""
+        return room_between([self.start, self.start + self.length / 2, self.start + self.length], x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """A positive length, the others finite."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions.base import AbstractFunction
+from spherejax.physics.functions.base import AbstractFunction, room_between
 from spherejax.physics.laws.base import numeric
 
 
@@ -30,6 +30,10 @@ class _AbstractTable(AbstractFunction):
     def primitive(self, x: Number) -> Scalar:
         """F(x), zero at the first point."""
         return _integral_at(self._cubics(), x)
+
+    def room(self, x: Number, is_forward: Number) -> Scalar:
+        """To the next point."""
+        return room_between(self.x, x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """Two points or more, in order."""

@@ -152,6 +152,11 @@ class PlacedDistanceDriver(AbstractPlacedAtPoints):
     is_driven = True
 
     @property
+    def functions_of_time(self):
+        """The length."""
+        return (self.length,)
+
+    @property
     def n_rows(self) -> int:
         """One."""
         return 1

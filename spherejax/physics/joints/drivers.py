@@ -97,6 +97,11 @@ class PlacedRotationDriver(AbstractPlacedJoint):
     is_driven = True
 
     @property
+    def functions_of_time(self):
+        """The angle."""
+        return (self.angle,)
+
+    @property
     def points(self) -> tuple[Numeric, Numeric]:
         """The centers of mass: a torque has no point."""
         return np.zeros(3), np.zeros(3)
@@ -190,6 +195,11 @@ class PlacedTranslationDriver(AbstractPlacedAtPoints):
     is_driven = True
 
     @property
+    def functions_of_time(self):
+        """The travel."""
+        return (self.travel,)
+
+    @property
     def n_rows(self) -> int:
         """One."""
         return 1
@@ -257,6 +267,11 @@ class PlacedPositionDriver(AbstractPlacedJoint):
     axes: tuple[Numeric, Numeric, Numeric]
     position: AbstractFunction
     is_driven = True
+
+    @property
+    def functions_of_time(self):
+        """The position."""
+        return (self.position,)
 
     @property
     def points(self) -> tuple[Numeric, Numeric]:

@@ -13,6 +13,7 @@ import equinox as eqx
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.bodies import Body
+from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
 
@@ -47,6 +48,11 @@ class AbstractPlacedJoint(eqx.Module):
     @abc.abstractmethod
     def constraint_rows(self, t: Scalar, motions: Motions) -> ConstraintRows | None:
         """The joint's constraint equations at time t [s], or None."""
+
+    @property
+    def functions_of_time(self) -> tuple[AbstractFunction, ...]:
+        """What a driver prescribes, by time [s]."""
+        return ()
 
     def assembly_rows(self, t: Scalar, motions: Motions) -> ConstraintRows | None:
         """The equations that a consistent start satisfies, or None; the constraint equations unless told otherwise."""
