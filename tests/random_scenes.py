@@ -21,6 +21,9 @@ N_SAMPLES = 33
 MAX_STEPS = 30_000
 """A run that needs more is to say so."""
 
+LARGEST_GAIN = 1e-2
+"""Share of the energy in motion beyond which no number of steps explains a gain."""
+
 NORMAL_LAWS = ("Hertz", "HuntCrossley", "LankaraniNikravesh", "Gonthier", "Flores", "ExactRestitution")
 FRICTION_LAWS = (None, "Threlfall", "BengisuAkay", "Ambrosio", "BrownMcPhee", "LuGre")
 BOUNDARIES = ("Guembel", "PinkusSternlicht", "Sommerfeld")
@@ -405,12 +408,17 @@ def faults(structure: Structure, values, ts, rtol: float, run) -> list[str]:
     finite = np.isfinite(run["ys"]).all(1)
     if status == sj.Status.SUCCEEDED and not finite.all():
         found.append("succeeded with NaN")
-    if status in (sj.Status.BAD_VALUE,):
+    if status == sj.Status.BAD_VALUE:
         found.append(f"{status.name}: a legal scene is refused")
+    if status == sj.Status.AUDIT_FAILED:
+        found.append(f"{status.name} at t = {float(run['t_reached']):.3g}: the run found itself wrong")
     if status != sj.Status.START_NOT_CLOSED and not finite[ts <= run["t_reached"]].all():
         found.append(f"NaN before t_reached ({status.name})")
-    if status != sj.Status.SUCCEEDED:
+    counts = finite & (ts <= run["t_reached"])
+    if status in (sj.Status.START_NOT_CLOSED, sj.Status.BAD_VALUE) or not counts.any():
         return found
+    # A run that was stopped is judged as far as it came.
+    run = {key: value[counts] if np.shape(value)[:1] == counts.shape else value for key, value in run.items()}
     n, length = len(structure.links), float(values["length"])
     mass = float(values["mass"].sum())
     speed2 = GRAVITY * length
@@ -421,6 +429,7 @@ def faults(structure: Structure, values, ts, rtol: float, run) -> list[str]:
     if not structure.is_active:
         place = min(length, 1e4 * clearance)
         bound = 100 * rtol * (steps * motion + place * run["press"]) + 1e-12 * mass * speed2
+        bound = np.minimum(bound, LARGEST_GAIN * (motion + place * run["press"]))
         gain = run["energy"] - run["energy"][0] - bound
         if np.max(gain) > 0:
             share = np.max(run["energy"] - run["energy"][0]) / motion
