@@ -14,10 +14,10 @@ SIDES = np.array([0.1, 0.2, 0.3])
 BOX = np.diag(SIDES**2)  # [kg m^2], (0.01, 0.04, 0.09) break the triangle rule
 
 NO_BODY = {
-    "one moment": ((0.01,), "inertia = [0.01] must have the shape (3,) or (3, 3), not (1,). Give three principal"),
-    "two moments": ((0.01, 0.02), "must have the shape (3,) or (3, 3), not (2,)"),
-    "a number": (0.01, "inertia = 0.01 must have the shape (3,) or (3, 3), not ()"),
-    "four rows": (np.eye(4), "must have the shape (3,) or (3, 3), not (4, 4)"),
+    "one moment": ((0.01,), "inertia = [0.01] must be three numbers or three rows of three numbers, not of shape (1,)"),
+    "two moments": ((0.01, 0.02), "not of shape (2,). Write e.g. (1e-3, 1e-3, 1e-3) for the principal moments, or"),
+    "a number": (0.01, "inertia = 0.01 must be three numbers or three rows of three numbers, not of shape ()"),
+    "four rows": (np.eye(4), "must be three numbers or three rows of three numbers, not of shape (4, 4)"),
     "infinite": ((1.0, 1.0, np.inf), "must be finite numbers"),
     "NaN in a matrix": (np.diag([1.0, np.nan, 1.0]), "must be finite numbers"),
     "asymmetric": ([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "must be symmetric"),

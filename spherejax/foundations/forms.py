@@ -27,10 +27,11 @@ WORDS = {(): "one number", (3,): "three numbers", (4,): "four numbers", (3, 3): 
 """Shapes in words."""
 
 EXAMPLES = {
-    (): "Give the number alone, in SI units.",
-    (3,): "Write e.g. (0.0, 0.0, 1.0), in SI units.",
-    (4,): "Write e.g. (1.0, 0.0, 0.0, 0.0), the scalar part first.",
-    (3, 3): "Write three rows, in SI units.",
+    ((),): "Give the number alone, in SI units.",
+    ((3,),): "Write e.g. (0.0, 0.0, 1.0), in SI units.",
+    ((4,),): "Write e.g. (1.0, 0.0, 0.0, 0.0), the scalar part first.",
+    ((3, 3),): "Write three rows, in SI units.",
+    ((3,), (3, 3)): "Write e.g. (1e-3, 1e-3, 1e-3) for the principal moments, or a symmetric matrix, in SI units.",
 }
 """What to write."""
 
@@ -72,7 +73,7 @@ def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
         if given.shape not in shapes:
             words = " or ".join(WORDS[shape] for shape in shapes)
             size = "" if given.shape is None else f", not of shape {given.shape}"
-            remedy = EXAMPLES[shapes[0]] if given.remedy == IN_SI else given.remedy
+            remedy = EXAMPLES.get(shapes, IN_SI) if given.remedy == IN_SI else given.remedy
             if shapes == ((3,),) and isinstance(value, str) and value.lower().strip("+-") in _AXES:
                 remedy = f"Write {_AXES[value.lower().strip('+-')]}."
             yield Requirement(name, value, False, f"be {words}{size}", remedy)

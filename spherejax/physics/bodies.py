@@ -114,15 +114,12 @@ class Body(eqx.Module):
 def _inertia_requirements(inertia: Numeric) -> list[Requirement]:
     """Three moments or a symmetric matrix, positive, that a body can have."""
     form = "Give three principal moments about the center of mass, or a symmetric 3 x 3 matrix, in body axes [kg m^2]."
-    shape = np.shape(inertia)
-    if shape not in ((3,), (3, 3)):
-        return [Requirement("inertia", inertia, False, f"have the shape (3,) or (3, 3), not {shape}", form)]
     is_finite = (abs(inertia) < np.inf).all()
     rows, moments = [Requirement("inertia", inertia, is_finite, "be finite numbers [kg m^2]", form)], inertia
     # Of a matrix that is not finite, or not symmetric, there are no moments to judge.
     if is_concrete(is_finite) and not is_finite:
         return rows
-    if shape == (3, 3):
+    if np.ndim(inertia) == 2:
         difference, largest = abs(inertia - inertia.T).max(), abs(inertia).max()
         is_symmetric = difference <= SYMMETRY_TOLERANCE * largest
         remedy = "Products of inertia stand twice, with a minus sign: Ixy = -sum m x y in rows and columns 1 and 2."
