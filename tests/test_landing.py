@@ -15,8 +15,10 @@ def _fraction(*values) -> float:
     return float(crossing_fraction(*(jnp.asarray(value) for value in values), LANDING_WINDOW))
 
 
-def test_a_straight_crossing_is_found():
-    assert _fraction(-0.3, 1.0, 0.7, 1.0) == pytest.approx(0.3, abs=LANDING_WINDOW)
+@pytest.mark.parametrize("at", [0.3, 0.5, 0.123456789, 0.9])
+def test_a_straight_crossing_is_found(at):
+    # The first guess is exact: rounding must not throw it away.
+    assert _fraction(-at, 1.0, 1 - at, 1.0) == pytest.approx(at, abs=LANDING_WINDOW)
 
 
 def test_the_fraction_lands_behind_the_crossing_of_a_cubic():

@@ -10,7 +10,7 @@ from spherejax.cli import main
 from spherejax.motion.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
 from spherejax.studies.sweep import product, sobol_samples, zipped
-from spherejax.studies.sweep.dataset import COUNTED, Column, coordinates_of, dataset_of
+from spherejax.studies.sweep.dataset import COUNTED, Account, Column, coordinates_of, dataset_of
 
 TIMES = np.linspace(0.0, 0.2, 11)
 
@@ -31,7 +31,9 @@ def swept(grid) -> xarray.Dataset:
     columns = {"peak": Column((), {"units": "N"}), "ends": Column(("axis",), {"units": "m"})}
     columns |= {"motion": Column(("time",), {"units": "m"}), **{name: Column((), {}) for name in COUNTED}}
     shaped = {name: each.reshape(*grid.shape, *each.shape[1:]) for name, each in values.items()}
-    return dataset_of(grid.dims, coordinates_of(grid, TIMES), columns, shaped, {})
+    account = Account.of_nothing(np.array([True]), grid.n_runs, np.zeros(1), np.zeros(1, int))
+    account.add(0, status, values["n_steps"])
+    return dataset_of(grid.dims, coordinates_of(grid, TIMES), columns, shaped, {}, account)
 
 
 def drawn(figure) -> list:

@@ -226,7 +226,7 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
     example = example_of(structure)
     if not example.contact_joints and not example.touching_forces:
         return None
-    crossing = program_for(crossings, structure, scalar)
+    crossing = program_for(crossings, structure, scalar, is_quiet=True)
 
     def crossing_at(args, t, y):
         return crossing(args.theta, t, y)

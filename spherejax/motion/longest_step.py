@@ -59,4 +59,4 @@ def room_for(structure: Structure, scalar: bool | None) -> Callable | None:
     system = example_of(structure)
     number, state = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (system.layout.size,)))
     known = jax.eval_shape(room, system, number, state)
-    return None if known is None else program_for(room, structure, scalar)
+    return None if known is None else program_for(room, structure, scalar, is_quiet=True)

@@ -30,9 +30,6 @@ from spherejax.physics.joints.base import Crossing
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
 """Of the change of a step's size, as in diffrax."""
 
-WINDOW = 0.1 * LANDING_WINDOW
-"""An event inside a step is exact when the crossing function is within this beyond zero."""
-
 _ACCURATE_INSIDE = 1e-6
 """States inside a step are as accurate as its end where the scaled error is below this..."""
 
@@ -117,7 +114,7 @@ class Landing:
         else:
             judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
         keep = judgment.keep
-        has_stalled = ~keep & (size <= shortest)
+        has_stalled = (~keep & (size <= shortest)) | (size == 0)
         t, y = jnp.where(keep, judgment.t, step.t0), jnp.where(keep, judgment.y, step.y0)
         return judgment._replace(
             t=t,
@@ -205,7 +202,7 @@ class Landing:
         end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
         numbers = by_fraction(state.start), by_fraction(end)
         before = state.acceleration * size**2
-        found = first_event(*numbers, inside, was_pressing, passes, WINDOW, contacts.n_contacts, before)
+        found = first_event(*numbers, inside, was_pressing, passes, LANDING_WINDOW, contacts.n_contacts, before)
         return found._replace(x=jax.lax.stop_gradient(found.x))
 
     def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
@@ -217,7 +214,7 @@ class Landing:
         c2 = 3 * (end.value - start.value) - 2 * slope0 - slope1 + 3 * c3
         value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))
         slope = slope1 + ratio * (2 * c2 + ratio * 3 * c3)
-        fractions = crossing_fraction(-end.value, -slope1 * ratio, -value, -slope * ratio, WINDOW)
+        fractions = crossing_fraction(-end.value, -slope1 * ratio, -value, -slope * ratio, LANDING_WINDOW)
         shares = jnp.where(may_release & (fractions < 1), jnp.minimum(fractions * _BEYOND, 1.0), 1.0)
         return jnp.min(shares, axis=0)
 

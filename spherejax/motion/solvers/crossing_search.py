@@ -259,7 +259,8 @@ def crossing_fraction(g0, slope0, g1, slope1, window: float):
         value = value - window / 2
         low, high = jnp.where(value < 0, x, low), jnp.where(value < 0, high, x)
         newton = x - value / jnp.where(slope == 0, 1.0, slope)
-        return low, high, jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
+        # An iteration that has converged stays on its bound: halving the bracket would throw it away.
+        return low, high, jnp.where((newton >= low) & (newton <= high), newton, (low + high) / 2)
 
     # A loop, not unrolled steps: XLA evaluates what several consumers read once for each, and nested steps multiply.
     _, _, x = jax.lax.fori_loop(0, _NEWTON_STEPS, safeguarded_newton_step, (low, high, x))

@@ -20,9 +20,9 @@ from spherejax.motion.solvers.crossing_search import Found, first_event
 from spherejax.motion.solvers.wrapping import AbstractForwardingController, AbstractForwardingSolver
 from spherejax.physics.joints.base import Crossing
 
-LANDING_WINDOW = 1e-8
+LANDING_WINDOW = 1e-9
 """A step has landed when the crossing function is within this of zero, on the far side: for a clearance of 0.1 mm
-a penetration of 1e-12 m, at which the contact force is below a micronewton."""
+a penetration of 1e-13 m, at which the contact force is some nanonewtons."""
 
 LONGEST_FLIGHT_STEP = 4.0
 """A step in flight is as long as the ball takes to this many clearances, at most. Free flight has no error that would
@@ -180,7 +180,8 @@ class LandingController(AbstractForwardingController):
         )
         next_t1 = self._limited(next_t0, next_t1, args, jnp.where(keep, y1_candidate, y0))
         size, shortest = t1 - t0, shortest_step(t0, t1)
-        has_stalled = ~keep & (jnp.abs(size) <= shortest)
+        # A step that the rounding of time has made nothing has no error either, and would be kept for ever.
+        has_stalled = (~keep & (jnp.abs(size) <= shortest)) | (size == 0)
         result = diffrax.RESULTS.where(
             has_stalled & (result == diffrax.RESULTS.successful), diffrax.RESULTS.dt_min_reached, result
         )
