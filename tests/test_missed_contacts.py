@@ -138,3 +138,10 @@ def upwards(speed: float):
         "gravity": np.array([0.0, 0.0, -9.81]),
     }
     return {key: np.asarray(value, float) for key, value in numbers.items()}
+
+
+def test_a_trial_step_that_overflows_is_made_again():
+    # The first step in contact of this start is so much too long that its end is infinite.
+    starts, ts = draw(np.random.default_rng(111), 8)
+    run = single(Laws("LankaraniNikravesh", friction=True), starts[3], ts, 1e-6)
+    assert run["status"] == sj.Status.SUCCEEDED

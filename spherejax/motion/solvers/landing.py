@@ -175,8 +175,17 @@ class LandingController(AbstractForwardingController):
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """Judge the step's error, then whether it may end where it ends."""
         error, inside = y_error if isinstance(y_error, ErrorAndInside) else (y_error, None)
+        # A trial step that overflows has an error of infinity over infinity, and the next step would be not a number.
+        overflows = ~jnp.all(jnp.isfinite(y1_candidate))
         keep, next_t0, next_t1, made_jump, inner, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, error, error_order, controller_state.inner
+            t0,
+            t1,
+            y0,
+            jnp.where(overflows, y0, y1_candidate),
+            args,
+            None if error is None else jnp.where(overflows, jnp.inf, error),
+            error_order,
+            controller_state.inner,
         )
         next_t1 = self._limited(next_t0, next_t1, args, jnp.where(keep, y1_candidate, y0))
         size, shortest = t1 - t0, shortest_step(t0, t1)
