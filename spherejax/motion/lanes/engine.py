@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.lanes import in_lanes
+from spherejax.foundations.lanes import in_lanes, with_rows
 from spherejax.motion.audit import CHECKS, Audit, Watch
 from spherejax.motion.lanes.control import Repeating, Step
 from spherejax.motion.lanes.landing import Landing
@@ -182,6 +182,8 @@ class _Queue:
         )
         # The first step of every run, found for all runs at once.
         self.first_steps = jax.vmap(partial(self.control.init, self.term, ts[0], ts[-1]))(y0, parameters)
+        # And what the audit and the peaks begin with: a lane that takes a job only fetches it.
+        self.begun = jax.vmap(self._begun)(y0, parameters)
         self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
 
     # A lane ------------------------------------------------------------------------------------------------------
@@ -189,8 +191,8 @@ class _Queue:
     def started(self, job) -> Lane:
         """The lane at the start of a job; an idle one where there is no such job."""
         at = jnp.minimum(job, self.n_jobs - 1)
-        parameters, y0, may_run, status, (t_next, state) = jax.tree.map(
-            lambda x: x[at], (self.parameters, self.y0, self.may_run, self.status, self.first_steps)
+        parameters, y0, may_run, status, (t_next, state), (watch, peaks) = jax.tree.map(
+            lambda x: x[at], (self.parameters, self.y0, self.may_run, self.status, self.first_steps, self.begun)
         )
         t0 = self.ts[0]
         t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
@@ -210,11 +212,16 @@ class _Queue:
             n_rejected=none,
             n_onsets=jnp.zeros(self.n_contacts, jnp.int64),
             touching=jnp.zeros(self.n_contacts),
-            peaks=self._watched(t0, y0, parameters),
+            peaks=peaks,
             n_samples=none,
             status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
-            watch=None if self.problem.audit is None else self.problem.audit.begun(parameters, t0, y0),
+            watch=watch,
         )
+
+    def _begun(self, y0, parameters) -> tuple[Watch | None, Array]:
+        """The audit and the watched numbers at the start of a run."""
+        audit, t0 = self.problem.audit, self.ts[0]
+        return None if audit is None else audit.begun(parameters, t0, y0), self._watched(t0, y0, parameters)
 
     def judged(self, lane: Lane, trial: Trial) -> Lane:
         """The lanes after trial steps: corrected, with their contact events, kept or to be repeated."""
@@ -347,17 +354,17 @@ class _Queue:
                 y = jnp.where(is_end, lanes.y, inside)
             else:
                 y = lanes.y
-            row = jnp.where(is_due, lanes.job, self.n_jobs)
-            return n_samples + is_due, ys.at[row, n_samples].set(jnp.moveaxis(y, -1, 0), mode="drop")
+            row = jnp.where(is_due, lanes.job * n + n_samples, self.n_jobs * n)
+            return n_samples + is_due, with_rows(ys, row, jnp.moveaxis(y, -1, 0))
 
-        n_samples, ys = jax.lax.while_loop(any_due, write, (jnp.maximum(lanes.n_samples, 1), ys))
+        rows = ys.reshape(-1, *ys.shape[2:])
+        n_samples, rows = jax.lax.while_loop(any_due, write, (jnp.maximum(lanes.n_samples, 1), rows))
+        ys = rows.reshape(ys.shape)
         return lanes._replace(n_samples=n_samples), ys
 
     def _refilled(self, has_ended, lanes: Lane, waiting, account):
         """Write results of the lanes that have ended, and give them the next jobs."""
-        row = jnp.where(has_ended, lanes.job, self.n_jobs)
-        # One scatter of rows: XLA:CPU (jax 0.10) aborts when it fuses scatters of single numbers.
-        account = account.at[row].set(in_lanes(_account)(lanes).T, mode="drop")
+        account = with_rows(account, jnp.where(has_ended, lanes.job, self.n_jobs), in_lanes(_account)(lanes).T)
         jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
         fresh = self.block_of(jnp.where(has_ended, jobs, self.n_jobs))
         lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)
