@@ -24,6 +24,7 @@ from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.one_of_many import Method, Prepared
 from spherejax.motion.sensitivities import has_controlled_sensitivities
+from spherejax.motion.sensitivity_rows import scales_of
 from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
 from spherejax.motion.start import StartWarning, changed_starts
 from spherejax.motion.trajectory import Trajectory
@@ -188,9 +189,10 @@ def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     starts: Any = jax.vmap(prepared.start)(parameters)
     may_run = starts.may_run & is_wanted
     outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
-    slopes = slopes_of(starts.numbers, outcome.ys) if method.by else None
+    slopes = None
     if method.by:
-        starts = starts._replace(numbers=starts.numbers.value)
+        scale = scales_of(jnp.stack([parameters[name] for name in method.by], axis=1))
+        slopes = slopes_of(starts.numbers.slopes, scale, outcome.ys)
         outcome = outcome._replace(ys=outcome.ys[:, :, 0], y_reached=outcome.y_reached[:, 0])
     runs = jax.vmap(prepared.trajectory)(starts, outcome._replace(n_lane_steps=jnp.zeros(is_wanted.shape)))
     return Runs(runs, outcome.touching, outcome.peaks, outcome.n_lane_steps, slopes)

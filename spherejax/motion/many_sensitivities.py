@@ -12,19 +12,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.model.system import Structure
-from spherejax.motion.implicit_rows import solver_of_rows
-from spherejax.motion.lanes import LaneProblem
-from spherejax.motion.programs import Program
-from spherejax.motion.sensitivity_rows import (
-    correcting_rows,
-    judging_rows,
-    linearized,
-    of_first_row,
-    rows_rate,
-    scales_of,
-    with_rows,
-)
 from spherejax.motion.trajectory import Trajectory
 
 
@@ -62,60 +49,16 @@ def _leaves_of(theta: Float[Array, " n_numbers"], leaves: list) -> list:
     return parts
 
 
-def start_of_rows(start_of: Callable, values: Float[Array, " p"]) -> Any:
-    """The start of one run with rows below its state, and with the slopes of what the right-hand side is given."""
-    scale = scales_of(values)
-    start, slopes = linearized(start_of, values, jnp.diag(scale))
-    value, its_slopes = (replace(each, tolerances=None, limits=None) for each in (start.numbers, slopes.numbers))
-    numbers = LaneNumbers(value, its_slopes, scale, start.numbers.tolerances, start.numbers.limits)
-    return start._replace(numbers=numbers, y0=jnp.concatenate([start.y0[None], slopes.y0]))
+def slopes_of(slopes: Any, scale: Float[Array, "n_runs p"], ys: Float[Array, "n_runs n rows size"]) -> RunSlopes:
+    """The derivatives of all runs.
 
-
-class LaneNumbers(NamedTuple):
-    """What the right-hand side of the rows of one run is given: as `Linearized`, with what has no derivatives.
-
-    Attributes:
-        value: what the right-hand side of the state is given, but for the tolerances.
-        slopes: its scaled derivatives.
+    Args:
+        slopes: scaled derivatives of what the right-hand side is given.
         scale: of each parameter.
-        tolerances: relative and absolute, where they depend on the run.
-        limits: of the audit.
+        ys: the rows at the samples.
     """
 
-    value: Any
-    slopes: Any
-    scale: Float[Array, " p"]
-    tolerances: Any
-    limits: Any
+    def of_one(slopes, scale, ys):
+        return RunSlopes(slopes.theta / scale[:, None], jnp.moveaxis(ys[:, 1:], 1, 0) / scale[:, None, None])
 
-
-def problem_of_rows(problem: LaneProblem, structure: Structure, rate: Program) -> LaneProblem:
-    """What every lane integrates, for the state and its sensitivities."""
-
-    def controller_of(numbers):
-        return judging_rows(problem.controller_of(replace(numbers.value, tolerances=numbers.tolerances)))
-
-    def watch(t, rows, numbers):
-        assert problem.watch is not None
-        return problem.watch(t, rows[0], numbers.value)
-
-    return problem._replace(
-        solver=solver_of_rows(problem.solver, structure, rate),
-        controller_of=controller_of,
-        rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
-        correct=correcting_rows(problem.correct),
-        contacts=None if problem.contacts is None else with_rows(problem.contacts, rate),
-        watch=None if problem.watch is None else watch,
-        audit=None if problem.audit is None else problem.audit.of_rows(),
-        room=of_first_row(problem.room),
-    )
-
-
-def slopes_of(numbers: LaneNumbers, ys: Float[Array, "n_runs n rows size"]) -> RunSlopes:
-    """The derivatives of all runs, from the rows at their samples."""
-
-    def of_one(numbers: LaneNumbers, ys):
-        theta = numbers.slopes.theta / numbers.scale[:, None]
-        return RunSlopes(theta, jnp.moveaxis(ys[:, 1:], 1, 0) / numbers.scale[:, None, None])
-
-    return jax.vmap(of_one)(numbers, ys)
+    return jax.vmap(of_one)(slopes, scale, ys)

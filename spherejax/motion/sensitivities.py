@@ -36,6 +36,7 @@ from spherejax.motion.integrate import (
     samples,
     wrapped,
 )
+from spherejax.motion.jobs import can_be_a_job, integrate_as_job, slopes_as_job
 from spherejax.motion.programs import program_for
 from spherejax.motion.sensitivity_rows import (
     Linearized,
@@ -59,19 +60,27 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     tangent, so it can be transposed. With few parameters it is cheaper than a reverse sweep, in run time and far more
     in compile time. The outcome itself is that of the plain run.
     """
-    slopes_of = _controlled_slopes if has_controlled_sensitivities(options.solver) else _slopes_through_the_loop
+    in_lanes = can_be_a_job(options)
+    run_once = integrate_as_job if in_lanes else integrate
     # Tolerances may be traced: a rule may not close over them.
     arrays, others = eqx.partition(options, eqx.is_array)
 
+    def with_slopes(values, arrays, *rest) -> tuple[Outcome, Slopes]:
+        options = eqx.combine(arrays, others)
+        if not has_controlled_sensitivities(options.solver):
+            return run(values, arrays, *rest), _slopes_through_the_loop(plan, options, values, *rest)
+        if in_lanes:
+            outcome, ys, assembly = slopes_as_job(plan, options, values, *rest)
+            return outcome, Slopes(ys, assembly)
+        return run(values, arrays, *rest), _controlled_slopes(plan, options, values, *rest)
+
     @jax.custom_jvp
     def run(values, arrays, known, ts, start, values_are_legal):
-        return integrate(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
+        return run_once(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
 
     @run.defjvp
     def run_jvp(primals, tangents):
-        outcome = run(*primals)
-        values, arrays, *rest = primals
-        jacobian = slopes_of(plan, eqx.combine(arrays, others), values, *rest)
+        outcome, jacobian = with_slopes(*primals)
         ys, assembly = jax.tree.map(lambda j: j @ tangents[0], jacobian)
         # Samples that the run did not reach are NaN, and constant.
         ys = jnp.where(jnp.isnan(outcome.ys), 0.0, ys)
