@@ -406,8 +406,9 @@ def test_several_devices_share_the_chunks_to_the_last_bit(result, tmp_path):
     code = FOUR_DEVICES.format(tests=TESTS, path=path, cache=jax.config.jax_compilation_cache_dir)
     subprocess.run([sys.executable, "-c", code], env={**os.environ, "XLA_FLAGS": flags}, check=True)
     found, stopped = sj.open_sweep(path), sj.open_sweep(path + ".stopped")
-    # Six chunks: four devices, then two of them; the other sweep was stopped after the four.
-    assert int(np.sum(stopped["status"] == 0)) == 24
+    # Six chunks: four devices, then two of them. The other sweep was stopped while the four were under way or after
+    # them; what was finished by then is kept.
+    assert int(np.sum(stopped["status"] == 0)) >= 24
     gone_on = swept(store=path + ".stopped")
     for name in result.data_vars:
         np.testing.assert_array_equal(found[name], result[name])

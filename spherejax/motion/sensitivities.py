@@ -62,17 +62,30 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     """
     in_lanes = can_be_a_job(options)
     run_once = integrate_as_job if in_lanes else integrate
+    if not plan.unknown:
+        return run_once(plan, options, values, known, ts, start, values_are_legal)
     # Tolerances may be traced: a rule may not close over them.
     arrays, others = eqx.partition(options, eqx.is_array)
 
+    def by_diffrax(values, arrays, *rest) -> tuple[Outcome, Slopes]:
+        options = eqx.combine(arrays, others)
+        outcome = integrate(plan, options, values, *rest)
+        if has_controlled_sensitivities(options.solver):
+            return outcome, _controlled_slopes(plan, options, values, *rest)
+        return outcome, _slopes_through_the_loop(plan, options, values, *rest)
+
+    @jax.custom_jvp
     def with_slopes(values, arrays, *rest) -> tuple[Outcome, Slopes]:
         options = eqx.combine(arrays, others)
-        if not has_controlled_sensitivities(options.solver):
-            return run(values, arrays, *rest), _slopes_through_the_loop(plan, options, values, *rest)
-        if in_lanes:
-            outcome, ys, assembly = slopes_as_job(plan, options, values, *rest)
-            return outcome, Slopes(ys, assembly)
-        return run(values, arrays, *rest), _controlled_slopes(plan, options, values, *rest)
+        if not (in_lanes and has_controlled_sensitivities(options.solver)):
+            return by_diffrax(values, arrays, *rest)
+        outcome, ys, assembly = slopes_as_job(plan, options, values, *rest)
+        return outcome, Slopes(ys, assembly)
+
+    @with_slopes.defjvp
+    def with_slopes_jvp(primals, tangents):
+        # Second derivatives: lanes have none of their own.
+        return jax.jvp(lambda values: by_diffrax(values, *primals[1:]), primals[:1], tangents[:1])
 
     @jax.custom_jvp
     def run(values, arrays, known, ts, start, values_are_legal):

@@ -111,7 +111,7 @@ def simulate(
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
-    run_of = integrate_with_sensitivities if by_sensitivities and unknown else integrate
+    run_of = integrate_with_sensitivities if by_sensitivities else integrate
     options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps)
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     increase = True if is_concrete(ts) else jnp.all(jnp.diff(ts) >= 0)

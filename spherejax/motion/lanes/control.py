@@ -75,9 +75,9 @@ class Repeating:
         func = self.problem.solver.func
         return self._controller(parameters).init(term, t0, t_end, y0, None, parameters, func, self.order)
 
-    def in_root_of_time(self, state) -> Bool[Array, " n_lanes"]:
-        """Whether the coming step is made in the root of time."""
-        return jnp.zeros(state.is_first.shape, bool)
+    def bend_of_time(self, state, size) -> Float[Array, " n_lanes"]:
+        """Of the time that the coming steps are made in; straight."""
+        return jnp.zeros(size.shape)
 
     def judge(self, step: Step, state, was_jump) -> Judgment:
         """What becomes of the trial steps."""

@@ -20,7 +20,7 @@ from spherejax.foundations.lanes import in_lanes, with_rows
 from spherejax.motion.audit import CHECKS, Audit, Watch
 from spherejax.motion.lanes.control import Repeating, Step
 from spherejax.motion.lanes.landing import Landing
-from spherejax.motion.lanes.stages import ExplicitStages, Trial, steps_of
+from spherejax.motion.lanes.stages import ExplicitStages, Trial, own_time, steps_of
 from spherejax.motion.solvers.landing import Contacts
 from spherejax.motion.status import Status, status_of
 
@@ -274,10 +274,10 @@ class _Queue:
             return jnp.zeros((0, *t.shape))
         return jnp.where(keep & self.problem.contacts.is_touching(lane.y), t - lane.t, 0.0)
 
-    def sample(self, t, t_next, in_root, dense_info, parameters, at):
+    def sample(self, t, t_next, bend, dense_info, parameters, at):
         """The state within a step."""
-        share = jnp.sqrt(jnp.clip((at - t) / (t_next - t), 0.0, 1.0))
-        instant = jnp.where(in_root, t + share * (t_next - t), at)
+        share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
+        instant = jnp.where(bend != 0, t + share * (t_next - t), at)
         y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
         return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
 
@@ -319,20 +319,20 @@ class _Queue:
         """One step of every lane; then lanes that have ended take new jobs."""
         lanes, waiting, account, ys, n_lane_steps = carry
         before = lanes
-        in_root = self.control.in_root_of_time(lanes.controller_state)
+        bend = self.control.bend_of_time(lanes.controller_state, lanes.t_next - lanes.t)
         trial = self.steps.step(
-            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, in_root
+            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, bend
         )
         lanes = self.judged(lanes, trial)
         if self.ts.shape[0] > 1:
-            lanes, ys = self._with_samples(before, lanes, in_root, trial.dense_info, ys)
+            lanes, ys = self._with_samples(before, lanes, bend, trial.dense_info, ys)
         has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
         refilled = jax.lax.cond(
             jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
         )
         return *refilled, ys, n_lane_steps + lanes.t.shape[-1]
 
-    def _with_samples(self, before: Lane, lanes: Lane, in_root, dense_info, ys):
+    def _with_samples(self, before: Lane, lanes: Lane, bend, dense_info, ys):
         """Write the samples that lie in the steps just kept; the first one is the start."""
         was_kept = lanes.n_accepted > before.n_accepted
         n = self.ts.shape[0]
@@ -350,7 +350,7 @@ class _Queue:
             # The end of a step is the state itself, with its events; within it there are none.
             is_end = at >= lanes.t
             if n > 2:
-                inside = in_lanes(self.sample)(before.t, before.t_next, in_root, dense_info, before.parameters, at)
+                inside = in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at)
                 y = jnp.where(is_end, lanes.y, inside)
             else:
                 y = lanes.y

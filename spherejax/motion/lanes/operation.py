@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array, Float, Int
@@ -85,20 +86,20 @@ def _shapes(ts, *others, form: _Form):
     n_jobs, *state = y0.shape
     n_contacts = form.kind.n_contacts
     number, count = jnp.dtype(jnp.float64), jnp.dtype(jnp.int64)
-    outcome = LaneOutcome(
-        ys=((n_jobs, *ts.shape, *state), number),
-        t_reached=((n_jobs,), number),
-        status=((n_jobs,), count),
-        n_accepted=((n_jobs,), count),
-        n_rejected=((n_jobs,), count),
-        n_onsets=((n_jobs, n_contacts), count),
-        touching=((n_jobs, n_contacts), number),
-        peaks=((n_jobs, 0), number),
-        y_reached=((n_jobs, *state), number),
-        audit=((n_jobs, len(CHECKS)), number),
-        n_lane_steps=((), count),
-    )
-    return [jax.core.ShapedArray(*each) for each in outcome]
+    outcome: dict[str, tuple[tuple[int, ...], Any]] = {
+        "ys": ((n_jobs, *ts.shape, *state), number),
+        "t_reached": ((n_jobs,), number),
+        "status": ((n_jobs,), count),
+        "n_accepted": ((n_jobs,), count),
+        "n_rejected": ((n_jobs,), count),
+        "n_onsets": ((n_jobs, n_contacts), count),
+        "touching": ((n_jobs, n_contacts), number),
+        "peaks": ((n_jobs, 0), number),
+        "y_reached": ((n_jobs, *state), number),
+        "audit": ((n_jobs, len(CHECKS)), number),
+        "n_lane_steps": ((), count),
+    }
+    return [ShapedArray(*outcome[name]) for name in LaneOutcome._fields]
 
 
 def _batched(operands, dims, *, form: _Form):

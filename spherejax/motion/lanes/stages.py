@@ -37,6 +37,13 @@ class Trial(NamedTuple):
     result: Any
 
 
+def own_time(share: Array, bend: Array) -> Array:
+    """x of a share of a step's time: the root of (1 - bend) x + bend x^2 = share, for bends from -1 to 1."""
+    straight = 1 - bend
+    root = straight + jnp.sqrt(jnp.maximum(straight * straight + 4 * bend * share, 0.0))
+    return 2 * share / jnp.where(root > 0, root, 1.0)
+
+
 class ExplicitStages:
     """Trial steps by the tableau of an explicit Runge-Kutta method."""
 
@@ -57,8 +64,8 @@ class ExplicitStages:
         del t, t_next, y, parameters
         return ()
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump, in_root) -> Trial:
-        """All stages of all lanes; those of lanes `in_root` in the root of time, where t = t0 + h x^2."""
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend) -> Trial:
+        """All stages of all lanes, in a time of their own: t = t0 + h ((1 - bend) x + bend x^2)."""
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
         c = jnp.asarray(self.instants)
@@ -68,7 +75,7 @@ class ExplicitStages:
 
         def with_stage(i, k):
             moved = jax.lax.switch(i, moves, y, k)
-            instant, speed = jnp.where(in_root, c[i] ** 2, c[i]), jnp.where(in_root, 2 * c[i], 1.0)
+            instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
             change = h * speed * rate(t + instant * h, moved, parameters)
             return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
 
@@ -88,9 +95,9 @@ class MappedSteps:
         """The solver's state of one lane."""
         return self.solver.init(self.term, t, t_next, y, parameters)
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump, in_root) -> Trial:
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend) -> Trial:
         """One step of every lane."""
-        del in_root
+        del bend
 
         def of_one(t, t_next, y, parameters, solver_state, made_jump):
             step: Any = self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump)
