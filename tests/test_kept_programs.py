@@ -5,6 +5,7 @@ import re
 import weakref
 from pathlib import Path
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,7 @@ import spherejax as sj
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.fingerprints import program_fingerprint, value_fingerprint
 from spherejax.motion.integrate import integrate
+from spherejax.motion.jobs import integrated
 from spherejax.motion.many import many, simulate_many
 from spherejax.motion.programs import program_for
 from spherejax.studies.sweep.chunks import _program
@@ -114,13 +116,17 @@ def test_builders_that_close_over_traced_values_are_not_confused():
 def test_a_run_leaves_nothing_behind_when_its_program_is_let_go():
     """diffrax keeps a trace of its own of each integration, which held the functions of ours for ever."""
     scene = pendulum(9.81, 1.0)
-    integrate.clear()
-    gc.collect()
-    before = _n_traces_of("diffeqsolve")
-    for n in (2, 3):
-        sj.simulate(scene, np.linspace(0.0, 0.01, n))
-    assert integrate.n_programs == 2
-    assert _n_traces_of("diffeqsolve") == before
+    for programs, inner, options in (
+        (integrated, "run_in_lanes", {}),
+        (integrate, "diffeqsolve", {"solver": diffrax.Kvaerno5()}),
+    ):
+        programs.clear()
+        gc.collect()
+        before = _n_traces_of(inner)
+        for n in (2, 3):
+            sj.simulate(scene, np.linspace(0.0, 0.01, n), **options)
+        assert programs.n_programs == 2
+        assert _n_traces_of(inner) == before
 
 
 def _n_traces_of(name: str) -> int:
@@ -136,7 +142,7 @@ def test_every_cache_is_bounded():
         text = path.read_text()
         assert not re.search(r"^[^#`\n]*(@|= )eqx\.filter_jit", text, re.M), path
         assert "maxsize=None" not in text, path
-    for cached in (integrate, many, _program):
+    for cached in (integrate, integrated, many, _program):
         assert cached.n_programs <= 24
     assert program_for.cache_info().maxsize is not None
 

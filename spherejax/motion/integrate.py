@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
@@ -28,6 +28,7 @@ from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.auditing import AuditingSolver, of_audited, watch_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of, without_memory
+from spherejax.motion.solvers.wrapping import StepBudget
 from spherejax.motion.status import Status, status_of
 from spherejax.motion.trajectory import Statistics
 
@@ -62,12 +63,14 @@ class Options(eqx.Module):
         controller: diffrax step-size controller.
         adjoint: diffrax adjoint.
         max_steps: largest number of steps.
+        budget: the same as a number that may be traced, so that one program serves all, or None.
     """
 
     solver: diffrax.AbstractSolver
     controller: diffrax.AbstractAdaptiveStepSizeController
     adjoint: diffrax.AbstractAdjoint
     max_steps: int = eqx.field(static=True)
+    budget: Int[Array, ""] | None = None
 
 
 class Parameters(NamedTuple):
@@ -168,7 +171,10 @@ def landing_controller(
     """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
     longest = longest_step(plan.structure, ts, scalar=plan.scalar)
     interpolation: Any = solver.interpolation_cls
-    return LandingController(options.controller, contacts, interpolation, longest, room)  # pyright: ignore[reportCallIssue]
+    controller: Any = options.controller
+    if options.budget is not None:
+        controller = StepBudget(controller, options.budget)  # pyright: ignore[reportCallIssue]
+    return LandingController(controller, contacts, interpolation, longest, room)  # pyright: ignore[reportCallIssue]
 
 
 def room_of(plan: Plan) -> Callable | None:

@@ -12,6 +12,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
@@ -49,7 +50,9 @@ from spherejax.motion.sensitivity_rows import (
     scales_of,
     with_rows,
 )
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.status import Status
+from spherejax.motion.tolerances import controller_for
 from spherejax.motion.trajectory import Statistics
 from spherejax.motion.widths import block_for
 
@@ -106,7 +109,6 @@ class JobKind:
         structure: of the system.
         scalar: whether on scalar programs.
         solver: a diffrax solver, without its arrays.
-        max_steps: largest number of steps of a run.
         with_rows: whether sensitivities are integrated beside the state.
         watch: names of quantities whose largest magnitudes are kept.
     """
@@ -114,7 +116,6 @@ class JobKind:
     structure: Structure
     scalar: bool | None
     solver: diffrax.AbstractSolver
-    max_steps: int
     with_rows: bool = False
     watch: tuple[str, ...] = ()
 
@@ -128,15 +129,14 @@ class JobKind:
 
         Args:
             ts: sample times [s].
-            shared: arrays of the solver, and the tolerances where all runs share them.
+            shared: arrays of the solver; the tolerances where all runs share them; the largest number of steps of a run.
         """
-        arrays, tolerances = shared
+        arrays, tolerances, budget = shared
         plan = Plan(self.structure, (), self.scalar)
         rate = program_for(state_rate, self.structure, self.scalar)
 
         def controller_of(numbers: Numbers):
-            rtol, atol = tolerances if numbers.tolerances is None else numbers.tolerances
-            return diffrax.PIDController(rtol=jnp.asarray(rtol), atol=jnp.asarray(atol))
+            return controller_for(self.structure, *(tolerances if numbers.tolerances is None else numbers.tolerances))
 
         problem = LaneProblem(
             with_structure(eqx.combine(arrays, self.solver), self.structure),
@@ -144,11 +144,12 @@ class JobKind:
             lambda t, y, numbers: rate.inside(numbers.theta, numbers.ahead, t, y),
             correction_for(plan),
             contacts_of(self.structure, self.scalar),
-            self.max_steps,
+            budget,
             watching(self.structure, self.watch),
             longest_step(self.structure, ts),
             audit_of(plan),
             room_of(plan),
+            example_of(self.structure).layout.work_start,
         )
         return self._of_rows(problem, rate) if self.with_rows else problem
 
@@ -235,20 +236,24 @@ def with_slopes(job_of_values: Callable, values: Float[Array, " p"]) -> tuple[Jo
 # Runs of `simulate` ---------------------------------------------------------------------------------------------------
 
 
-def can_be_a_job(options: Options) -> bool:
+def can_be_a_job(structure: Structure, options: Options) -> bool:
     """Whether the lanes can make a run: with the step-size control that they have themselves."""
-    return _without_tolerances(options.controller) == _without_tolerances(diffrax.PIDController(rtol=1.0, atol=1.0))
+    solver: Any = options.solver
+    is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
+    own = controller_for(structure, 1.0, 1.0)
+    return (is_explicit or isinstance(solver, AbstractRosenbrock)) and _rest(options.controller) == _rest(own)
 
 
-def _without_tolerances(controller) -> Any:
+def _rest(controller) -> Any:
+    """What there is to a controller besides tolerances."""
     if type(controller) is not diffrax.PIDController:
-        return type(controller)
+        return controller
     return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
 
 
 def integrate_as_job(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
     """As `integrate`, in a lane: `jax.vmap` of it is a queue of runs."""
-    return _integrated(plan, _Request.of(options), values, known, ts, start, values_are_legal)
+    return integrated(plan, _Request.of(options), values, known, ts, start, values_are_legal)
 
 
 def slopes_as_job(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> tuple[Outcome, Any, Any]:
@@ -263,15 +268,15 @@ class _Request(eqx.Module):
         solver: its arrays.
         shared: tolerances that are known, which all runs of a queue share, or None.
         own: tolerances of a run, or None.
+        budget: largest number of steps.
         rest: the solver without its arrays (static).
-        max_steps: largest number of steps (static).
     """
 
     solver: Any
     shared: Any
     own: Any
+    budget: Any
     rest: Any = eqx.field(static=True)
-    max_steps: int = eqx.field(static=True)
 
     @classmethod
     def of(cls, options: Options) -> "_Request":
@@ -279,9 +284,10 @@ class _Request(eqx.Module):
         solver, rest = eqx.partition(options.solver, eqx.is_array)
         controller: Any = options.controller
         tolerances = controller.rtol, controller.atol
+        budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
         if all(is_concrete(each) for each in tolerances):
-            return cls(solver, tolerances, None, rest, options.max_steps)
-        return cls(solver, None, tolerances, rest, options.max_steps)
+            return cls(solver, tolerances, None, budget, rest)
+        return cls(solver, None, tolerances, budget, rest)
 
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
@@ -292,14 +298,16 @@ class _Request(eqx.Module):
 
     def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:
         """What comes of the job."""
-        kind = JobKind(plan.structure, plan.scalar, self.rest, self.max_steps, with_rows)
+        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows)
         job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
-        found = runs(kind, job.numbers, job.y0, ts, job.may_run, job.status, (self.solver, self.shared), block_for())
+        shared = self.solver, self.shared, self.budget
+        found = runs(kind, job.numbers, job.y0, ts, job.may_run, job.status, shared, block_for())
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
 
 
 @bounded_jit
-def _integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
+def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
+    """`integrate_as_job` with everything decided."""
     job = request.job(plan, values, known, ts, start, values_are_legal)
     return _outcome(request, job, request.made(plan, job, ts, False))
 

@@ -95,8 +95,8 @@ class Prepared:
         plan, method = self.plan, self.method
         assert plan is not None
         arrays, solver = eqx.partition(method.choice.solver, eqx.is_array)
-        kind = JobKind(plan.structure, plan.scalar, solver, method.max_steps, bool(method.by), method.watch)
-        return kind.problem(self.ts, (arrays, self.shared_tolerances))
+        kind = JobKind(plan.structure, plan.scalar, solver, bool(method.by), method.watch)
+        return kind.problem(self.ts, (arrays, self.shared_tolerances, method.max_steps))
 
     def trajectory(self, start: Job, outcome: LaneOutcome) -> Trajectory:
         """One run as a trajectory."""

@@ -60,7 +60,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     tangent, so it can be transposed. With few parameters it is cheaper than a reverse sweep, in run time and far more
     in compile time. The outcome itself is that of the plain run.
     """
-    in_lanes = can_be_a_job(options)
+    in_lanes = can_be_a_job(plan.structure, options)
     run_once = integrate_as_job if in_lanes else integrate
     if not plan.unknown:
         return run_once(plan, options, values, known, ts, start, values_are_legal)

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -23,12 +24,15 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.times import seconds_of
-from spherejax.motion.tolerances import Tolerances, component_tolerances
+from spherejax.motion.tolerances import Tolerances, component_tolerances, controller_for
 from spherejax.motion.trajectory import Trajectory
 from spherejax.runtime import require_float64
 
 SMALLEST_TOLERANCE = 1e-14
 """Relative tolerances below this ask for digits that float64 does not carry (its resolution is 2.2e-16)."""
+
+NO_LIMIT = int(np.iinfo(np.int64).max)
+"""Steps that no run makes."""
 
 ENOUGH_STEPS = "Leave it out for 20,000,000."
 """What to do about a number of steps that cannot be."""
@@ -73,8 +77,9 @@ def simulate(
             each step of the run is differentiated, and nobody controls the error of the derivatives, which behind
             impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
             `sj.sensitivity`.
-        max_steps: largest number of steps.
-        track_work: integrate the work that each non-ideal joint absorbs.
+        max_steps: largest number of steps; it may be traced.
+        track_work: integrate the work that each non-ideal joint absorbs. Its error is not judged: the steps are those
+            of a run without.
         scalar: True runs on the scalar program, False on the array code. With None the scalar program is taken up to
             a size that compiles in seconds; larger systems run on the array code, whose time grows with the number of
             bodies and whose compile time hardly does. `run.stats.explanation` says so.
@@ -91,7 +96,8 @@ def simulate(
     require_float64()
     ts = checked_times(ts)
     check_tolerances(rtol, atol)
-    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    budget: Any = None if is_concrete(max_steps) else max_steps
+    max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     compiled = compile_scene(scene, track_work=track_work)
     system = compiled.system
     structure, theta = flatten_system(system)
@@ -99,9 +105,7 @@ def simulate(
     choice = choice_for(system, rtol, solver, explicit_only=path.scalar is False and scalar is None)
     if stepsize_controller is None:
         tolerances = tolerances_of(system, choice.solver, rtol, atol)
-        stepsize_controller = diffrax.PIDController(
-            rtol=jnp.asarray(tolerances.rtol), atol=jnp.asarray(tolerances.atol)
-        )
+        stepsize_controller = controller_for(structure, tolerances.rtol, tolerances.atol)
         explanation = f"{choice.reason}; {tolerances.description}; first step by trial (Hairer)"
     else:
         explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
@@ -112,7 +116,7 @@ def simulate(
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
     run_of = integrate_with_sensitivities if by_sensitivities else integrate
-    options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps)
+    options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps, budget)
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     increase = True if is_concrete(ts) else jnp.all(jnp.diff(ts) >= 0)
     conditions = [*compiled.conditions, *traced_tolerances(rtol, atol), jnp.asarray(increase)]

@@ -5,15 +5,19 @@ difference of. Here each kind of component has a scale of its own, and positions
 against the clearance.
 """
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
+import diffrax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.types import Number, Numeric
-from spherejax.model.system import System
+from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.model.system import Structure, System, example_of
 
 ABSOLUTE_SHARE = 1e-2
 """Absolute tolerance of a component as a share of the relative one times its scale."""
@@ -112,3 +116,23 @@ def _scales(system: System):
     speed = xp.where(speed > 0, speed, 1.0)
     clearance = xp.min(xp.stack([xp.asarray(c) for c in clearances])) if clearances else np.inf
     return length, speed, clearance
+
+
+@lru_cache(maxsize=64)
+def norm_of_first(n: int) -> Callable:
+    """The norm of errors that looks at so many entries of the state: not at the work, whose price is no step.
+
+    Runs with and without an account of the work make the same steps so.
+    """
+
+    def norm(y: Float[Array, " size"]) -> Scalar:
+        return optimistix.rms_norm(y[:n])
+
+    return norm
+
+
+def controller_for(structure: Structure, rtol, atol) -> diffrax.PIDController:
+    """The step-size control of a run."""
+    layout = example_of(structure).layout
+    norm = norm_of_first(layout.work_start) if layout.n_work else optimistix.rms_norm
+    return diffrax.PIDController(rtol=jnp.asarray(rtol), atol=jnp.asarray(atol), norm=norm)

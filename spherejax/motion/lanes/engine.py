@@ -51,6 +51,7 @@ class LaneProblem(NamedTuple):
         longest_step: of every run [s], or None.
         audit: what is looked at, at the end of each step, or None.
         room: how soon [s] something comes that no step may pass over (parameters, t, y), or None.
+        n_judged: entries of the state whose errors are judged, the first ones; None for all.
     """
 
     solver: diffrax.AbstractSolver
@@ -58,11 +59,12 @@ class LaneProblem(NamedTuple):
     rate: Callable
     correct: Callable | None
     contacts: Contacts | None
-    max_steps: int
+    max_steps: int | Array
     watch: Callable | None = None
     longest_step: Array | None = None
     audit: Audit | None = None
     room: Callable | None = None
+    n_judged: int | None = None
 
 
 class Lane(NamedTuple):

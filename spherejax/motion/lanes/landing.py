@@ -261,7 +261,8 @@ class Landing:
 
         atol, rtol = in_lanes(tolerances)(step.parameters)
         scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
-        by_row = jnp.sqrt(jnp.mean((step.error / scale) ** 2, axis=-2))
+        shares = (step.error / scale)[..., : self.problem.n_judged, :]
+        by_row = jnp.sqrt(jnp.mean(shares * shares, axis=-2))
         if by_row.ndim > 1:
             by_row = by_row / jnp.where(jnp.arange(by_row.shape[0]) == 0, 1.0, SLOPES_TOLERANCE)[:, None]
         error = jnp.max(by_row, axis=tuple(range(by_row.ndim - 1)))

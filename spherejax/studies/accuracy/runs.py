@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.simulate import simulate
-from spherejax.motion.solvers.wrapping import AbstractForwardingController
 from spherejax.motion.trajectory import Statistics
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
@@ -24,39 +23,6 @@ BURST_SECONDS, LONGEST_BURST = 0.02, 9
 mercy of whatever the machine does in it."""
 
 _NO_LIMIT = np.iinfo(np.int64).max
-
-
-class StepBudget(AbstractForwardingController):
-    """A step-size controller that ends the integration after a number of steps, which may be traced.
-
-    `max_steps` of `simulate` is part of the program; this budget is a number, so one program serves all budgets.
-
-    Attributes:
-        controller: the controller that judges errors.
-        n_steps: largest number of steps tried.
-    """
-
-    controller: Any  # diffrax.AbstractAdaptiveStepSizeController
-    n_steps: Array
-
-    def wrap(self, direction):
-        """Wrap the wrapped controller."""
-        return StepBudget(self.controller.wrap(direction), self.n_steps)  # pyright: ignore[reportCallIssue]
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The wrapped controller's first step."""
-        first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return first, (inner, jnp.zeros((), jnp.int64))
-
-    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
-        """The wrapped controller's judgment, and the end when the budget is spent."""
-        inner, n_tried = controller_state
-        *judgment, inner, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
-        )
-        is_spent = (n_tried + 1 >= self.n_steps) & (result == diffrax.RESULTS.successful)
-        result = diffrax.RESULTS.where(is_spent, diffrax.RESULTS.max_steps_reached, result)
-        return *judgment, (inner, n_tried + 1), result
 
 
 class Ending(NamedTuple):
@@ -100,22 +66,16 @@ class Program:
     ):
         self.seconds_a_step = 0.0
         system = compile_scene(scene).system
-        n_judged = system.layout.size
-
-        def norm(y):
-            return jnp.sqrt(jnp.mean(jnp.square(y[:n_judged])))
 
         def run(rtol, n_steps):
             atol = atol_ratio * rtol
-            controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=norm)
             motion = simulate(
                 scene,
                 ts,
                 rtol=rtol,
                 atol=atol,
                 solver=made(solver, rtol, atol),
-                stepsize_controller=StepBudget(controller, n_steps),  # pyright: ignore[reportCallIssue]
-                max_steps=_NO_LIMIT,
+                max_steps=n_steps,
                 track_work=measures and bool(system.force_joints),
             )
             return motion if measures else Ending(motion.ys[-1], motion.stats, motion.status, motion.t_reached)
