@@ -33,6 +33,7 @@ from spherejax.motion.integrate import (
     beginning,
     contacts_of,
     correction_for,
+    integrate,
     room_of,
     stages_of,
 )
@@ -47,7 +48,6 @@ from spherejax.motion.sensitivity_rows import (
     linearized,
     of_first_row,
     rows_rate,
-    scales_of,
     with_rows,
 )
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
@@ -129,7 +129,7 @@ class JobKind:
 
         Args:
             ts: sample times [s].
-            shared: arrays of the solver; the tolerances where all runs share them; the largest number of steps of a run.
+            shared: arrays of the solver, the tolerances where all runs share them, and the largest number of steps.
         """
         arrays, tolerances, budget = shared
         plan = Plan(self.structure, (), self.scalar)
@@ -221,16 +221,19 @@ def _permitted(values_are_legal, is_closed, y0) -> tuple[Flag, Int[Array, ""]]:
     return values_are_legal & is_closed & jnp.all(jnp.isfinite(y0)), jnp.asarray(status, jnp.int64)
 
 
-def with_slopes(job_of_values: Callable, values: Float[Array, " p"]) -> tuple[Job, Job]:
-    """The job with rows of sensitivities below its state, and the derivatives of the job without.
+def with_slopes(
+    job_of_values: Callable, values: Float[Array, " p"], directions: Float[Array, "k p"]
+) -> tuple[Job, Assembly]:
+    """The job with rows of sensitivities below its state, and the derivatives of its assembly.
 
     Args:
         job_of_values: the job without rows, from the numbers.
-        values: the numbers, whose sizes scale the rows.
+        values: the numbers.
+        directions: of the sensitivities, in the numbers.
     """
-    job, slopes = linearized(job_of_values, values, jnp.diag(scales_of(values)))
+    job, slopes = linearized(job_of_values, values, directions)
     numbers = job.numbers._replace(slopes=slopes.numbers.value)
-    return job._replace(numbers=numbers, y0=jnp.concatenate([job.y0[None], slopes.y0])), slopes
+    return job._replace(numbers=numbers, y0=jnp.concatenate([job.y0[None], slopes.y0])), slopes.assembly
 
 
 # Runs of `simulate` ---------------------------------------------------------------------------------------------------
@@ -251,14 +254,36 @@ def _rest(controller) -> Any:
     return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
 
 
+def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
+    """As `integrate`: in a lane where that can be, by diffrax otherwise."""
+    made = integrate_as_job if can_be_a_job(plan.structure, options) else integrate
+    return made(plan, options, values, known, ts, start, values_are_legal)
+
+
 def integrate_as_job(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
     """As `integrate`, in a lane: `jax.vmap` of it is a queue of runs."""
     return integrated(plan, _Request.of(options), values, known, ts, start, values_are_legal)
 
 
-def slopes_as_job(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> tuple[Outcome, Any, Any]:
-    """A run, and the derivatives of its samples and of its start by the traced numbers, which are the last axis."""
-    return _with_slopes(plan, _Request.of(options), values, known, ts, start, values_are_legal)
+class JobWithSlopes(NamedTuple):
+    """A run and its derivatives along directions in the traced numbers.
+
+    Attributes:
+        outcome: of the run.
+        ys: derivatives of its samples.
+        assembly: of its assembled start, with a leading axis of directions.
+    """
+
+    outcome: Outcome
+    ys: Float[Array, "k n size"]
+    assembly: Assembly
+
+
+def slopes_as_job(
+    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal
+) -> JobWithSlopes:
+    """A run and its derivatives in a lane; arguments as for `sensitivities.integrate_along`."""
+    return _with_slopes(plan, _Request.of(options), values, directions, known, ts, start, values_are_legal)
 
 
 class _Request(eqx.Module):
@@ -313,17 +338,15 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
 
 
 @bounded_jit
-def _with_slopes(plan: Plan, request: _Request, values, known, ts, start, values_are_legal):
+def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
     def job_of_values(values):
         return request.job(plan, values, known, ts, start, values_are_legal)
 
-    job, slopes = with_slopes(job_of_values, values)
+    job, assembly = with_slopes(job_of_values, values, directions)
     made = request.made(plan, job, ts, True)
-    scale = scales_of(values)
-    by_numbers = jnp.moveaxis(made.ys[:, 1:], 1, -1) / scale
-    assembly = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) / scale, slopes.assembly)
+    slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)
     made = made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0])
-    return _outcome(request, job, made), by_numbers, assembly
+    return JobWithSlopes(_outcome(request, job, made), slopes, assembly)
 
 
 def _outcome(request: _Request, job: Job, made: LaneOutcome) -> Outcome:

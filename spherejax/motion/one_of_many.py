@@ -16,6 +16,7 @@ from spherejax.motion.integrate import Plan, stages_of
 from spherejax.motion.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.paths import path_of
+from spherejax.motion.sensitivity_rows import scales_of
 from spherejax.motion.simulate import split, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.start import known_start
@@ -69,7 +70,8 @@ class Prepared:
         def of_values(values):
             return self.start_of_state({**parameters, **dict(zip(by, values, strict=True))})
 
-        return with_slopes(of_values, jnp.stack([parameters[name] for name in by]))[0]
+        values = jnp.stack([parameters[name] for name in by])
+        return with_slopes(of_values, values, jnp.diag(scales_of(values)))[0]
 
     def start_of_state(self, parameters) -> Job:
         """Build the scene of one run and assemble its start."""

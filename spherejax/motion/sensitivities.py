@@ -36,7 +36,7 @@ from spherejax.motion.integrate import (
     samples,
     wrapped,
 )
-from spherejax.motion.jobs import can_be_a_job, integrate_as_job, slopes_as_job
+from spherejax.motion.jobs import can_be_a_job, run_of, slopes_as_job
 from spherejax.motion.programs import program_for
 from spherejax.motion.sensitivity_rows import (
     Linearized,
@@ -61,9 +61,8 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     in compile time. The outcome itself is that of the plain run.
     """
     in_lanes = can_be_a_job(plan.structure, options)
-    run_once = integrate_as_job if in_lanes else integrate
     if not plan.unknown:
-        return run_once(plan, options, values, known, ts, start, values_are_legal)
+        return run_of(plan, options, values, known, ts, start, values_are_legal)
     # Tolerances may be traced: a rule may not close over them.
     arrays, others = eqx.partition(options, eqx.is_array)
 
@@ -79,8 +78,10 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         options = eqx.combine(arrays, others)
         if not (in_lanes and has_controlled_sensitivities(options.solver)):
             return by_diffrax(values, arrays, *rest)
-        outcome, ys, assembly = slopes_as_job(plan, options, values, *rest)
-        return outcome, Slopes(ys, assembly)
+        scale = scales_of(values)
+        found = slopes_as_job(plan, options, values, jnp.diag(scale), *rest)
+        ys, assembly = jax.tree.map(lambda leaf: _numbers_last(leaf, scale), (found.ys, found.assembly))
+        return found.outcome, Slopes(ys, assembly)
 
     @with_slopes.defjvp
     def with_slopes_jvp(primals, tangents):
@@ -89,7 +90,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
 
     @jax.custom_jvp
     def run(values, arrays, known, ts, start, values_are_legal):
-        return run_once(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
+        return run_of(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
 
     @run.defjvp
     def run_jvp(primals, tangents):
@@ -173,6 +174,12 @@ def integrate_along(
     The errors of the sensitivities are controlled as the state's, where `has_controlled_sensitivities`; otherwise the
     method's steps are differentiated.
     """
+    if can_be_a_job(plan.structure, options):
+        found = slopes_as_job(plan, options, values, directions, known, ts, start, values_are_legal)
+        run = found.outcome
+        return StatesAndSlopes(
+            run.ys, found.ys, run.assembly, found.assembly, run.status, run.t_reached, run.stats.n_steps
+        )
     if has_controlled_sensitivities(options.solver):
         return _controlled(plan, options, values, directions, known, ts, start, values_are_legal)
 

@@ -21,7 +21,8 @@ from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.assembly import Assembly
-from spherejax.motion.integrate import Options, Outcome, Plan, integrate
+from spherejax.motion.integrate import Options, Outcome, Plan
+from spherejax.motion.jobs import run_of
 from spherejax.motion.many import Build, built
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_along
@@ -30,6 +31,7 @@ from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now
 from spherejax.motion.status import Status, diagnosis
+from spherejax.motion.tolerances import controller_for
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
@@ -221,7 +223,7 @@ def experiment_of(
     if track_work:
         example = compile_scene(built(build, start), track_work=True).system
     tolerances = tolerances_of(example, choice.solver, integration.rtol, integration.atol)
-    controller = diffrax.PIDController(rtol=jnp.asarray(tolerances.rtol), atol=jnp.asarray(tolerances.atol))
+    controller = controller_for(plan.structure, tolerances.rtol, tolerances.atol)
     solver = with_converging_root_finder(choice.solver, integration.rtol)
     options = Options(solver, controller, diffrax.ForwardMode(), integration.max_steps)
     setting = Setting(options, jnp.asarray(reach.known), jnp.asarray(times), reach.start)
@@ -339,7 +341,7 @@ def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: Numbers) -> Pre
 
 @bounded_jit
 def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
-    outcome: Outcome = integrate(
+    outcome: Outcome = run_of(
         frame.plan, setting.options, numbers.values, setting.known, setting.ts, setting.start, numbers.are_legal
     )
     values = _observed(frame, setting, numbers.values, outcome.ys, outcome.assembly)

@@ -24,6 +24,7 @@ from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now
+from spherejax.motion.tolerances import controller_for
 from spherejax.motion.trajectory import Statistics, Trajectory
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
@@ -103,8 +104,9 @@ def prepare(flat: FlatBuild, numbers, times, method: Method) -> Prepared:
     check_tolerances(method.rtol, method.atol)
     method = method._replace(max_steps=whole_number("max_steps", method.max_steps, ENOUGH_STEPS))
     choice = choice_at(flat, numbers, method)
-    limits = tolerances_of(system_at(flat, numbers, method.track_work), choice.solver, method.rtol, method.atol)
-    controller = diffrax.PIDController(rtol=jnp.asarray(limits.rtol), atol=jnp.asarray(limits.atol))
+    system = system_at(flat, numbers, method.track_work)
+    limits = tolerances_of(system, choice.solver, method.rtol, method.atol)
+    controller = controller_for(flatten_system(system)[0], limits.rtol, limits.atol)
     solver = with_converging_root_finder(choice.solver, method.rtol)
     options = Options(solver, controller, diffrax.ForwardMode(), method.max_steps)
     found = []
