@@ -429,11 +429,11 @@ def no_cache(monkeypatch):
 def test_the_command_prints_and_writes(tmp_path, capsys):
     folder = tmp_path / "results"
     words = ["accuracy", "four-bar", "--quick", "--t1", "0.2", "--solvers", "dopri8", "--tolerances", "1e-5", "1e-7"]
-    assert cli.main([*words, "--repeats", "1", "--target", "1e-9", "--out", str(folder)]) == 0
+    assert cli.main([*words, "--repeats", "1", "--target", "5e-9", "--out", str(folder)]) == 0
     seen = capsys.readouterr()
     assert "position [m]" in seen.out
     assert "Reference: Dopri8 at rtol 1e-09 and Tsit5 at rtol 1e-09 differ by" in seen.out
-    assert "1e-09 m costs" in seen.out
+    assert "5e-09 m costs" in seen.out
     assert "Compiled once for all tolerances: Dopri8" in seen.out
     assert "ideal: reference" in seen.err
     names = {"accuracy.csv", "accuracy.nc", "work_precision_ideal.png", "steps_ideal.png"}

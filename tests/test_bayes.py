@@ -133,7 +133,7 @@ def test_the_density_and_its_gradient(sharp):
     density = jax.jit(jax.value_and_grad(log_density_of(fitted.problem, priors_for(fitted.problem.unknowns, None))))
     value, slope = density(jnp.asarray(fitted.u))
     other, _ = density(jnp.asarray(fitted.u + 0.01))
-    assert float(other - value) == pytest.approx(reference(fitted.u + 0.01) - reference(fitted.u), rel=1e-5)
+    assert float(other - value) == pytest.approx(reference(fitted.u + 0.01) - reference(fitted.u), rel=3e-5)
     _, slope = density(jnp.asarray(fitted.u + 0.01))
     steps = 1e-5 * np.eye(2)
     differences = [(reference(fitted.u + 0.01 + h) - reference(fitted.u + 0.01 - h)) / 2e-5 for h in steps]

@@ -1,5 +1,6 @@
 """Landing on contact onsets: where a step must end, what is remembered there, and several contacts in one scene."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -84,3 +85,36 @@ def test_two_contacts_in_a_scene_do_not_disturb_each_other():
     assert both.stats.n_onsets.tolist()[1] > both.stats.n_onsets.tolist()[0]
     difference = both.position("a") - alone.position("a")
     assert float(jnp.max(jnp.abs(difference))) < 1e-6 * CLEARANCE
+
+
+def test_no_step_is_so_long_that_its_stages_leave_the_contact():
+    """Of a free impact the closed form is known. A first step of fifty times the contact's duration went through."""
+
+    def restitution(chi, speed):
+        center = {"center": (0.0, 0.0, 0.0)}
+        model = sj.Dry(1e-4, normal=Damped(chi))
+        scene = sj.Scene(
+            {"ball": sj.Body(0.1, (1e-5, 1e-5, 1e-5), velocity=speed * jnp.array([1.0, 0.0, 0.0]), points=center)},
+            {"joint": sj.Spherical("ground.socket", "ball.center", model, starts_concentric=False)},
+            gravity=(0.0, 0.0, 0.0),
+            ground_points={"socket": (0.0, 0.0, 0.0)},
+        )
+        run = sj.simulate(scene, jnp.array([0.0, 1.0]) * 2e-4 / speed, rtol=1e-9)
+        return -run.velocity("ball")[-1, 0] / speed, run.status
+
+    chis, speeds = np.repeat(np.geomspace(0.02, 60.0, 40), 3), np.tile([0.02, 0.1, 0.7], 40)
+    found, status = jax.jit(jax.vmap(restitution))(jnp.asarray(chis), jnp.asarray(speeds))
+    np.testing.assert_array_equal(status, 0)
+    np.testing.assert_allclose(found, [sj.realized_restitution(chi) for chi in chis], rtol=0, atol=2e-6)
+
+
+class Damped(sj.AbstractHysteresisLaw):
+    """The law with a given chi."""
+
+    chi: float
+    restitution: float = 1.0
+    stiffness: float | None = None
+    exponent: float = 1.5
+
+    def hysteresis_factor(self):
+        return self.chi

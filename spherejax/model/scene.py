@@ -1,11 +1,12 @@
 """A scene: bodies, joints and forces by name, as the user describes it, and the checks of it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import equinox as eqx
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError, enforce, shown
+from spherejax.foundations.checks import Requirement, SceneError, called, enforce, shown
 from spherejax.foundations.forms import mapping_of, misformed, of_form
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, Baumgarte
@@ -65,7 +66,7 @@ class Scene(eqx.Module):
         body, dot, point = name.partition(".")
         if not dot:
             raise SceneError(f"{name!r} is no point: write 'body.point', e.g. 'rocker.pivot'")
-        self.require_body(body, f"point {name!r}")
+        called(self, "require_body", body, f"point {name!r}")
         places = self.ground_points if body == GROUND else self.bodies[body].points
         if point not in places:
             remedy = "Give it in ground_points=." if body == GROUND else "Add it to the body's points."
@@ -99,7 +100,7 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
         "gravity", scene.gravity, abs(scene.gravity) < np.inf, "be finite [m/s^2]", "Give three numbers."
     )
     yield "scene", [gravity]
-    yield "drift control", scene.drift.requirements()
+    yield "drift control", called(scene.drift, "requirements")
     yield (
         "ground points",
         [
@@ -108,11 +109,11 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
         ],
     )
     for name, body in scene.bodies.items():
-        yield f"body {name!r}", body.requirements()
+        yield f"body {name!r}", called(body, "requirements")
     for name, joint in scene.joints.items():
-        yield f"joint {name!r}", joint.requirements()
+        yield f"joint {name!r}", called(joint, "requirements")
     for name, force in scene.forces.items():
-        yield f"force {name!r}", force.requirements()
+        yield f"force {name!r}", called(force, "requirements")
 
 
 def _check_forms(scene: Scene) -> None:
@@ -145,19 +146,19 @@ def _check_names(scene: Scene) -> None:
     if GROUND in scene.bodies:
         raise SceneError(f"the body name {GROUND!r} is taken by the world; give the body another name")
     for name, joint in scene.joints.items():
-        for body in joint_bodies(scene, joint):
-            scene.require_body(body, f"joint {name!r}")
         first, second = joint_bodies(scene, joint)
+        for body in (first, second):
+            called(scene, "require_body", body, f"joint {name!r}")
         if first == second:
             raise SceneError(f"joint {name!r} joins body {first!r} to itself; name two different bodies")
     for name, force in scene.forces.items():
         for body in force.body_names:
-            scene.require_body(body, f"force {name!r}")
+            called(scene, "require_body", body, f"force {name!r}")
 
 
 def joint_bodies(scene: Scene, joint: AbstractJoint) -> tuple[str, str]:
     """Names of the two bodies that a joint joins."""
-    return joint.joined(scene.find)
+    return called(joint, "joined", partial(called, scene, "find"))
 
 
 def _check_connected(scene: Scene) -> None:

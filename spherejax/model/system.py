@@ -1,7 +1,7 @@
 """From a scene to a system: only what the scene calls for, in a form ready for the equations of motion."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import SceneError, called, is_concrete
 from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
@@ -142,8 +142,9 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # state is the same inside and outside a compiled program.
     bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
     drawn = {name: body.in_reference for name, body in scene.bodies.items()}
-    joints = {name: scene.joints[name].placed(drawn, scene.find) for name in sorted(scene.joints)}
-    forces = {name: scene.forces[name].placed(drawn, scene.find) for name in sorted(scene.forces)}
+    find = partial(called, scene, "find")
+    joints = {name: called(scene.joints[name], "placed", drawn, find) for name in sorted(scene.joints)}
+    forces = {name: called(scene.forces[name], "placed", drawn, find) for name in sorted(scene.forces)}
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
@@ -257,6 +258,7 @@ def flatten_system(system: System):
     return structure, jnp.concatenate([jnp.ravel(jnp.asarray(leaf, jnp.float64)) for leaf in leaves])
 
 
+@lru_cache(maxsize=64)
 def example_of(structure: Structure) -> System:
     """A system of the structure, with shapes for numbers."""
     n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import SceneError, called, is_concrete
 from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3
@@ -70,7 +70,7 @@ class Assembly(NamedTuple):
 
 def as_ideal(system: System) -> System:
     """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
-    ideal = {name: joint.as_if_ideal() for name, joint in system.joints.items()}
+    ideal = {name: called(joint, "as_if_ideal") for name, joint in system.joints.items()}
     joints = {name: joint for name, joint in ideal.items() if joint is not None}
     return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
 

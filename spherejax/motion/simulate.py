@@ -68,15 +68,15 @@ def simulate(
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
             are landed on whichever controller judges the errors.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
-            traced numbers, which serve forward and reverse mode alike. They are integrated in a run of their own, with
-            their errors controlled as the state's: through ten impacts they are good to 1e-6 at an `rtol` of 1e-8, and
-            to a few 1e-5 at 1e-6. It costs two to five plain runs for each number, nine at 1e-10. Explicit Runge-Kutta
-            methods do so, and Rosenbrock methods, whose sensitivities Ros34PW2 integrates. A controller of your own
-            judges the state and the sensitivities as rows of one array; a `PIDController` judges the worst row. A
-            sample that the sensitivities do not reach within `max_steps` has the derivative NaN. With any other method
-            each step of the run is differentiated, and nobody controls the error of the derivatives, which behind
-            impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
-            `sj.sensitivity`.
+            traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
+            their errors controlled at fifty times its tolerance: through ten impacts they are good to 1e-6 at an
+            `rtol` of 1e-8, to a few 1e-4 at 1e-6. A motion and its derivative by one number cost about four plain runs.
+            Explicit Runge-Kutta methods do so, and Rosenbrock methods, whose sensitivities Ros34PW2 integrates. With a
+            controller of your own they are integrated in a run of their own, and it judges the state and the
+            sensitivities as rows of one array; a `PIDController` judges the worst row. A sample that the
+            sensitivities do not reach within `max_steps` has the derivative NaN. With any other method each step of
+            the run is differentiated, and nobody controls the error of the derivatives, which behind impacts are good
+            to about 1e-3. For the gradient of one number by hundreds of parameters see `sj.sensitivity`.
         max_steps: largest number of steps; it may be traced.
         track_work: integrate the work that each non-ideal joint absorbs. Its error is not judged: the steps are those
             of a run without.

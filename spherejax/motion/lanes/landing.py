@@ -27,7 +27,7 @@ from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.lanes.control import Judgment, Step
 from spherejax.motion.lanes.stages import own_time
 from spherejax.motion.solvers.crossing_search import Found, crossing_fraction, first_event
-from spherejax.motion.solvers.landing import LANDING_WINDOW, Contacts, longest_flight_step, shortest_step
+from spherejax.motion.solvers.landing import LANDING_WINDOW, Contacts, longest_ball_step, shortest_step
 from spherejax.physics.joints.base import Crossing
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
@@ -164,7 +164,7 @@ class Landing:
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
         following, until = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
         acceleration = found.bend / size**2
-        longest = longest_flight_step(end, acceleration, is_touching)
+        longest = longest_ball_step(end, acceleration, is_touching)
         following = jnp.minimum(following, longest)
         # A step that was too long only because it went far beyond the event is right up to there.
         is_event_to_blame = found.crosses & (share * _BEYOND < _NEAR_END)

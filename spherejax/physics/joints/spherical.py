@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import Requirement
+from spherejax.foundations.checks import Requirement, called
 from spherejax.foundations.rotation import conjugate, quaternion_product
 from spherejax.foundations.types import Numeric
 from spherejax.physics.joints.base import AbstractSphericalModel, Response
@@ -37,7 +37,7 @@ class Spherical(AbstractJoint):
 
     def requirements(self) -> list[Requirement]:
         """What the model requires."""
-        return self.model.requirements()
+        return called(self.model, "requirements")
 
     def joined(self, find):
         """The bodies of socket and ball."""
