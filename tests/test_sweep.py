@@ -51,8 +51,8 @@ def test_lanes_make_the_same_runs_as_simulate():
         alone = sj.simulate(hanging(clearances[lane]), ts, rtol=1e-9)
         np.testing.assert_allclose(runs.trajectories.ys[lane, :, :13], alone.ys[:, :13], atol=1e-8)
         assert int(runs.trajectories.stats.n_onsets[lane, 0]) == int(alone.stats.n_onsets[0]) > 3
-        # Events are found inside steps, which need not be made again to end there.
-        assert int(runs.trajectories.stats.n_steps[lane]) < 0.8 * int(alone.stats.n_steps)
+        # One engine makes both; the order of operations, and with it rounding, differs with the width.
+        assert int(runs.trajectories.stats.n_steps[lane]) == pytest.approx(int(alone.stats.n_steps), rel=0.05)
     assert np.all(runs.time_in_contact > 0)
     assert np.all(runs.time_in_contact < 0.05)
 

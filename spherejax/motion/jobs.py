@@ -255,8 +255,12 @@ def _rest(controller) -> Any:
 
 
 def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`: in a lane where that can be, by diffrax otherwise."""
-    made = integrate_as_job if can_be_a_job(plan.structure, options) else integrate
+    """As `integrate`: in a lane where that can be, by diffrax otherwise.
+
+    A run of a Rosenbrock method whose numbers are all known goes by diffrax too: alone it gains nothing in a lane.
+    """
+    is_alone = not plan.unknown and not isinstance(options.solver, diffrax.AbstractERK)
+    made = integrate if is_alone or not can_be_a_job(plan.structure, options) else integrate_as_job
     return made(plan, options, values, known, ts, start, values_are_legal)
 
 

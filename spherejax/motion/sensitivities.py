@@ -58,7 +58,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
 
     The derivative rule computes all sensitivities by the traced numbers and applies them: that is linear in the
     tangent, so it can be transposed. With few parameters it is cheaper than a reverse sweep, in run time and far more
-    in compile time. The outcome itself is that of the plain run.
+    in compile time. In a lane the outcome and its derivatives come from one integration, by diffrax from two.
     """
     in_lanes = can_be_a_job(plan.structure, options)
     if not plan.unknown:

@@ -289,7 +289,8 @@ class _Queue:
         """Run all jobs."""
         width = min(block.width, max(1, self.n_jobs))
         lanes = self.block_of(jnp.arange(width))
-        ys = jnp.full((self.n_jobs, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
+        is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
+        ys = jnp.where(is_start, self.y0[:, None], jnp.nan)
         size = self.y0[0].size
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
         account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
