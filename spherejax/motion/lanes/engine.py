@@ -290,7 +290,10 @@ class _Queue:
         width = min(block.width, max(1, self.n_jobs))
         lanes = self.block_of(jnp.arange(width))
         is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
-        ys = jnp.where(is_start, self.y0[:, None], jnp.nan)
+        correct = self.problem.correct
+        # The start is corrected as all samples are; the integration begins with what it was given.
+        first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
+        ys = jnp.where(is_start, first[:, None], jnp.nan)
         size = self.y0[0].size
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
         account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
