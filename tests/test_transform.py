@@ -76,7 +76,7 @@ FAMILIES = {
     ),
     "dry": Family(dry, {"c": 1e-4, "radius": 0.010, "c_r": 0.9, **STEEL}, 0.02, 1e-11, 3e-3, 1e-6),
     "friction": Family(friction, {"c": 1e-4, "mu": 0.1, "v1": 1e-3}, 0.02, 1e-11, 2e-4, 1e-6),
-    "lubricated": Family(lubricated, FILM, 0.02, 1e-10, 3e-3, 1e-4, diffrax.Dopri8()),
+    "lubricated": Family(lubricated, FILM, 0.02, 1e-10, 4e-3, 1e-4, diffrax.Dopri8()),
     "lubricated, automatic": Family(lubricated, FILM, 0.02, 1e-10, 2e-3, 1e-4),
     "bushing": Family(
         lambda k, b: four_bar(sj.Bushing(stiffness=k, damping=b)), {"k": 1e6, "b": 1e-4}, 0.02, 1e-10, 3e-4, 1e-4
