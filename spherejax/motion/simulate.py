@@ -69,8 +69,8 @@ def simulate(
             are landed on whichever controller judges the errors.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
             traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
-            their errors controlled at fifty times its tolerance: through ten impacts they are good to 1e-6 at an
-            `rtol` of 1e-8, to a few 1e-4 at 1e-6. A motion and its derivative by one number cost about four plain runs.
+            their errors controlled at twice its tolerance: through ten impacts they are good to 1e-6 at an `rtol` of
+            1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about six plain runs.
             Explicit Runge-Kutta methods do so, and Rosenbrock methods, whose sensitivities Ros34PW2 integrates. With a
             controller of your own they are integrated in a run of their own, and it judges the state and the
             sensitivities as rows of one array; a `PIDController` judges the worst row. A sample that the
