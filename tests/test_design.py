@@ -228,8 +228,9 @@ def test_the_report_and_the_figure(design):
 
 
 def test_the_run_of_the_design(design):
+    # The objective comes with its gradient: a run of other steps, equal to the tolerance of the runs.
     assert float(jnp.max(jnp.linalg.norm(design.run.reaction("mount"), axis=1))) == pytest.approx(
-        design.objective, rel=1e-9
+        design.objective, rel=1e-7
     )
 
 

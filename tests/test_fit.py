@@ -1,7 +1,6 @@
 """`sj.fit` on the four-bar with a bushing: estimates, intervals, and what the data cannot determine."""
 
 import itertools
-import time
 
 import fitting
 import numpy as np
@@ -24,7 +23,6 @@ def measured(motion):
 @pytest.mark.parametrize(("stiffer", "damped"), itertools.product([0.1, 10.0], [0.1, 10.0]))
 def test_finds_the_bushing_from_starts_a_factor_of_ten_away(measured, stiffer, damped):
     start = {"stiffness": STIFFNESS * stiffer, "damping": DAMPING * damped}
-    began = time.process_time()
     fitted = sj.fit(bushing_four_bar, start, measured, noise=NOISE)
     assert fitted.succeeded
     assert fitted.status.startswith("converged")
@@ -34,8 +32,7 @@ def test_finds_the_bushing_from_starts_a_factor_of_ten_away(measured, stiffer, d
     assert fitted.best_possible["damping"] / DAMPING == pytest.approx(4e-3, rel=0.2)
     assert not fitted.undetermined
     assert not fitted.warnings
-    # Computing time, which a busy machine does not stretch; the first fit compiles.
-    assert time.process_time() - began < 20
+    assert fitted.n_iterations <= 40
 
 
 def test_says_that_the_data_cannot_determine_the_damping_under_much_noise(motion):
