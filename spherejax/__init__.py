@@ -35,6 +35,7 @@ from spherejax.model.system import System, compile_scene
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.equilibrium import Equilibrium, equilibrium
 from spherejax.motion.lanes import Block
+from spherejax.motion.lanes.operation import SerialRunsWarning
 from spherejax.motion.many import Runs, simulate_many
 from spherejax.motion.modes import Mode
 from spherejax.motion.programs import ArrayPathWarning
@@ -261,6 +262,7 @@ __all__ = [
     "SceneFile",
     "Sensitivities",
     "Sensitivity",
+    "SerialRunsWarning",
     "ShockAbsorber",
     "SimulationError",
     "SimulationSettings",

@@ -553,3 +553,11 @@ def test_too_few_steps_is_a_warning_with_a_remedy_and_an_error_on_request():
     assert np.isfinite(np.asarray(run.ys[0])).all()
     with pytest.raises(sj.SimulationError, match="max_steps"):
         sj.simulate(FOUR_BAR(), cases.times(2.0, 5), max_steps=3, throw=True)
+
+
+def test_a_traced_number_of_steps_lays_out_no_memory():
+    def end(n):
+        return sj.simulate(FOUR_BAR(), cases.times(2.0, 5), max_steps=n, adjoint=diffrax.DirectAdjoint()).ys
+
+    with pytest.raises(sj.SceneError, match=r"max_steps is traced, and DirectAdjoint .*leave adjoint= out"):
+        jax.jit(end)(100)

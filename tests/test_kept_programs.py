@@ -116,14 +116,18 @@ def test_builders_that_close_over_traced_values_are_not_confused():
 def test_a_run_leaves_nothing_behind_when_its_program_is_let_go():
     """diffrax keeps a trace of its own of each integration, which held the functions of ours for ever."""
     scene = pendulum(9.81, 1.0)
-    for programs, inner, solver in ((integrated, "_made", None), (integrate, "diffeqsolve", diffrax.Kvaerno5())):
+    for programs, name, solver in ((integrated, "integrated", None), (integrate, "integrate", diffrax.Kvaerno5())):
         programs.clear()
         gc.collect()
-        before = _n_traces_of(inner)
+        before, of_diffrax = _n_traces_of(name), _n_traces_of("diffeqsolve")
         for n in (2, 3):
             sj.simulate(scene, np.linspace(0.0, 0.01, n), solver=solver)
         assert programs.n_programs == 2
-        assert _n_traces_of(inner) == before
+        assert _n_traces_of(name) == before + 2
+        assert _n_traces_of("diffeqsolve") == of_diffrax
+        programs.clear()
+        gc.collect()
+        assert _n_traces_of(name) == before
 
 
 def _n_traces_of(name: str) -> int:

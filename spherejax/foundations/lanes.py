@@ -31,7 +31,7 @@ def in_lanes(function: Callable) -> Callable:
     return jax.vmap(function, in_axes=-1, out_axes=-1)
 
 
-def with_rows(
+def with_rows_at(
     target: Float[Array, "n ..."], index: Int[Array, " n_lanes"], rows: Float[Array, "n_lanes ..."]
 ) -> Float[Array, "n ..."]:
     """`target` with `target[index[i]] = rows[i]`; an index outside of it writes nothing.

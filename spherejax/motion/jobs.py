@@ -146,7 +146,7 @@ class JobKind:
             contacts_of(self.structure, self.scalar),
             budget,
             watching(self.structure, self.watch),
-            longest_step(self.structure, ts),
+            longest_step(self.structure, ts, scalar=self.scalar),
             audit_of(plan),
             room_of(plan),
             example_of(self.structure).layout.work_start,

@@ -68,7 +68,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
 
     def by_diffrax(values, arrays, *rest) -> tuple[Outcome, Slopes]:
         options = eqx.combine(arrays, others)
-        outcome = integrate(plan, options, values, *rest)
+        outcome = run(values, arrays, *rest)
         if has_controlled_sensitivities(options.solver):
             return outcome, _controlled_slopes(plan, options, values, *rest)
         return outcome, _slopes_through_the_loop(plan, options, values, *rest)

@@ -71,13 +71,14 @@ def simulate(
             traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
             their errors controlled at twice its tolerance: through ten impacts they are good to 1e-6 at an `rtol` of
             1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about six plain runs.
-            Explicit Runge-Kutta methods do so, and Rosenbrock methods, whose sensitivities Ros34PW2 integrates. With a
-            controller of your own they are integrated in a run of their own, and it judges the state and the
-            sensitivities as rows of one array; a `PIDController` judges the worst row. A sample that the
-            sensitivities do not reach within `max_steps` has the derivative NaN. With any other method each step of
-            the run is differentiated, and nobody controls the error of the derivatives, which behind impacts are good
-            to about 1e-3. For the gradient of one number by hundreds of parameters see `sj.sensitivity`.
-        max_steps: largest number of steps; it may be traced.
+            Explicit Runge-Kutta methods do so, and Rosenbrock methods, whose sensitivities Ros34PW2 integrates, judged
+            by the state's tolerance itself. With a controller of your own they are integrated in a run of their own,
+            and it judges the state and the sensitivities as rows of one array; a `PIDController` judges the worst row.
+            A sample that the sensitivities do not reach within `max_steps` has the derivative NaN. With any other
+            method each step of the run is differentiated, and nobody controls the error of the derivatives, which
+            behind impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
+            `sj.sensitivity`.
+        max_steps: largest number of steps; it may be traced, unless an `adjoint` lays out memory by it.
         track_work: integrate the work that each non-ideal joint absorbs. Its error is not judged: the steps are those
             of a run without.
         scalar: True runs on the scalar program, False on the array code. With None the scalar program is taken up to
@@ -115,6 +116,11 @@ def simulate(
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
+    if budget is not None and not by_sensitivities:
+        raise SceneError(
+            f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
+            "or leave adjoint= out"
+        )
     run_of = integrate_with_sensitivities if by_sensitivities else integrate
     options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps, budget)
     # Known times have been checked; here they would be a kernel of their own for each number of samples.

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.lanes import in_lanes, with_rows
+from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.audit import CHECKS, Audit, Watch
 from spherejax.motion.lanes.control import Repeating, Step
 from spherejax.motion.lanes.landing import Landing
@@ -361,7 +361,7 @@ class _Queue:
             else:
                 y = lanes.y
             row = jnp.where(is_due, lanes.job * n + n_samples, self.n_jobs * n)
-            return n_samples + is_due, with_rows(ys, row, jnp.moveaxis(y, -1, 0))
+            return n_samples + is_due, with_rows_at(ys, row, jnp.moveaxis(y, -1, 0))
 
         rows = ys.reshape(-1, *ys.shape[2:])
         n_samples, rows = jax.lax.while_loop(any_due, write, (jnp.maximum(lanes.n_samples, 1), rows))
@@ -370,7 +370,7 @@ class _Queue:
 
     def _refilled(self, has_ended, lanes: Lane, waiting, account):
         """Write results of the lanes that have ended, and give them the next jobs."""
-        account = with_rows(account, jnp.where(has_ended, lanes.job, self.n_jobs), in_lanes(_account)(lanes).T)
+        account = with_rows_at(account, jnp.where(has_ended, lanes.job, self.n_jobs), in_lanes(_account)(lanes).T)
         jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
         fresh = self.block_of(jnp.where(has_ended, jobs, self.n_jobs))
         lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)

@@ -3,11 +3,12 @@
 `jax.vmap` of a loop waits for its slowest lane and carries every buffer through every step: 256 runs of a four-bar cost
 seven to nine times what they cost one after the other. Here the batching rule hands all runs to the queue; nested maps
 become one longer queue. What cannot be queued, because it is shared by all runs of a queue (sample times, numbers of
-the solver), is worked off one after the other.
+the solver, `max_steps`), is worked off one after the other, with a `SerialRunsWarning`.
 
 The operation has no derivative of its own: its callers have a rule for that.
 """
 
+import warnings
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -20,6 +21,16 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.motion.audit import CHECKS
 from spherejax.motion.lanes.engine import Block, LaneOutcome, LaneProblem, run_in_lanes
+
+ONE_AFTER_THE_OTHER = (
+    "jax.vmap of runs whose sample times, max_steps or numbers of the solver differ: they are made one after the "
+    "other, for several times the price of lanes. Map over the numbers of the scene alone, with the sample times of "
+    "all runs in one ts"
+)
+
+
+class SerialRunsWarning(UserWarning):
+    """Runs under `jax.vmap` that cannot share lanes are made one after the other; the message says why."""
 
 
 class Kind(Protocol):
@@ -85,6 +96,7 @@ def _shapes(ts, *others, form: _Form):
     _, y0, _, _ = jax.tree.unflatten(form.own, others[form.n_shared - 1 :])
     n_jobs, *state = y0.shape
     n_contacts = form.kind.n_contacts
+    # No kind that comes here watches peaks: `simulate_many`, which does, calls `run_in_lanes` itself.
     number, count = jnp.dtype(jnp.float64), jnp.dtype(jnp.int64)
     outcome: dict[str, tuple[tuple[int, ...], Any]] = {
         "ys": ((n_jobs, *ts.shape, *state), number),
@@ -108,6 +120,7 @@ def _batched(operands, dims, *, form: _Form):
     n = next(x.shape[dim] for x, dim in zip(operands, dims, strict=True) if dim is not None)
     front = [jnp.moveaxis(x, dim, 0) if mapped else x for x, dim, mapped in zip(operands, dims, is_mapped, strict=True)]
     if any(is_mapped[: form.n_shared]):
+        warnings.warn(ONE_AFTER_THE_OTHER, SerialRunsWarning, stacklevel=2)
 
         def one(mapped):
             mapped = iter(mapped)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.simulate import simulate
+from spherejax.motion.simulate import NO_LIMIT, simulate
 from spherejax.motion.trajectory import Statistics
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
@@ -21,8 +21,6 @@ PROBE_STEPS = 400
 BURST_SECONDS, LONGEST_BURST = 0.02, 9
 """A repeat of a short run is a burst of runs of about this length [s], nine at most: a run of a millisecond is at the
 mercy of whatever the machine does in it."""
-
-_NO_LIMIT = np.iinfo(np.int64).max
 
 
 class Ending(NamedTuple):
@@ -84,7 +82,7 @@ class Program:
         self._compiled = jax.jit(run).lower(*_arguments(1e-3, 1)).compile()
         self.compile_seconds = time.perf_counter() - begin
 
-    def run(self, rtol: float, n_steps: int = _NO_LIMIT) -> Any:
+    def run(self, rtol: float, n_steps: int = NO_LIMIT) -> Any:
         """The `Trajectory` or `Ending` of a run, finished when this returns."""
         return self.call(_arguments(rtol, n_steps))
 
