@@ -88,6 +88,8 @@ def test_run_refuses_to_replace_a_file_before_it_simulates(tmp_path, capsys, mon
         (("--t1", "-1"), "--t1 = -1 must be a positive time"),
         (("--dt", "5"), "--dt = 5 must be positive and not above --t1"),
         (("--samples", "1"), "--samples = 1 must be at least 2"),
+        (("--samples", "1000000000000"), "1e+12 samples of every quantity do not fit in memory; ask for at most"),
+        (("--dt", "1e-12"), "samples of every quantity do not fit in memory"),
         (("--rtol", "1e-17"), "float64 does not carry"),
         (("--out", "run.xlsx"), "'.xlsx' names no format"),
     ],

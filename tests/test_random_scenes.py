@@ -1,9 +1,10 @@
 """Scenes drawn at random finish or explain, and obey energy, momentum, constraints and walls; seeds are printed."""
 
+import jax
 import numpy as np
 import pytest
 import random_scenes
-from random_scenes import compiled, faults, in_lanes, mapped, stacked, structure
+from random_scenes import compiled, faults, in_lanes, known, mapped, stacked, structure
 
 import spherejax as sj
 
@@ -11,6 +12,7 @@ FEW = (1, 3, 13, 17)
 """A ball on a torsion spring, a tyre, a cylinder on a plane, a free pair whose ball starts in flight."""
 
 MANY = tuple(seed for seed in range(60) if len(structure(seed).links) <= 2)[:36]
+LARGE = (0, 2, 4, 16, 35, 43, 45, 59)
 RTOLS = (1e-6, 1e-8)
 
 
@@ -52,17 +54,40 @@ def test_many_scenes_are_sound_or_explained(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 7])
+@pytest.mark.parametrize("seed", LARGE)
+def test_scenes_of_three_and_four_bodies_are_sound_or_explained(seed):
+    found = all_faults(seed, 8)
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 7, 11, 17, 51])
 def test_jit_vmap_and_lanes_agree(seed):
     """Of structures whose motion no impact makes chaotic over so short a time, as far as they succeed."""
-    made, values, ts, rtol = group(seed, 4)
-    singles = [compiled(made, one_of(values, k), ts, rtol) for k in range(4)]
-    for way in (mapped, in_lanes):
+    made, values, ts, rtol = group(seed, 8)
+    singles = [compiled(made, one_of(values, k), ts, rtol) for k in range(8)]
+    for way in (known, mapped, in_lanes):
         many = way(made, values, ts, rtol)
         for k, single in enumerate(singles):
             assert many["status"][k] == single["status"] == sj.Status.SUCCEEDED
             scale = np.abs(single["ys"]).max()
             np.testing.assert_allclose(many["ys"][k], single["ys"], atol=1e3 * rtol * scale, err_msg=f"numbers {k}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 8, 11, 17, 51])
+def test_forward_reverse_and_differences_agree(seed):
+    """Of the end of a motion, along a random direction in the numbers of all parts."""
+    made, values, ts, _ = group(seed, 4)
+    for k in range(4):
+        end = random_scenes.end_along(made, one_of(values, k), ts[:9], 1e-10)
+        forward, reverse = (np.asarray(found(0.0)) for found in (jax.jit(jax.jacfwd(end)), jax.jit(jax.jacrev(end))))
+        h = 1e-5
+        differences = (np.asarray(end(h)) - np.asarray(end(-h))) / (2 * h)
+        scale = np.abs(differences).max()
+        assert scale > 0
+        np.testing.assert_allclose(reverse, forward, rtol=0, atol=1e-9 * scale, err_msg=f"numbers {k}")
+        np.testing.assert_allclose(forward, differences, rtol=0, atol=2e-3 * scale, err_msg=f"numbers {k}")
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,10 @@ def _joint_words(options: argparse.Namespace) -> str:
     return name if name == AS_DESCRIBED else f"{name} joint"
 
 
+MOST_SAMPLES = 10_000_000
+"""Of the state of one body they are a gigabyte, and of all that a run writes ten."""
+
+
 def sample_times(options: argparse.Namespace):
     """Sample times from `--t1` and `--samples` or `--dt`.
 
@@ -130,6 +134,11 @@ def sample_times(options: argparse.Namespace):
         n_samples = 2001 if options.samples is None else options.samples
     if n_samples < 2:
         raise sj.SceneError(f"--samples = {n_samples} must be at least 2: the start and the end")
+    if n_samples > MOST_SAMPLES:
+        raise sj.SceneError(
+            f"{n_samples:.3g} samples of every quantity do not fit in memory; ask for at most {MOST_SAMPLES:,}, or for "
+            "a shorter --t1"
+        )
     return jnp.linspace(0.0, options.t1, n_samples)
 
 

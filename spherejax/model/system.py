@@ -50,6 +50,8 @@ class System(eqx.Module):
         drift: drift control.
         memory_slots: where the joints' memory is; empty where no law needs one.
         tracks_work: whether the state carries the work that each non-ideal joint absorbs.
+        tracks_supply: whether the state carries the work put in by parts that may add energy: drivers, applied forces,
+            roads that move, bristles, parts of a user's own.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
         smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
         stacks: the numbers of bodies and joints as `model.groups.Stacks`, where they have been stacked already (once,
@@ -63,6 +65,7 @@ class System(eqx.Module):
     drift: AbstractDriftControl
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
+    tracks_supply: bool = eqx.field(static=True, default=False)
     refines_constraints: bool = eqx.field(static=True, default=False)
     smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
     stacks: Any = None
@@ -71,7 +74,8 @@ class System(eqx.Module):
     def layout(self) -> Layout:
         """Where things are in the flat state."""
         n_memory = sum(len(slot.names) for slot in self.memory_slots)
-        return Layout(len(self.bodies), n_memory, len(self.force_joints) if self.tracks_work else 0)
+        n_work = (len(self.force_joints) if self.tracks_work else 0) + self.tracks_supply
+        return Layout(len(self.bodies), n_memory, n_work)
 
     @property
     def force_joints(self) -> tuple[str, ...]:
@@ -156,7 +160,10 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
     is_driven = any(joint.is_driven for joint in joints.values())
     smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
-    system = System(bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, refines, smallest)
+    gains = not all(part.never_adds_energy for part in (*joints.values(), *forces.values()))
+    system = System(
+        bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, gains, refines, smallest
+    )
     return Compiled(system, conditions)
 
 

@@ -1,19 +1,21 @@
 """Every run audits itself: what cannot be, at the end of any step, ends it with a status of its own.
 
-    energy      a scene that nothing drives and whose parts cannot create energy never has more than it had before
+    energy      never rises by more than drivers, forces and other parts that may add some have put in
     flight      no ball is beyond its socket's surface while it counts as flying
     constraints  the constraint equations hold
     quaternions  have unit norm
 
-Whether energy may rise is asked of each part (`never_adds_energy`): drivers, applied forces, roads that pass below and
-parts of a user's own may add some, and then energy is not audited. Balance by the work of the joints alone would not
-do: a ball that flies through its socket does no work on it, and gains energy when it is caught outside.
+Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
+forces, roads that move, bristles, parts of a user's own) is integrated beside the state, and what they store does not
+count. Balance by the work of the joints alone would not do: a ball that flies through its socket does no work on it,
+and gains energy when it is caught outside.
 
 The limits are those of a run that is wrong, far above what the tolerance of a run that is right explains.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,7 +30,6 @@ from spherejax.motion.loads import joint_loads
 from spherejax.motion.observables import kinetic_energy, potential_energy
 from spherejax.motion.programs import program_for
 from spherejax.motion.tolerances import energy_scale, length_scale
-from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.state import unpack
 
 ENERGY_SHARE = 1e-3
@@ -56,7 +57,7 @@ CHECKS = ("energy", "flight", "constraints", "quaternions")
 """What is audited, in the order of `run.stats.audit`."""
 
 FINDINGS = {
-    "energy": "the energy rose, though nothing in the scene can add any",
+    "energy": "the energy rose by more than was put in",
     "flight": "a ball was outside its socket without contact",
     "constraints": "the joints' equations were violated",
     "quaternions": "a body's quaternion lost its norm",
@@ -64,21 +65,63 @@ FINDINGS = {
 """What a failed check says."""
 
 
-def findings(shares) -> str:
+def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str:
     """What an audit has found, in words; empty for a sound run.
 
     Args:
         shares: the worst of each of `CHECKS` as a share of its limit, shape (4,).
+
+    Other args:
+        suspected: for a check the part of which it was largest where the run ended.
     """
     found = [(check, share) for check, share in zip(CHECKS, np.asarray(shares), strict=True) if not share <= 1]
-    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times the limit)" for check, share in found)
+    return "; ".join(
+        f"{FINDINGS[check]} ({share:.3g} times the limit{': ' * (check in suspected)}{suspected.get(check, '')})"
+        for check, share in found
+    )
+
+
+def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[str, str]:
+    """For each of `CHECKS` the part of which it is largest at one state, in words; computed at once.
+
+    Energy is of the whole scene: named is the joint whose surfaces are pressed into each other deepest, if any are.
+
+    Args:
+        system: the system.
+        t: time [s].
+        y: flat state.
+    """
+    state = unpack(system.layout, jnp.asarray(y))
+    motions = body_motions(system, state)
+    found: dict[str, str] = {}
+    outside = {}
+    for name in system.contact_joints:
+        joint: Any = system.spherical(name)
+        g = joint.model.crossing(joint.relative_motion(motions)).value
+        outside[name] = float(np.sqrt(2 * max(float(g), -0.5) + 1)) - 1
+    if outside and max(outside.values()) > 0:
+        deepest = max(outside, key=lambda name: outside[name])
+        found["energy"] = f"the ball of joint {deepest!r} is {outside[deepest]:.3g} clearances outside"
+        starts = {slot.joint: slot.start for slot in system.memory_slots}
+        flying = [name for name in outside if not state.memory[starts[name]] > 0]
+        if flying:
+            worst = max(flying, key=lambda name: outside[name])
+            found["flight"] = f"the ball of joint {worst!r}, by {outside[worst]:.3g} clearances"
+    rows = constraint_set(system, jnp.asarray(t), motions).rows
+    gaps = {name: float(jnp.max(jnp.abs(row.residual))) for name, row in rows.items()}
+    if gaps:
+        worst = max(gaps, key=lambda name: gaps[name])
+        found["constraints"] = f"joint {worst!r} gapes by {gaps[worst]:.3g} m or rad"
+    norms = np.abs(np.sum(np.asarray(state.quaternion) ** 2, axis=-1) - 1)
+    found["quaternions"] = f"body {list(system.bodies)[int(np.argmax(norms))]!r}"
+    return found
 
 
 class Vitals(NamedTuple):
     """What is looked at, at one instant.
 
     Attributes:
-        potential: energy of weight and force elements [J].
+        potential: energy of weight and force elements, less the work that has been put in [J].
         agitation: kinetic energy, and what the joints store [J].
         outside: (|e|^2 / c^2 - 1) / 2 of the outermost ball in flight; -1/2 without one.
         violation: largest entry of the constraint equations [m or 1].
@@ -99,7 +142,9 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     outside, stored = [jnp.asarray(-0.5)], jnp.zeros(())
     if system.force_joints:
         loads = joint_loads(system, motions, state.memory)
-        stored = sum((load.response.elastic_energy for load in loads.values()), stored)
+        stores = (load.response.elastic_energy for name, load in loads.items() if system.joints[name].never_adds_energy)
+        stored = sum(stores, stored)
+    put_in = state.work[-1] if system.tracks_supply else jnp.zeros(())
     for slot in system.memory_slots:
         if slot.joint in system.contact_joints:
             joint = system.spherical(slot.joint)
@@ -109,7 +154,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
     norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
     return Vitals(
-        potential_energy(system, t, motions),
+        potential_energy(system, t, motions, of_all=False) - put_in,
         kinetic_energy(system, motions) + stored,
         jnp.max(jnp.stack(outside)),
         jnp.max(residual),
@@ -143,7 +188,7 @@ class Limits(eqx.Module):
     """From where on a run is wrong.
 
     Attributes:
-        energy: largest share of the energy that may have come from nowhere; infinite where energy may rise.
+        energy: largest share of the energy that may have come from nowhere.
         least: what counts as moving at least [J].
         violation: of the constraint equations.
     """
@@ -205,17 +250,9 @@ class Audit(NamedTuple):
 def limits_of(system: System, rtol) -> Limits:
     """The limits for the scales of a scene and a relative tolerance; None where it is not known."""
     share = LARGEST_SHARE if rtol is None else ENERGY_SHARE + TOLERANCES * jnp.max(jnp.asarray(rtol))
-    energy = jnp.minimum(share, LARGEST_SHARE) if never_adds_energy(system) else np.inf
+    energy = jnp.minimum(share, LARGEST_SHARE)
     length = jnp.minimum(length_scale(system), 1.0)
     return Limits(energy, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)
-
-
-def never_adds_energy(system: System) -> bool:
-    """Whether no part of a system can add energy (static)."""
-    if system.is_driven:
-        return False
-    models = [joint.model for joint in system.joints.values() if isinstance(joint, PlacedSpherical)]
-    return all(part.never_adds_energy for part in [*models, *system.forces.values()])
 
 
 def look_of(structure: Structure, scalar: bool | None) -> Callable:

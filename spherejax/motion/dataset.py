@@ -155,7 +155,7 @@ def _of_joints(run: "Trajectory") -> dict[str, Column]:
         dims = ("time", "force_joint")
         columns["absorbed_work"] = (
             dims,
-            run.state.work,
+            run.state.work[..., : len(system.force_joints)],
             "J",
             "work that the joint has taken from the bodies",
         )
@@ -187,6 +187,7 @@ def _of_the_whole(run: "Trajectory") -> dict[str, Column]:
         "kinetic_energy": (("time",), run.kinetic_energy, "J", "kinetic energy of all bodies"),
         "potential_energy": (("time",), run.potential_energy, "J", "energy of weight and force elements"),
         "mechanical_energy": (("time",), run.mechanical_energy, "J", "kinetic, potential and elastic energy"),
+        "supplied_work": (("time",), run.supplied_work, "J", "work put in by drivers and others that may add energy"),
         "constraint_violation": (("time",), run.constraint_violation, "m or 1", "largest entry of |Phi|"),
         "velocity_violation": (("time",), run.velocity_violation, "m/s or 1/s", "largest entry of |Phi_dot|"),
     }

@@ -11,7 +11,7 @@ from spherejax.foundations.types import Number, Quaternion, Scalar, Vector3
 from spherejax.model.system import System
 from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import ConstraintSet, Solution, constrained_accelerations, constraint_set
-from spherejax.motion.loads import JointLoads, applied_wrenches, joint_loads
+from spherejax.motion.loads import JointLoads, applied_wrenches, joint_loads, supplied_power
 from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.state import State, unpack
 
@@ -47,13 +47,25 @@ def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> Evaluation:
 
 def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " size"]:
     """Time derivative of the flat state: the right-hand side that is integrated."""
-    evaluation = evaluate(system, t, y)
+    _, motions, loads, constraints, solution = evaluate(system, t, y)
     parts = [
-        over_lanes(_position_rate, evaluation.motions.moving, shared=(system.drift.norm_feedback,)).ravel(),
-        evaluation.solution.accelerations.ravel(),
-        evaluation.loads.memory_rates,
+        over_lanes(_position_rate, motions.moving, shared=(system.drift.norm_feedback,)).ravel(),
+        solution.accelerations.ravel(),
+        loads.memory_rates,
     ]
-    return jnp.concatenate([*parts, evaluation.loads.absorbed_powers] if system.tracks_work else parts)
+    return jnp.concatenate([*parts, *work_rates(system, t, motions, loads, constraints, solution.flat)])
+
+
+def work_rates(
+    system: System, t: Scalar, motions: BodyMotions, loads: JointLoads, constraints: ConstraintSet, multipliers: Array
+) -> list[Array]:
+    """Rates of the work entries [W]: what each non-ideal joint absorbs; what parts that may add energy put in."""
+    rates = [loads.absorbed_powers] if system.tracks_work else []
+    if system.tracks_supply:
+        # -(D^T lambda).v = lambda.Phi_t, for D v = -Phi_t.
+        driving = multipliers @ constraints.rate_at_rest if system.is_driven else jnp.zeros(())
+        rates.append(supplied_power(system, t, motions, loads, driving)[None])
+    return rates
 
 
 def _position_rate(norm_feedback: Scalar, motion: BodyMotion) -> Float[Array, "7"]:

@@ -33,7 +33,7 @@ from spherejax.model.groups import stacks_of
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import constraint_set, desired_accelerations
-from spherejax.motion.dynamics import evaluate, orientation_rate
+from spherejax.motion.dynamics import evaluate, orientation_rate, work_rates
 from spherejax.motion.loads import BodyVectors, applied_wrenches, joint_loads
 from spherejax.motion.programs import Program
 from spherejax.physics.bodies import Body, inertia_in_world
@@ -85,8 +85,8 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
     by_body = accelerations.reshape(-1, VELOCITY_SIZE)
     balance = _masses_times(system, motions, by_body) + constraints.transposed_times(multipliers) - applied
     violation = constraints.times(by_body) - desired_accelerations(system, motions, constraints)
-    powers = [-loads.absorbed_powers] if system.tracks_work else []
-    return jnp.concatenate([balance.ravel(), -loads.memory_rates, *powers, violation])
+    powers = work_rates(system, t, motions, loads, constraints, multipliers)
+    return jnp.concatenate([balance.ravel(), -loads.memory_rates, *(-power for power in powers), violation])
 
 
 Point = tuple[Float[Array, " size"], Float[Array, " n_v"], Float[Array, " n_c"], Float[Array, " n_v+n_x"]]
@@ -216,7 +216,9 @@ def stage_solver(pattern: Pattern):
         D = _constraint_matrix(system, constraints, n_x)
         n_c = D.shape[0]
         by_own = h * (by_x + jnp.concatenate([by_position @ slaved, jnp.zeros((n_x + n_c, n_x - n_v))], 1))
-        upper = jnp.concatenate([_generalized_mass(system, motions, n_x) + by_own[:n_x], D.T], 1)
+        upper = jnp.concatenate(
+            [_generalized_mass(system, motions, n_x) + by_own[:n_x], _by_multipliers(system, constraints, D)], 1
+        )
         lower = jnp.concatenate([D + by_own[n_x:], jnp.zeros((n_c, n_c))], 1)
         moved = [p.free(rhs[POSITION_SIZE * i : POSITION_SIZE * (i + 1)]) for i, p in enumerate(positions)]
         direction = jnp.concatenate([p.direction(z) for p, z in zip(positions, moved, strict=True)])
@@ -304,6 +306,11 @@ def _constraint_matrix(system: System, constraints, n_x: int) -> Float[Array, "n
         parts.append(jnp.concatenate([of_body.get(i, nothing) for i in range(n_bodies)], 1))
     D = jnp.concatenate([jnp.zeros((0, system.layout.n_velocity)), *parts])
     return jnp.concatenate([D, jnp.zeros((D.shape[0], n_x - system.layout.n_velocity))], 1)
+
+
+def _by_multipliers(system: System, constraints, D: Float[Array, "n_c n_x"]) -> Float[Array, "n_x n_c"]:
+    """D^T; the last row, of the work that is put in, by the drivers' power lambda.Phi_t."""
+    return D.T.at[-1].set(-constraints.rate_at_rest) if system.is_driven and system.tracks_supply else D.T
 
 
 def _generalized_mass(system: System, motions, n_x: int) -> Float[Array, "n_x n_x"]:

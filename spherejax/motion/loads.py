@@ -14,6 +14,7 @@ from spherejax.model.groups import FIRST, SECOND, JointGroup, stacks_of
 from spherejax.model.system import System
 from spherejax.motion.body_motions import BodyMotions, between
 from spherejax.physics.bodies import Body, inertia_in_world
+from spherejax.physics.forces.base import power_on_bodies
 from spherejax.physics.joints import Response
 from spherejax.physics.kinematics import BodyMotion
 
@@ -139,6 +140,25 @@ def applied_wrenches(system: System, t: Scalar, motions: BodyMotions, loads: Joi
     if not wrenches:
         return own
     return own + sums_by_index(jnp.concatenate(wrenches), np.array(targets), len(number))
+
+
+def supplied_power(system: System, t: Scalar, motions: BodyMotions, loads: JointLoads, driving: Scalar) -> Scalar:
+    """Power that all parts that may add energy put into the mechanism [W].
+
+    Args:
+        system: the system.
+        t: time [s].
+        motions: motion of each body.
+        loads: joints that answer with a force.
+        driving: power of the drivers [W].
+    """
+    for force in system.forces.values():
+        if not force.never_adds_energy:
+            driving = driving + power_on_bodies(force.wrenches(t, motions), motions)
+    for name in loads:
+        if not system.joints[name].never_adds_energy:
+            driving = driving - loads[name].absorbed_power
+    return driving
 
 
 def by_body(system: System, vectors: BodyVectors) -> dict[str, Float[Array, "6"]]:

@@ -154,11 +154,21 @@ def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> d
     return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
 
 
-def potential_energy(system: System, t: Scalar, motions: BodyMotions) -> Scalar:
-    """Potential energy of weight and force elements [J]."""
+def potential_energy(system: System, t: Scalar, motions: BodyMotions, *, of_all: bool = True) -> Scalar:
+    """Potential energy of weight and force elements [J].
+
+    Args:
+        system: the system.
+        t: time [s].
+        motions: motion of each body.
+
+    Other args:
+        of_all: False leaves out elements that may add energy.
+    """
     total = jnp.sum(over_lanes(_weight_energy, stacks_of(system).bodies, motions.moving, shared=(system.gravity,)))
     for force in system.forces.values():
-        total = total + force.potential_energy(t, motions)
+        if of_all or force.never_adds_energy:
+            total = total + force.potential_energy(t, motions)
     return total
 
 

@@ -15,7 +15,7 @@ from spherejax.foundations.checks import SceneError, is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.assembly import Assembly
-from spherejax.motion.audit import CHECKS, findings, never_adds_energy
+from spherejax.motion.audit import CHECKS, findings, suspects
 from spherejax.motion.modes import modes
 from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
@@ -120,12 +120,9 @@ class Trajectory(eqx.Module):
         if np.ndim(self.status):
             raise SceneError("audit reports on a single run; take one lane of the batch first")
         shares = np.asarray(self.stats.audit)
-        looked = [check for check in CHECKS if check != "energy" or never_adds_energy(self.system)]
-        worst = ", ".join(f"{check} {shares[CHECKS.index(check)]:.1e}" for check in looked)
+        worst = ", ".join(f"{check} {share:.1e}" for check, share in zip(CHECKS, shares, strict=True))
         text = f"at every step, as shares of what is allowed: {worst}"
-        if "energy" not in looked:
-            text += "; energy is not audited: a driver, a force, or a part of your own may add some"
-        return f"{findings(shares)}; {text}" if findings(shares) else text
+        return f"{self._found(())}; {text}" if findings(shares) else text
 
     @property
     def constraints(self) -> ConstraintReport:
@@ -282,6 +279,17 @@ class Trajectory(eqx.Module):
             )
         return self.state.work[..., names.index(joint)]
 
+    @property
+    def supplied_work(self) -> Float[Array, " n"]:
+        """Work put in since the start by all parts that may add energy [J]; zeros where there are none.
+
+        Drivers, applied forces, forces and joints of your own, tyres on roads that move, bristles (`LuGre`), all of
+        them together; negative where they take more than they give. What such a part stores counts as taken.
+        """
+        if not self.system.tracks_supply:
+            return jnp.zeros(self.ts.shape)
+        return self.state.work[..., -1]
+
     def dissipated_energy(self, joint: str) -> Float[Array, " n"]:
         """Energy that a joint has dissipated since the start [J]; needs `track_work=True`.
 
@@ -312,8 +320,13 @@ class Trajectory(eqx.Module):
         return to_dataset(self, every=every)
 
     def _found(self, lane: tuple) -> str:
-        """What the audit of a lane has found."""
-        return findings(np.asarray(self.stats.audit)[lane if np.ndim(self.status) else ()])
+        """What the audit of a lane has found; of a single run it names the joint or the body."""
+        if np.ndim(self.status):
+            return findings(np.asarray(self.stats.audit)[lane])
+        shares = np.asarray(self.stats.audit)
+        if not findings(shares):
+            return ""
+        return findings(shares, suspects(self.system, float(self.t_reached), np.asarray(self.y_reached)))
 
     # Names -------------------------------------------------------------------------------------------------------
 

@@ -63,6 +63,11 @@ class AbstractPlacedJoint(eqx.Module):
         """Whether the joint answers a relative motion with a force, by a model (static)."""
         return False
 
+    @property
+    def never_adds_energy(self) -> bool:
+        """Whether the joint only stores and dissipates, and reports all that it stores (static)."""
+        return not self.is_driven
+
     def as_if_ideal(self) -> "Self | AbstractPlacedJoint | None":
         """The joint for assembly, without a model; None for one that leaves the start alone."""
         return self

@@ -90,6 +90,11 @@ class PlacedSpherical(AbstractPlacedJoint):
         """Whether the model is not ideal."""
         return not self.model.is_ideal
 
+    @property
+    def never_adds_energy(self) -> bool:
+        """As the model."""
+        return self.model.never_adds_energy
+
     def constraint_rows(self, t, motions):
         """Three equations for an ideal joint, none for the others."""
         del t
