@@ -193,9 +193,14 @@ class _Queue:
     def started(self, job) -> Lane:
         """The lane at the start of a job; an idle one where there is no such job."""
         at = jnp.minimum(job, self.n_jobs - 1)
-        parameters, y0, may_run, status, (t_next, state), (watch, peaks) = jax.tree.map(
-            lambda x: x[at], (self.parameters, self.y0, self.may_run, self.status, self.first_steps, self.begun)
-        )
+        return self._lane(job, jax.tree.map(lambda x: x[at], self._starts))
+
+    @property
+    def _starts(self):
+        return self.parameters, self.y0, self.may_run, self.status, self.first_steps, self.begun
+
+    def _lane(self, job, start) -> Lane:
+        parameters, y0, may_run, status, (t_next, state), (watch, peaks) = start
         t0 = self.ts[0]
         t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
         t_next = jnp.minimum(t_next, t_end)
@@ -288,7 +293,11 @@ class _Queue:
     def worked_off(self, block: Block) -> LaneOutcome:
         """Run all jobs."""
         width = min(block.width, max(1, self.n_jobs))
-        lanes = self.block_of(jnp.arange(width))
+        # Where every run has a lane of its own nothing is fetched from the queue: a third of the operations of a run
+        # alone would be of that, and its program would take so much longer to compile.
+        self.refills = width < self.n_jobs
+        jobs = jnp.arange(width)
+        lanes = self.block_of(jobs) if self.refills else jax.vmap(self._lane, out_axes=-1)(jobs, self._starts)
         is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
         correct = self.problem.correct
         # The start is corrected as all samples are; the integration begins with what it was given.
@@ -371,6 +380,8 @@ class _Queue:
     def _refilled(self, has_ended, lanes: Lane, waiting, account):
         """Write results of the lanes that have ended, and give them the next jobs."""
         account = with_rows_at(account, jnp.where(has_ended, lanes.job, self.n_jobs), in_lanes(_account)(lanes).T)
+        if not self.refills:
+            return lanes._replace(job=jnp.where(has_ended, self.n_jobs, lanes.job)), waiting, account
         jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
         fresh = self.block_of(jnp.where(has_ended, jobs, self.n_jobs))
         lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)

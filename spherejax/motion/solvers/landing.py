@@ -173,7 +173,12 @@ class LandingController(AbstractForwardingController):
         return eqx.tree_at(lambda own: own.controller, self, self.controller.wrap(direction))
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The wrapped controller's first step."""
+        """The wrapped controller's first step.
+
+        diffrax (0.7) wraps the term, to turn time around, before it asks for a first step; `PIDController` then knows
+        no `ODETerm`, and begins every run with 0.01 s. Time goes forward here.
+        """
+        terms = getattr(terms, "term", terms)
         first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
         start = None if self.contacts is None else jax.lax.stop_gradient(self.contacts.crossings(args, t0, y0))
         unknown = jnp.zeros(0) if start is None else -jnp.ones_like(start.value)
