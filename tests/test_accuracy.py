@@ -153,6 +153,7 @@ def test_a_reference_falls_back_to_one_method_and_to_looser_tolerances():
 # Motion that does not repeat -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_frictionless_dry_run_has_a_horizon(chaotic):
     reference = chaotic.references["dry"]
     assert 0.05 < reference.horizon < 0.3 < reference.parted < 0.6

@@ -79,6 +79,7 @@ def hung(truth):
     return [first, second]
 
 
+@pytest.mark.slow
 def test_two_experiments_with_a_bushing():
     problem = problem_of(bob, {name: 1.1 * value for name, value in SOFT.items()}, hung(SOFT))
     gradient = assert_gradient(problem, 1e-6)
@@ -93,7 +94,9 @@ def stiff(stiffness, damping):
     return bob(stiffness, damping, 0.05)
 
 
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"])
+@pytest.mark.parametrize(
+    "solver", [pytest.param(sj.Rodas5P(), marks=pytest.mark.slow), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"]
+)
 def test_a_stiff_bushing(solver):
     """Through the checkpoints of an adaptive run this was NaN. An implicit method's run is made with Ros34PW2."""
     run = sj.simulate(stiff(**STIFF), np.concatenate([[0.0], EARLY]), rtol=1e-9, solver=sj.Rodas5P())

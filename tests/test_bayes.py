@@ -109,6 +109,7 @@ def sharp():
     return fitted, sj.posterior(fitted, n_samples=400, n_chains=3, n_warmup=75, seed=1, progress=False)
 
 
+@pytest.mark.slow
 def test_means_and_deviations_are_those_of_the_fit(sharp):
     fitted, found = sharp
     assert found.succeeded, found.warnings

@@ -66,8 +66,7 @@ VELOCITY_BOUND = {"none": 2e-8, "baumgarte": 2e-8, "post_stabilization": ROUNDIN
     ("control", "model", "t_end"),
     [
         *((control, "ideal", 2.0) for control in CONTROLS),
-        *((control, "bushing", 0.1) for control in ("baumgarte", "projection")),
-        *(pytest.param(c, "bushing", 0.1, marks=pytest.mark.slow) for c in ("none", "post_stabilization")),
+        *(pytest.param(c, "bushing", 0.1, marks=[pytest.mark.slow] * (c != "projection")) for c in CONTROLS),
     ],
 )
 def test_constraints_are_kept(control, model, t_end):
@@ -264,12 +263,14 @@ def test_derivative_agrees_with_differences(control):
     assert slope_of_the_door(control) == pytest.approx(float(difference), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_reverse_mode_by_checkpoints_passes_through_the_projection():
     options = {"adjoint": diffrax.RecursiveCheckpointAdjoint(), "max_steps": 200}
     reverse = jax.jit(jax.grad(lambda weight: height_of_the_door(weight, "projection", **options)))(1.0)
     assert float(reverse) == pytest.approx(slope_of_the_door("projection"), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_lanes_equal_single_runs():
     weights = jnp.array([0.5, 1.0, 2.0])
     run = program("projection")

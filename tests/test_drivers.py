@@ -159,6 +159,7 @@ def reference():
     return sj.simulate(crank_and_rod(), TS, rtol=1e-10, solver=DOPRI8).require_success()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "rtol", "agreement"),
     [(sj.Rodas5P(), 1e-8, 1e-7), pytest.param(sj.Ros34PW2(), 1e-6, 1e-5, marks=pytest.mark.slow)],

@@ -33,7 +33,7 @@ TOPICS = (
 LARGEST = 400 * 1024
 """Bytes of a notebook with its pictures."""
 
-SLOW = ("design_optimisation",)
+SLOW = ("design_optimisation", "hard_cases", "identification", "your_own_mechanism")
 """Notebooks that take more than a minute."""
 
 KEPT = ("image/png", "text/plain", "text/html", "application/vnd.jupyter.widget-view+json")

@@ -45,6 +45,7 @@ def test_bushing_stiffness_to_infinity_is_the_ideal_joint(ideal):
     assert orders(errors, 1 / stiffness) == pytest.approx([1.0, 1.0], abs=0.1), errors
 
 
+@pytest.mark.slow
 def test_viscosity_to_infinity_is_the_ideal_joint(ideal):
     viscosity = np.array([4.0, 40.0, 400.0])
     errors = distances(lambda nu: sj.Lubricated(clearance=cases.C, viscosity=nu), viscosity, ideal, sj.Rodas5P())
@@ -59,6 +60,7 @@ def test_friction_to_zero_is_the_frictionless_joint():
     assert orders(errors, mu) == pytest.approx([1.0, 1.0], abs=0.2), errors
 
 
+@pytest.mark.slow
 def test_blend_widths_to_zero_are_the_unblended_film():
     def model(h):
         return sj.Lubricated(clearance=cases.C, viscosity=0.4, e_h0=h, e_h1=h)

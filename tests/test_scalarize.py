@@ -94,7 +94,9 @@ def test_events_agree(name):
         compare(memory_after_step, structure, theta, 0.1, packed, len(packed))
 
 
-@pytest.mark.parametrize("name", ["ideal", "friction", "lubricated"])
+@pytest.mark.parametrize(
+    "name", ["friction", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ideal", "lubricated"))]
+)
 def test_compiled_program_and_its_derivative_agree(name):
     system, structure, theta, start = prepared(sj.gallery.four_bar(cases.MODELS[name]))
     y = jnp.asarray(cases.displaced_state(system, start, 5, 0.2 * cases.C))

@@ -103,6 +103,7 @@ def test_stacked_numbers_are_picked_from_the_flat_vector():
     assert sorted(len(group.names) for group in direct.joints) == [1, 4]
 
 
+@pytest.mark.slow
 def test_a_hundred_bodies_move_and_keep_their_energy():
     run = sj.simulate(sj.gallery.chain(100), jnp.array([0.0, 0.05, 0.1]), rtol=1e-7).require_success()
     assert "array code" in run.stats.explanation

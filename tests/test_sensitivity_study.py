@@ -42,6 +42,7 @@ def observed(gravity, tilt):
     return run.position("bob"), run.reaction("pivot")[:, 2:], squared_height(run)[:, None]
 
 
+@pytest.mark.slow
 def test_they_are_differences(found):
     gravity, h = np.array(POINT["gravity"]), 1e-4
     assert found.names == ["gravity[0]", "gravity[1]", "gravity[2]", "tilt"]
@@ -130,6 +131,7 @@ def test_a_number_forward_and_in_reverse():
     assert set(results["forward"].figures()) == {"ranking"}
 
 
+@pytest.mark.slow
 def test_a_number_in_reverse_through_impacts():
     def end(run):
         return run.position("bob")[-1, 2] + 1e-3 * run.reaction("hook")[1, 0]

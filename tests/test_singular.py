@@ -22,6 +22,7 @@ def turning_angle(ts, n_loops, speed=1.0):
     return whole.y[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", [sj.PostStabilization(), pytest.param(sj.Projection(), marks=pytest.mark.slow)])
 def test_n_four_bar_passes_its_singular_configurations(drift):
     ts = np.linspace(0.0, 3.0, 31)

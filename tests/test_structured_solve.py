@@ -68,7 +68,9 @@ def states_of(system):
     return states
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("friction", "bushing"))) for name in MODELS]
+)
 def test_structured_solution_equals_the_dense_one(name):
     """The dense one has its Jacobian by differentiation of the whole right-hand side."""
     scene = four_bar(MODELS[name], forces={"push": Push("rocker", 3.0)})

@@ -93,6 +93,7 @@ def test_the_laws_of_the_shock_absorber_are_smooth():
     assert SHOCK_SPRING(x) == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_mass_of_the_links_is_without_influence():
     """The motion of massless links is the limit of light ones: a tenth of the mass, a tenth of the difference."""
     massless, light, heavier = (run_of("ideal", mass) for mass in (None, 1e-3, 1e-2))
@@ -103,7 +104,9 @@ def test_mass_of_the_links_is_without_influence():
     assert "leaf_spring" in light.system.bodies
 
 
-@pytest.mark.parametrize("name", ["dry", "friction", "lubricated"])
+@pytest.mark.parametrize(
+    "name", ["friction", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dry", "lubricated"))]
+)
 def test_clearance_is_pressed_in_by_the_load(name):
     """The paper: about 20 kN press 0.026 mm in, so |e| is 0.126 mm; K = 1.5089e11 N/m^1.5."""
     run = run_of(name)
@@ -188,6 +191,7 @@ def three_models():
     return compare(replace(SUSPENSION, models=lambda: few, quick=quick), quick=True)
 
 
+@pytest.mark.slow
 def test_the_comparison_has_the_numbers_of_the_paper(three_models):
     ideal, dry, bushing = three_models.rows
     assert ideal.measures["peak_joint_force [N]"] == pytest.approx(20.82e3, abs=5)

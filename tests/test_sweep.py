@@ -65,7 +65,7 @@ def test_a_stiff_method_runs_in_lanes():
     np.testing.assert_allclose(runs.trajectories.position("bob")[1, -1], alone.position("bob")[-1], atol=1e-7)
 
 
-@pytest.mark.parametrize(("n_runs", "least"), [(1000, 0.9), (5000, 0.95)])
+@pytest.mark.parametrize(("n_runs", "least"), [(1000, 0.9), pytest.param(5000, 0.95, marks=pytest.mark.slow)])
 def test_lanes_hardly_idle_when_costs_differ_tenfold(n_runs, least):
     # Steps grow with the root of gravity.
     gravity = np.random.default_rng(1).uniform(1.0, 10.0, n_runs) ** 2 * 10

@@ -51,6 +51,7 @@ def alone(clearance, mu):
     return run.position("bob")[-1], run.penetration("hook"), speeds(run)
 
 
+@pytest.mark.slow
 def test_they_are_those_of_simulate_lane_by_lane(result):
     """By a vmapped reverse mode, for two clearances."""
     lanes = GRID["clearance"][:2], np.full(2, GRID["mu"][1])

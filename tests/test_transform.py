@@ -85,7 +85,8 @@ FAMILIES = {
 
 
 # The automatic choice is Rodas5P there, whose derivative takes a minute and a half to compile.
-NAMES = [pytest.param(name, marks=pytest.mark.slow) if name == "lubricated, automatic" else name for name in FAMILIES]
+QUICK = ("friction", "bushing")
+NAMES = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in FAMILIES]
 
 
 def outcome(family, x, **options):
@@ -184,6 +185,7 @@ def _pushed(x, **options):
     return run.position("body")[-1, 0] + run.angular_velocity("body")[-1, 2]
 
 
+@pytest.mark.slow
 def test_checkpointing_adjoint_agrees():
     zero = jnp.zeros(2)
     default = jax.jit(jax.grad(_pushed))(zero)

@@ -146,6 +146,7 @@ def test_a_robot_has_the_bodies_joints_and_forces_of_the_one_by_hand(written):
     assert set(robot.ground_points) == {"rail", "slide"}
 
 
+@pytest.mark.slow
 def test_a_robot_moves_as_the_mechanism_by_hand(written):
     robot = simulated(sj.load_urdf(written(), positions=POSITIONS, velocities=VELOCITIES))
     hand = simulated(by_hand())

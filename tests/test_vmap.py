@@ -112,6 +112,11 @@ def test_derivatives_of_mapped_runs():
     mapped = jax.vmap(jax.grad(height))
     assert queues(mapped, CLEARANCES) == [3]
     np.testing.assert_allclose(mapped(CLEARANCES), slopes, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_derivatives_through_a_map():
+    slopes = jax.vmap(jax.grad(height))(CLEARANCES)
     total = jax.grad(lambda cs: jnp.sum(jax.vmap(height)(cs)))
     assert queues(total, CLEARANCES) == [3]
     np.testing.assert_allclose(total(CLEARANCES), slopes, rtol=1e-6)

@@ -311,7 +311,9 @@ def test_vmap_of_steps_equals_loop(film_step):
 # Motions
 
 
-@pytest.mark.parametrize("name", ["film", "bushing", "friction"])
+@pytest.mark.parametrize(
+    "name", ["film", *(pytest.param(name, marks=pytest.mark.slow) for name in ("bushing", "friction"))]
+)
 def test_agrees_with_a_method_of_high_order(name):
     model, end = {
         "film": (sj.Lubricated(clearance=1e-4), 0.01),
