@@ -17,7 +17,7 @@ import spherejax as sj
 from spherejax import cli
 from spherejax.gallery.hip import Gait
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import assemble_now, described_state
+from spherejax.motion.assembly import as_ideal, assemble_now, described_state
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set
 from spherejax.motion.dynamics import state_rate
@@ -33,8 +33,10 @@ def simulated(scene, ts, rtol):
 
 def accelerations_at_start(scene):
     """Accelerations and angular accelerations of the bodies at the described start, by name; compiles nothing."""
-    structure, theta = flatten_system(compile_scene(scene).system)
-    start = np.asarray(assemble_now(structure, theta).y)
+    system = compile_scene(scene).system
+    structure, theta = flatten_system(system)
+    start = np.asarray(assemble_now(*flatten_system(as_ideal(system))).y)
+    start = np.concatenate([start, np.zeros(system.layout.size - start.size)])
     rate = np.asarray(program_for(state_rate, structure).compute(theta, 0.0, start))
     n = len(scene.bodies)
     return dict(zip(sorted(scene.bodies), rate[7 * n : 13 * n].reshape(n, 6), strict=True))
