@@ -83,7 +83,8 @@ class AbstractSphericalModel(eqx.Module):
     def never_adds_energy(self) -> bool:
         """Whether the joint only stores and dissipates, and reports all that it stores (static).
 
-        Of a scene whose parts all say so every run checks that its energy does not rise.
+        Every run checks that the energy of the parts that say so rises by no more than all others put in, whose work
+        is integrated beside the state.
         """
         return self.is_ideal
 

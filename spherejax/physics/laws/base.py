@@ -16,7 +16,8 @@ class AbstractLaw(eqx.Module):
 
     Attributes:
         never_adds_energy: whether the law only stores and dissipates, and reports what it stores; a law of your own may
-            say so, and every run then checks it.
+            say so, and every run then checks it. The work of a law that does not is integrated beside the state, and
+            counts as put in from outside.
     """
 
     never_adds_energy: ClassVar[bool] = False
