@@ -412,6 +412,12 @@ def histories(run) -> dict[str, jnp.ndarray]:
         "n_accepted": run.stats.n_accepted,
         "energy": run.mechanical_energy,
         "supplied": run.supplied_work,
+        "is_supply_known": run.stats.audit[0] >= 0,
+        # By elements that may add energy: what they store counts as taken.
+        "stored": sum(
+            (run.force(name)["potential_energy"] for name, f in run.system.forces.items() if not f.never_adds_energy),
+            jnp.zeros(run.ts.shape),
+        ),
         "kinetic": run.kinetic_energy,
         "violation": run.constraint_violation,
         "norm": jnp.max(jnp.abs(jnp.sum(state.quaternion**2, -1) - 1), -1),
@@ -515,14 +521,18 @@ def faults(structure: Structure, values, ts, rtol: float, run) -> list[str]:
     motion = float(run["kinetic"][0]) + n * mass * float(values["gravity"]) * length + abs(float(run["energy"][0]))
     motion += 1e-6 * mass * speed2  # of a scene that rests
     steps = int(run["n_accepted"]) + 10
-    # Of bristles the work that is put in is all that passes through their joint.
-    supplied = 0.0 if structure.has_bristles else run["supplied"]
-    if not (structure.is_active and structure.has_bristles):
+    # Of a scene that nothing drives the whole energy is judged; else that of the parts that never add any. Of bristles
+    # the work that is put in is all that passes through their joint.
+    supplied, stored = 0.0, 0.0
+    if structure.is_active:
+        supplied, stored = run["supplied"], run["stored"]
+    if not structure.is_active or (run["is_supply_known"] and not structure.has_bristles):
         place = min(length, 1e4 * clearance)
         bound = 100 * rtol * (steps * motion + place * run["press"]) + 1e-12 * mass * speed2
         bound = np.minimum(bound, LARGEST_GAIN * (motion + place * run["press"]))
         bound = bound + 100 * rtol * np.max(np.abs(supplied))
-        rise = run["energy"] - run["energy"][0] - supplied
+        energy = run["energy"] - stored
+        rise = energy - energy[0] - supplied
         gain = rise - bound
         if np.max(gain) > 0:
             share = np.max(rise) / motion

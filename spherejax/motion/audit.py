@@ -8,7 +8,8 @@
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
 forces, roads that move, bristles, parts of a user's own) is integrated beside the state, and what they store does not
 count. Balance by the work of the joints alone would not do: a ball that flies through its socket does no work on it,
-and gains energy when it is caught outside.
+and gains energy when it is caught outside. Rosenbrock methods account for their drivers' and forces' work too coarsely;
+their runs are audited for energy where no part may add any.
 
 The limits are those of a run that is wrong, far above what the tolerance of a run that is right explains.
 """
@@ -29,6 +30,7 @@ from spherejax.motion.constraints import constraint_set
 from spherejax.motion.loads import joint_loads
 from spherejax.motion.observables import kinetic_energy, potential_energy
 from spherejax.motion.programs import program_for
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.tolerances import energy_scale, length_scale
 from spherejax.physics.state import unpack
 
@@ -52,6 +54,9 @@ NORM = 1e-2
 
 OUTSIDE = 1e-6
 """(|e|^2 / c^2 - 1) / 2 of a ball in flight; steps end within 1e-9."""
+
+NOT_MADE = -1.0
+"""Share that says that a check is not made."""
 
 CHECKS = ("energy", "flight", "constraints", "quaternions")
 """What is audited, in the order of `run.stats.audit`."""
@@ -188,7 +193,7 @@ class Limits(eqx.Module):
     """From where on a run is wrong.
 
     Attributes:
-        energy: largest share of the energy that may have come from nowhere.
+        energy: largest share of the energy that may have come from nowhere; infinite where nobody can tell.
         least: what counts as moving at least [J].
         violation: of the constraint equations.
     """
@@ -200,7 +205,9 @@ class Limits(eqx.Module):
     def begun(self, now: Vitals) -> Watch:
         """An audit at the start of a run."""
         energy = now.potential + now.agitation
-        watch = Watch(energy, now.potential, now.potential, now.agitation, jnp.zeros(len(CHECKS)))
+        # A check that is not made says so from the start.
+        worst = jnp.zeros(len(CHECKS)).at[0].set(jnp.where(jnp.isinf(self.energy), NOT_MADE, 0.0))
+        watch = Watch(energy, now.potential, now.potential, now.agitation, worst)
         return self.seen(watch, now)
 
     def seen(self, watch: Watch, now: Vitals) -> Watch:
@@ -211,7 +218,7 @@ class Limits(eqx.Module):
         agitation = jnp.maximum(watch.agitation, now.agitation)
         moving = jnp.maximum(agitation + (top - bottom), self.least)
         shares = [
-            (energy - lowest) / (moving * self.energy),
+            jnp.where(jnp.isinf(self.energy), NOT_MADE, (energy - lowest) / (moving * self.energy)),
             jnp.maximum(now.outside, 0.0) / OUTSIDE,
             now.violation / self.violation,
             now.norm / NORM,
@@ -247,10 +254,18 @@ class Audit(NamedTuple):
         return Audit(look, self.limits)
 
 
-def limits_of(system: System, rtol) -> Limits:
-    """The limits for the scales of a scene and a relative tolerance; None where it is not known."""
+def limits_of(system: System, rtol, solver: Any) -> Limits:
+    """The limits for the scales of a scene.
+
+    Args:
+        system: the system.
+        rtol: relative tolerance; None where it is not known.
+        solver: the method. Where parts may add energy a Rosenbrock method's account of it is not good enough: it
+            evaluates the power of stiff joints at states inside the step, far from the motion.
+    """
     share = LARGEST_SHARE if rtol is None else ENERGY_SHARE + TOLERANCES * jnp.max(jnp.asarray(rtol))
-    energy = jnp.minimum(share, LARGEST_SHARE)
+    is_known = not (system.tracks_supply and isinstance(solver, AbstractRosenbrock))
+    energy = jnp.minimum(share, LARGEST_SHARE) if is_known else np.inf
     length = jnp.minimum(length_scale(system), 1.0)
     return Limits(energy, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)
 

@@ -191,7 +191,7 @@ def audit_of(plan: Plan) -> Audit:
 
 def audit_limits(plan: Plan, options: Options, theta: Float[Array, " p"]) -> Limits:
     """From where on a run is wrong."""
-    limits = limits_of(plan.structure.system(theta), getattr(options.controller, "rtol", None))
+    limits = limits_of(plan.structure.system(theta), getattr(options.controller, "rtol", None), options.solver)
     return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits))
 
 

@@ -209,9 +209,9 @@ def job_of(
     return Job(numbers, y0, may_run, status, assembly)
 
 
-def audit_limits(system: System, rtol) -> Limits:
+def audit_limits(system: System, rtol, solver: Any) -> Limits:
     """From where on a run is wrong; constant where it is differentiated."""
-    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits_of(system, rtol)))
+    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits_of(system, rtol, solver)))
 
 
 def _permitted(values_are_legal, is_closed, y0) -> tuple[Flag, Int[Array, ""]]:
@@ -322,7 +322,7 @@ class _Request(eqx.Module):
         """The run as a job, from the traced numbers."""
         theta = plan.theta(values, known)
         rtol, _ = self.own if self.shared is None else self.shared
-        limits = audit_limits(plan.structure.system(theta), rtol)
+        limits = audit_limits(plan.structure.system(theta), rtol, self.rest)
         return job_of(plan, theta, ts, start, values_are_legal, limits, self.own)
 
     def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:

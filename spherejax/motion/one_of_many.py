@@ -90,7 +90,8 @@ class Prepared:
         start = known_start(system, self.ts)
         legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
         assembly = None if start is None else start.assembly
-        return job_of(plan, jnp.asarray(theta), self.ts, assembly, legal, audit_limits(system, pair[0]), own)
+        limits = audit_limits(system, pair[0], method.choice.solver)
+        return job_of(plan, jnp.asarray(theta), self.ts, assembly, legal, limits, own)
 
     def problem(self) -> LaneProblem:
         """What every lane integrates."""
