@@ -87,6 +87,7 @@ def test_two_contacts_in_a_scene_do_not_disturb_each_other():
     assert float(jnp.max(jnp.abs(difference))) < 1e-6 * CLEARANCE
 
 
+@pytest.mark.filterwarnings("ignore::spherejax.SerialRunsWarning")  # each run has times of its own
 def test_no_step_is_so_long_that_its_stages_leave_the_contact():
     """Of a free impact the closed form is known. A first step of fifty times the contact's duration went through."""
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import spherejax as sj
 from spherejax.motion.solvers.dense_lu import dense_solver
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, factorize_dense
 from spherejax.motion.solvers.rosenbrock_tableaus import RODAS4P, RODAS5P
@@ -482,21 +481,3 @@ def test_factorization_is_not_traced_by_derivatives():
         (jnp.eye(2),),
     )[1]
     np.testing.assert_allclose(tangent, [0.25, 0.25])
-
-
-@pytest.mark.parametrize("solver", [Rodas5P(), diffrax.Kvaerno5()], ids=["Rodas5P", "Kvaerno5"])
-def test_the_first_step_is_found_by_trial(solver):
-    """diffrax (0.7) by itself begins every run with 0.01 s, whatever moves: here longer than the whole motion."""
-    tried = []
-
-    class Recording(diffrax.PIDController):
-        def init(self, *arguments):
-            first, state = super().init(*arguments)
-            jax.debug.callback(lambda first: tried.append(float(first)), first)
-            return first, state
-
-    scene = sj.gallery.four_bar(sj.Bushing(stiffness=1e7, damping=1e-3))
-    controller = Recording(rtol=1e-8, atol=1e-10)
-    run = sj.simulate(scene, jnp.array([0.0, 1e-3]), solver=solver, stepsize_controller=controller)
-    assert run.succeeded
-    assert 0 < tried[0] < 1e-4

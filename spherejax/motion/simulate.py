@@ -21,6 +21,7 @@ from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.start import start_now
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.times import seconds_of
@@ -104,14 +105,19 @@ def simulate(
     structure, theta = flatten_system(system)
     path = path_of(structure, scalar)
     choice = choice_for(system, rtol, solver, explicit_only=path.scalar is False and scalar is None)
+    known, unknown = split(system)
     if stepsize_controller is None:
+        # diffrax's own loop has no better first step to begin with; see `LandingController.init`.
+        is_in_lane = isinstance(choice.solver, diffrax.AbstractERK) or (
+            unknown and isinstance(choice.solver, AbstractRosenbrock)
+        )
+        first = "first step by trial (Hairer)" if is_in_lane and adjoint is None else "first step 0.01 s (of diffrax)"
         tolerances = tolerances_of(system, choice.solver, rtol, atol)
         stepsize_controller = controller_for(structure, tolerances.rtol, tolerances.atol)
-        explanation = f"{choice.reason}; {tolerances.description}; first step by trial (Hairer)"
+        explanation = f"{choice.reason}; {tolerances.description}; {first}"
     else:
         explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
     start = start_now(system, ts)
-    known, unknown = split(system)
     plan = Plan(structure, unknown, path.scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
