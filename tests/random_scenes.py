@@ -474,18 +474,13 @@ VARIED = ("mass", "clearance", "restitution", "mu", "film", "stiffness", "dampin
 """Numbers along which motions are differentiated."""
 
 
-def end_along(structure: Structure, values, ts, rtol) -> Callable:
-    """The last position and quaternion of the last body, as a function of a change of all of `VARIED` together."""
+def end(structure: Structure, change, values, ts, rtol) -> jnp.ndarray:
+    """The last position and quaternion of the last body, after a change of all of `VARIED` together."""
     random = np.random.default_rng([structure.seed, 3])
     ways = {key: random.uniform(-1.0, 1.0, np.shape(values[key])) for key in VARIED}
-
-    @jax.jit
-    def end(change):
-        changed = {key: values[key] * (1 + change * way) for key, way in ways.items()}
-        run = sj.simulate(scene(structure, **{**values, **changed}), ts, rtol=rtol)
-        return jnp.concatenate([run.state.position[-1, -1], values["length"] * run.state.quaternion[-1, -1]])
-
-    return end
+    changed = {key: values[key] * (1 + change * way) for key, way in ways.items()}
+    run = sj.simulate(scene(structure, **{**values, **changed}), ts, rtol=rtol)
+    return jnp.concatenate([run.state.position[-1, -1], values["length"] * run.state.quaternion[-1, -1]])
 
 
 def mapped(structure: Structure, values, ts, rtol) -> dict[str, np.ndarray]:

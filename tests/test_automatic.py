@@ -113,9 +113,35 @@ def test_the_run_explains_method_and_tolerances():
         assert said in run.stats.explanation
     asked = sj.simulate(scene, ts, rtol=1e-6, atol=1e-8, solver=diffrax.Tsit5())
     assert "Tsit5: as asked for" in asked.stats.explanation
+    assert "first step by trial" in asked.stats.explanation
     assert "tolerances as asked for" in asked.stats.explanation
     constant = sj.simulate(scene, ts, stepsize_controller=diffrax.PIDController(rtol=1e-5, atol=1e-7))
     assert "PIDController: as asked for" in constant.stats.explanation
+
+
+@pytest.mark.parametrize(
+    ("solver", "is_known", "adjoint", "said"),
+    [
+        (diffrax.Dopri8(), True, None, "by trial (Hairer)"),
+        (diffrax.Dopri8(), True, diffrax.ForwardMode(), "by trial (Hairer)"),
+        (diffrax.Dopri8(), True, diffrax.DirectAdjoint(), "0.01 s, as diffrax has it"),
+        (sj.Rodas5P(), False, None, "by trial (Hairer)"),
+        (sj.Rodas5P(), True, None, "0.01 s, as diffrax has it"),
+        (diffrax.Kvaerno5(), True, None, "0.01 s, as diffrax has it"),
+    ],
+)
+def test_the_run_says_how_it_begins(solver, is_known, adjoint, said):
+    """Traced only: nothing is compiled."""
+    found = []
+
+    def simulated(stiffness):
+        scene = sj.gallery.four_bar(sj.Bushing(1e6 if is_known else stiffness, 1e-4))
+        run = sj.simulate(scene, jnp.array([0.0, 0.005]), solver=solver, adjoint=adjoint, max_steps=100)
+        found.append(run.stats.explanation)
+        return run.status
+
+    jax.eval_shape(simulated, 1e6)
+    assert f"first step {said}" in found[0]
 
 
 def test_positions_are_judged_against_the_clearance():

@@ -34,7 +34,7 @@ LARGEST = 400 * 1024
 """Bytes of a notebook with its pictures."""
 
 SLOW = ("design_optimisation", "hard_cases", "identification", "your_own_mechanism")
-"""Notebooks that take more than a minute."""
+"""Notebooks that take more than a minute, or half of one for what other tests run too."""
 
 KEPT = ("image/png", "text/plain", "text/html", "application/vnd.jupyter.widget-view+json")
 """Kinds of outputs that may be kept; anything else is a surprise."""

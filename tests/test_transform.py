@@ -84,7 +84,7 @@ FAMILIES = {
 }
 
 
-# The automatic choice is Rodas5P there, whose derivative takes a minute and a half to compile.
+# An explicit and a stiff one; of the rest the slow tests, "lubricated, automatic" takes a minute and a half to compile.
 QUICK = ("friction", "bushing")
 NAMES = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in FAMILIES]
 

@@ -35,6 +35,26 @@ def number_of(flag: str, text: str, part: str) -> float:
         raise sj.SceneError(f"{flag} {text}: {error}{_without_unit(part)}") from None
 
 
+MOST_SAMPLES = 10_000_000
+"""The state of one body alone takes a gigabyte at so many."""
+
+
+def number_of_samples(n: int) -> int:
+    """The number itself, where so many samples can be had.
+
+    Raises:
+        SceneError: for fewer than two, and for more than fit in memory.
+    """
+    if n < 2:
+        raise sj.SceneError(f"--samples = {n} must be at least 2: the start and the end")
+    if n > MOST_SAMPLES:
+        raise sj.SceneError(
+            f"{n:.3g} samples of every quantity do not fit in memory; ask for at most {MOST_SAMPLES:,}, or for a "
+            "shorter --t1"
+        )
+    return n
+
+
 def _without_unit(text: str) -> str:
     """For a number with a unit: the plain one in SI units."""
     try:

@@ -10,7 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
 from spherejax.command_line.models import add_joint_options
-from spherejax.command_line.numbers import real, whole
+from spherejax.command_line.numbers import number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
 from spherejax.files.settings import SimulationSettings
@@ -114,10 +114,6 @@ def _joint_words(options: argparse.Namespace) -> str:
     return name if name == AS_DESCRIBED else f"{name} joint"
 
 
-MOST_SAMPLES = 10_000_000
-"""Of the state of one body they are a gigabyte, and of all that a run writes ten."""
-
-
 def sample_times(options: argparse.Namespace):
     """Sample times from `--t1` and `--samples` or `--dt`.
 
@@ -132,14 +128,7 @@ def sample_times(options: argparse.Namespace):
         n_samples = round(options.t1 / options.dt) + 1
     else:
         n_samples = 2001 if options.samples is None else options.samples
-    if n_samples < 2:
-        raise sj.SceneError(f"--samples = {n_samples} must be at least 2: the start and the end")
-    if n_samples > MOST_SAMPLES:
-        raise sj.SceneError(
-            f"{n_samples:.3g} samples of every quantity do not fit in memory; ask for at most {MOST_SAMPLES:,}, or for "
-            "a shorter --t1"
-        )
-    return jnp.linspace(0.0, options.t1, n_samples)
+    return jnp.linspace(0.0, options.t1, number_of_samples(n_samples))
 
 
 def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
-from spherejax.command_line.numbers import number_of, real, whole
+from spherejax.command_line.numbers import number_of, number_of_samples, real, whole
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.sweep import builder
 
@@ -87,7 +87,7 @@ def find_sensitivities(options: argparse.Namespace) -> int:
     result = sj.sensitivity(
         build,
         values,
-        np.linspace(0.0, options.t1, options.samples),
+        np.linspace(0.0, options.t1, number_of_samples(options.samples)),
         observables=options.observables,
         rtol=options.rtol,
         solver=SOLVERS[options.solver][0]() if options.solver else None,

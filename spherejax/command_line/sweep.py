@@ -10,7 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
-from spherejax.command_line.numbers import number_of, real, whole
+from spherejax.command_line.numbers import number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.files.place import one_of
@@ -95,7 +95,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
     result = sj.sweep(
         build,
         grid,
-        np.linspace(0.0, options.t1, options.samples),
+        np.linspace(0.0, options.t1, number_of_samples(options.samples)),
         record=record,
         rtol=options.rtol,
         max_steps=options.max_steps,

@@ -80,10 +80,8 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
         suspected: for a check the part of which it was largest where the run ended.
     """
     found = [(check, share) for check, share in zip(CHECKS, np.asarray(shares), strict=True) if not share <= 1]
-    return "; ".join(
-        f"{FINDINGS[check]} ({share:.3g} times the limit{': ' * (check in suspected)}{suspected.get(check, '')})"
-        for check, share in found
-    )
+    where = {check: f": {part}" for check, part in suspected.items()}
+    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
 
 
 def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[str, str]:

@@ -254,13 +254,18 @@ def _rest(controller) -> Any:
     return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
 
 
-def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`: in a lane where that can be, by diffrax otherwise.
+def is_made_in_a_lane(plan: Plan, options: Options) -> bool:
+    """Whether `run_of` takes a lane, where that can be.
 
-    A run of a Rosenbrock method whose numbers are all known goes by diffrax too: alone it gains nothing in a lane.
+    A run of a Rosenbrock method whose numbers are all known goes by diffrax: alone it gains nothing in a lane.
     """
     is_alone = not plan.unknown and not isinstance(options.solver, diffrax.AbstractERK)
-    made = integrate if is_alone or not can_be_a_job(plan.structure, options) else integrate_as_job
+    return not is_alone and can_be_a_job(plan.structure, options)
+
+
+def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
+    """As `integrate`: in a lane or by diffrax, as `is_made_in_a_lane` says."""
+    made = integrate_as_job if is_made_in_a_lane(plan, options) else integrate
     return made(plan, options, values, known, ts, start, values_are_legal)
 
 

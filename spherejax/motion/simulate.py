@@ -17,11 +17,11 @@ from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.integrate import Options, Plan, integrate
+from spherejax.motion.jobs import is_made_in_a_lane
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.start import start_now
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.times import seconds_of
@@ -105,19 +105,13 @@ def simulate(
     structure, theta = flatten_system(system)
     path = path_of(structure, scalar)
     choice = choice_for(system, rtol, solver, explicit_only=path.scalar is False and scalar is None)
-    known, unknown = split(system)
     if stepsize_controller is None:
-        # diffrax's own loop has no better first step to begin with; see `LandingController.init`.
-        is_in_lane = isinstance(choice.solver, diffrax.AbstractERK) or (
-            unknown and isinstance(choice.solver, AbstractRosenbrock)
-        )
-        first = "first step by trial (Hairer)" if is_in_lane and adjoint is None else "first step 0.01 s (of diffrax)"
         tolerances = tolerances_of(system, choice.solver, rtol, atol)
-        stepsize_controller = controller_for(structure, tolerances.rtol, tolerances.atol)
-        explanation = f"{choice.reason}; {tolerances.description}; {first}"
+        controller, said = controller_for(structure, tolerances.rtol, tolerances.atol), tolerances.description
     else:
-        explanation = f"{choice.reason}; {type(stepsize_controller).__name__}: as asked for"
+        controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
     start = start_now(system, ts)
+    known, unknown = split(system)
     plan = Plan(structure, unknown, path.scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
@@ -128,7 +122,11 @@ def simulate(
             "or leave adjoint= out"
         )
     run_of = integrate_with_sensitivities if by_sensitivities else integrate
-    options = Options(with_converging_root_finder(choice.solver, rtol), stepsize_controller, adjoint, max_steps, budget)
+    options = Options(with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget)
+    if stepsize_controller is None:
+        # diffrax's own loop has no better one to begin with; see `LandingController.init`.
+        by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
+        said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     increase = True if is_concrete(ts) else jnp.all(jnp.diff(ts) >= 0)
     conditions = [*compiled.conditions, *traced_tolerances(rtol, atol), jnp.asarray(increase)]
@@ -147,7 +145,7 @@ def simulate(
         ts=ts,
         ys=outcome.ys,
         system=system,
-        stats=replace(outcome.stats, explanation="; ".join(filter(None, [explanation, path.reason]))),
+        stats=replace(outcome.stats, explanation="; ".join(filter(None, [choice.reason, said, path.reason]))),
         status=outcome.status,
         t_reached=outcome.t_reached,
         y_reached=outcome.y_reached,

@@ -164,16 +164,21 @@ def run_in_lanes(
         status: what a run that is not to be made reports.
         block: how wide.
     """
-    return _Queue(problem, parameters, y0, ts, may_run, status).worked_off(block)
+    return _Queue(problem, parameters, y0, ts, may_run, status, block).worked_off()
 
 
 class _Queue:
     """The functions of one lane and of a block, with the queue at hand; lives while a program is traced."""
 
-    def __init__(self, problem: LaneProblem, parameters, y0, ts, may_run, status):
+    def __init__(self, problem: LaneProblem, parameters, y0, ts, may_run, status, block: Block):
         self.problem = problem
         self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
         self.n_jobs = y0.shape[0]
+        self.width = min(block.width, max(1, self.n_jobs))
+        self.narrow = min(block.narrow, self.width)
+        # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
+        # be a seventh of the operations, and a quarter of the time that they take to compile.
+        self.refills = self.width < self.n_jobs
         self.steps = steps_of(problem.solver, problem.rate, with_dense_output=ts.shape[0] > 2)
         self.term = diffrax.ODETerm(problem.rate)
         self.order = problem.solver.error_order(self.term)
@@ -196,10 +201,12 @@ class _Queue:
         return self._lane(job, jax.tree.map(lambda x: x[at], self._starts))
 
     @property
-    def _starts(self):
+    def _starts(self) -> tuple:
+        """Of all jobs what a lane takes of one."""
         return self.parameters, self.y0, self.may_run, self.status, self.first_steps, self.begun
 
-    def _lane(self, job, start) -> Lane:
+    def _lane(self, job, start: tuple) -> Lane:
+        """The lane at the start of a job, from its part of `_starts`."""
         parameters, y0, may_run, status, (t_next, state), (watch, peaks) = start
         t0 = self.ts[0]
         t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
@@ -290,12 +297,9 @@ class _Queue:
 
     # A block -----------------------------------------------------------------------------------------------------
 
-    def worked_off(self, block: Block) -> LaneOutcome:
+    def worked_off(self) -> LaneOutcome:
         """Run all jobs."""
-        width = min(block.width, max(1, self.n_jobs))
-        # Where every run has a lane of its own nothing is fetched from the queue: a third of the operations of a run
-        # alone would be of that, and its program would take so much longer to compile.
-        self.refills = width < self.n_jobs
+        width, narrow = self.width, self.narrow
         jobs = jnp.arange(width)
         lanes = self.block_of(jobs) if self.refills else jax.vmap(self._lane, out_axes=-1)(jobs, self._starts)
         is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
@@ -307,7 +311,6 @@ class _Queue:
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
         account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
         carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64)
-        narrow = min(block.narrow, width)
 
         def busy(carry):
             lanes, waiting, *_ = carry
