@@ -5,7 +5,6 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from spherejax import runtime
 
@@ -25,8 +24,8 @@ EPILOG = """examples:
   spherejax write four-bar --out my_mechanism.toml
   spherejax run my_mechanism.toml
 
-Compiled programs are kept in $XDG_CACHE_HOME/spherejax/jax (~/.cache without XDG_CACHE_HOME), so that a
-command starts faster the second time; SPHEREJAX_CACHE=0 switches that off.
+Compiled programs are kept in $XDG_CACHE_HOME/spherejax (~/.cache without XDG_CACHE_HOME), so that a command
+starts faster the second time; SPHEREJAX_CACHE names another folder, and SPHEREJAX_CACHE=0 switches that off.
 """
 
 
@@ -47,7 +46,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = parser().parse_args(argv)
     except SystemExit as stop:  # argparse has printed the help or the error
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
-    _use_cache()
     try:
         return options.action(options)
     except (sj.SceneError, sj.runtime.PrecisionError) as error:
@@ -113,16 +111,6 @@ def _leave(code: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
-
-
-def _use_cache() -> None:
-    """Keep compiled programs between processes, unless told otherwise or already done."""
-    import jax
-
-    if os.environ.get("SPHEREJAX_CACHE", "1") == "0" or jax.config.values["jax_compilation_cache_dir"]:
-        return
-    folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    runtime.configure(cache=Path(folder) / "spherejax" / "jax")
 
 
 def _one_line(error: BaseException) -> str:

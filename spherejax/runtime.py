@@ -1,4 +1,4 @@
-"""What must be set before JAX's backend starts: 64-bit numbers and three compiler flags for the CPU.
+"""What must be set before JAX's backend starts: 64-bit numbers, three compiler flags, a folder for programs.
 
 The first flag lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
 does so for tiny loops only. The second lets one fusion have several outputs. Together with the scalar program of
@@ -7,15 +7,21 @@ LAPACK or multiplies matrices inside the loop.
 
 A third one lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which
 takes a tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse.
+
+Compiled programs are kept in the user's cache folder, so that the next process need not compile them again.
 """
 
 import _thread
+import hashlib
 import os
+import platform
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -37,19 +43,22 @@ class PrecisionError(RuntimeError):
 
 
 def configure(*, cache: str | os.PathLike | None = None) -> None:
-    """Switch on 64-bit numbers and the compiler flags; called by `import spherejax`.
+    """Switch on 64-bit numbers, the compiler flags and the cache; called by `import spherejax`.
 
     Set the environment variable `SPHEREJAX_CONFIGURE=0` before the import to opt out. Flags that the user has set
     already are kept. When JAX's backend has started before the call, the flags come too late: one warning says so
     (64-bit mode still takes effect for arrays made from then on).
 
     Args:
-        cache: a folder for JAX's persistent compilation cache; None leaves JAX's own setting.
+        cache: a folder for compiled programs. None: the folder that the environment variable `SPHEREJAX_CACHE` names,
+            or else `spherejax` in the user's cache folder ($XDG_CACHE_HOME, or ~/.cache). `SPHEREJAX_CACHE=0` switches
+            that off. Where JAX has been told of a compilation cache already, it keeps that one for what it compiles.
+
+    Raises:
+        OSError: when the folder that was asked for cannot be written to. The user's own is then done without.
     """
     jax.config.update("jax_enable_x64", True)
-    if cache is not None:
-        jax.config.update("jax_compilation_cache_dir", os.fspath(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    _keep_programs(cache)
     flags = os.environ.get("XLA_FLAGS", "")
     wanted = _with_flags(flags)
     if wanted == flags:
@@ -64,6 +73,84 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
         )
         return
     os.environ["XLA_FLAGS"] = wanted
+
+
+LARGEST_CACHE = 2 * 2**30
+"""Bytes that are kept; what was not used for longest goes first. A program of a four-bar takes 0.5 to 3 MB."""
+
+LOOKED_AT_AGAIN_AFTER = 3600.0
+"""How often the size of the folder is looked at [s], at the start of a process: four thousand files take 20 ms."""
+
+_kept: list[Path] = []
+
+
+def cache_folder() -> Path | None:
+    """Where programs are kept; None where they are not."""
+    return _kept[-1] if _kept else None
+
+
+def _keep_programs(asked: str | os.PathLike | None) -> None:
+    named = os.environ.get("SPHEREJAX_CACHE", "")
+    if asked is None and named == "0":
+        return
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "spherejax"
+    folder = Path(asked or named or user).absolute()
+    # One folder for each kind of processor: homes are shared between machines, compiled programs must not be.
+    compiled = folder / f"compiled-{_kind_of_processor()}"
+    try:
+        compiled.mkdir(parents=True, exist_ok=True)
+        if not os.access(compiled, os.W_OK):
+            raise PermissionError(f"no permission to write to {compiled}")
+    except OSError:
+        if asked is None:
+            return
+        raise
+    _kept[:] = [folder]
+    _make_room(folder)
+    if jax.config.values["jax_compilation_cache_dir"] and asked is None:
+        return
+    jax.config.update("jax_compilation_cache_dir", os.fspath(compiled))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _make_room(folder: Path) -> None:
+    """Let go of what has not been used for longest, where the folder has grown too large.
+
+    JAX has a bound of its own, for which it reads two files for each that is there whenever it writes one.
+    """
+    looked = folder / "looked-at"
+    try:
+        if looked.exists() and time.time() - looked.stat().st_mtime < LOOKED_AT_AGAIN_AFTER:
+            return
+        looked.touch()
+        files = [file for part in ("traced", "compiled-*") for file in folder.glob(f"{part}/*")]
+        found = sorted(((max(each.st_atime, each.st_mtime), each.st_size, file) for file, each in _sized(files)))
+        total = sum(size for _, size, _ in found)
+        for _, size, file in found:
+            if total <= LARGEST_CACHE:
+                return
+            file.unlink(missing_ok=True)
+            total -= size
+    except OSError:  # another process makes room as well, or the folder may be read only
+        return
+
+
+def _sized(files: list[Path]) -> Iterator[tuple[Path, os.stat_result]]:
+    for file in files:
+        with suppress(FileNotFoundError):
+            yield file, file.stat()
+
+
+def _kind_of_processor() -> str:
+    """A short name of what the compiler makes its code for."""
+    words = f"{platform.machine()} {platform.system()}"
+    try:
+        with open("/proc/cpuinfo") as file:
+            first = file.read(8192)  # of a machine with many cores the file is long; all are of a kind
+        words += "".join(line for line in first.splitlines() if line.startswith(("flags", "Features", "model name")))
+    except OSError:
+        words += platform.processor()
+    return hashlib.sha256(words.encode()).hexdigest()[:8]
 
 
 AGAIN_AFTER = 0.01

@@ -11,19 +11,16 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-import spherejax  # noqa: F401 - before any other use of JAX, so that its compiler flags take effect
+ROOT = Path(__file__).resolve().parents[1]
+os.environ["SPHEREJAX_CACHE"] = os.environ.get("SPHEREJAX_TEST_CACHE", str(ROOT / ".jax_cache"))
+
+import spherejax  # noqa: E402, F401 - before any other use of JAX, so that its compiler flags take effect
 
 # isort: split
-import jax
-import pytest
-
-ROOT = Path(__file__).resolve().parents[1]
+import pytest  # noqa: E402
 
 
 def pytest_configure(config):
-    cache = os.environ.get("SPHEREJAX_TEST_CACHE", str(ROOT / ".jax_cache"))
-    jax.config.update("jax_compilation_cache_dir", cache)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     # Two workers may write the same entry at the same time; JAX then compiles again, which is all that matters.
     config.addinivalue_line("filterwarnings", "ignore:.*persistent compilation cache.*:UserWarning")
 

@@ -421,12 +421,6 @@ def test_an_error_that_is_not_resolved_is_shown_as_such():
 # The command ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def no_cache(monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
-
-
-@pytest.mark.usefixtures("no_cache")
 def test_the_command_prints_and_writes(tmp_path, capsys):
     folder = tmp_path / "results"
     words = ["accuracy", "four-bar", "--quick", "--t1", "0.2", "--solvers", "dopri8", "--tolerances", "1e-5", "1e-7"]
@@ -450,7 +444,6 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("no_cache")
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -468,7 +461,6 @@ def test_the_command_refuses_a_request_without_sense(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("no_cache")
 def test_the_command_compares_models_with_their_defaults(tmp_path, monkeypatch, result):
     asked = []
     monkeypatch.setattr(sj, "work_precision", lambda scenes, **options: asked.append((scenes, options)) or result)

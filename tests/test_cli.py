@@ -20,11 +20,6 @@ from spherejax.studies.compare import Comparison, Row, compare
 QUICK = ["--t1", "0.01", "--samples", "5"]
 
 
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
-
-
 def parsed(*words):
     return cli.parser().parse_args(["run", "four-bar", *words])
 

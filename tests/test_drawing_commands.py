@@ -8,11 +8,6 @@ import spherejax as sj
 from spherejax import cli
 
 
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
-
-
 def test_a_picture_of_the_start(tmp_path, capsys):
     path = tmp_path / "new" / "four_bar.png"
     assert cli.main(["draw", "four-bar", "--out", str(path)]) == 0

@@ -415,8 +415,7 @@ def test_bad_numbers_of_links_and_loops_are_named():
 # On the command line ------------------------------------------------------------------------------------------------
 
 
-def test_scenes_run_by_their_short_names(capsys, monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
+def test_scenes_run_by_their_short_names(capsys):
     assert cli.main(["run", "a01", "--samples", "3"]) == 0
     out = capsys.readouterr().out
     assert "simple-pendulum" in out

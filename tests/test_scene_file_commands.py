@@ -20,11 +20,6 @@ from spherejax.files.kinds import kebab
 from spherejax.files.objects import same
 
 
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
-
-
 @pytest.fixture
 def written(tmp_path):
     """Writes a text to a scene file, with replacements."""

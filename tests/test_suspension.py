@@ -248,8 +248,7 @@ def test_samples_may_be_finer_at_the_beginning():
 
 
 @pytest.mark.slow
-def test_compare_suspension_from_the_command_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
+def test_compare_suspension_from_the_command_line(tmp_path, capsys):
     folder = tmp_path / "results"
     assert cli.main(["compare", "suspension", "--quick", "--out", str(folder)]) == 0
     out = capsys.readouterr().out

@@ -116,11 +116,6 @@ def written(tmp_path):
     return write
 
 
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch):
-    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
-
-
 TS = jnp.linspace(0.0, 0.5, 11)
 simulated = partial(sj.simulate, ts=TS, rtol=1e-9, solver=diffrax.Dopri8())
 

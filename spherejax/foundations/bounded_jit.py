@@ -2,6 +2,8 @@
 
 JAX keeps what it has compiled for as long as the process lives: 15 to 30 MB for a program of a four-bar, for each
 number of samples, each structure, each builder. A study that varies them grows until it is killed.
+
+What was traced is kept on disk too (`kept_traces`): another process neither traces nor compiles it again.
 """
 
 import os
@@ -13,6 +15,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
+from jax import export
+
+from spherejax.foundations import kept_traces
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
 """Programs of one function that are kept: of a mechanism such as the four-bar about half a gigabyte.
@@ -26,11 +32,18 @@ class _Entry:
 
     Only leaves go in and out of it. JAX remembers trees of arguments and results for ever, with all that is static in
     them.
+
+    Attributes:
+        jitted: the program as it is traced; for use inside another one.
+        compiled: the program for threads that share it, once it was asked for.
     """
 
-    def __init__(self, function: Callable, rest: Any, tree: Any):
+    def __init__(self, function: Callable, rest: Any, tree: Any, kinds: tuple):
         self.compiled: Any = None
         self._results: Any = None
+        self._program: Any = None
+        self._made_from = function, rest, tree, kinds
+        self._lock = threading.Lock()
 
         def run(*leaves: Any) -> Any:
             positional, named = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
@@ -39,13 +52,71 @@ class _Entry:
             self._results = (found_tree, static)
             return tuple(found)
 
-        run.__name__ = run.__qualname__ = getattr(function, "__name__", "program")
-        self.jitted: Any = jax.jit(run)
+        self.jitted: Any = _jitted(run, _name_of(function))
+
+    @property
+    def program(self) -> Any:
+        """The program for numbers: loaded, or traced and kept, at its first use."""
+        with self._lock:
+            if self._program is None:
+                self._program = self._loaded_or_traced()
+        return self._program
+
+    def _loaded_or_traced(self) -> Any:
+        function, rest, tree, kinds = self._made_from
+        key = kept_traces.key_for(function, rest, tree, kinds)
+        found = kept_traces.load(key)
+        if found is None:
+            found = self._traced(key)
+        if found is None:
+            return self.jitted
+        content, (example, static) = found
+        self._results = jax.tree.structure(example), static
+        # What this process has traced goes the same way: what is compiled of it is then found by the next one.
+        return _jitted(export.deserialize(bytearray(content)).call, "kept_" + _name_of(function))
+
+    def _traced(self, key: str | None) -> tuple | None:
+        """The program, traced and kept, with what tells the results of it; None where it cannot be kept."""
+        if key is None:
+            return None
+        *_, kinds = self._made_from
+        leaves = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in kinds]
+        with kept_traces.listened() as has_warned:
+            self.jitted.trace(*leaves)
+        try:
+            content = bytes(export.export(self.jitted)(*leaves).serialize())
+        except (ValueError, NotImplementedError):  # it calls Python, or code of which JAX promises nothing
+            return None
+        found_tree, static = self._results
+        found = content, (jax.tree.unflatten(found_tree, range(found_tree.num_leaves)), static)
+        if not has_warned():
+            kept_traces.save(key, found)
+        return found
+
+    def clear(self) -> None:
+        """Let go of what was compiled."""
+        self.jitted.clear_cache()
+        if self._program is not None:
+            self._program.clear_cache()
 
     def results(self, leaves: tuple) -> Any:
         """What the function returned, from the leaves that were computed."""
         tree, static = self._results
         return eqx.combine(jax.tree.unflatten(tree, leaves), static)
+
+
+def _name_of(function: Callable) -> str:
+    return getattr(function, "__name__", "program")
+
+
+def _jitted(run: Callable, name: str) -> Any:
+    """A function, compiled under a name."""
+
+    def named(*leaves: Any) -> Any:
+        return run(*leaves)
+
+    named.__name__ = named.__qualname__ = name
+    return jax.jit(named)
 
 
 class BoundedJit:
@@ -60,14 +131,15 @@ class BoundedJit:
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Evaluate; what has not been seen is traced and compiled."""
         entry, leaves = self._entry_for(arguments, named)
-        return entry.results(entry.jitted(*leaves))
+        is_inside = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+        return entry.results((entry.jitted if is_inside else entry.program)(*leaves))
 
     def compiled(self, *arguments: Any) -> Callable:
         """The program for arguments like these, compiled now: threads that share it do not compile it again."""
         entry, leaves = self._entry_for(arguments, {})
         with self._lock:
             if entry.compiled is None:
-                entry.compiled = entry.jitted.lower(*leaves).compile()
+                entry.compiled = entry.program.lower(*leaves).compile()
         program = entry.compiled
 
         def run(*arguments: Any) -> Any:
@@ -95,7 +167,7 @@ class BoundedJit:
         with self._lock:
             entry = self._entries.get(key)
             if entry is None:
-                entry = self._entries[key] = _Entry(self._function, rest, tree)
+                entry = self._entries[key] = _Entry(self._function, rest, tree, kinds)
             self._entries.move_to_end(key)
             while len(self._entries) > self._n_programs:
                 self._let_go()
@@ -103,7 +175,7 @@ class BoundedJit:
 
     def _let_go(self) -> None:
         _, entry = self._entries.popitem(last=False)
-        entry.jitted.clear_cache()
+        entry.clear()
 
 
 def bounded_jit(function: Callable | None = None, *, n_programs: int = N_PROGRAMS) -> Any:

@@ -61,11 +61,28 @@ def program_fingerprint(function: Callable, *examples: Any) -> Traced:
     return Traced(words.fingerprint, words.is_bound)
 
 
+class Told(NamedTuple):
+    """What a Python value is.
+
+    Attributes:
+        fingerprint: the same for equal values.
+        is_foreign: whether something in it belongs to none of `VERSIONED`, or could be told by its name alone.
+    """
+
+    fingerprint: str
+    is_foreign: bool
+
+
 def value_fingerprint(value: Any) -> str:
     """What a Python value is: numbers, containers, objects by their fields, functions and classes by their code."""
+    return told(value).fingerprint
+
+
+def told(value: Any) -> Told:
+    """As `value_fingerprint`, and whether versions of packages tell the code of it."""
     words = _Words()
     words.value(value)
-    return words.fingerprint
+    return Told(words.fingerprint, words.is_foreign or words.is_bound)
 
 
 def combined(*fingerprints: str) -> str:
@@ -83,6 +100,7 @@ class _Words:
     def __init__(self):
         self._hash = hashlib.sha256()
         self.is_bound = False
+        self.is_foreign = False
         self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
 
     @property
@@ -180,8 +198,11 @@ class _Words:
             self._function(value)
         elif isinstance(value, property | staticmethod | classmethod | functools.cached_property):
             self.value([getattr(value, name, None) for name in ("fget", "__func__", "func")])
-        elif isinstance(value, jax.tree_util.PyTreeDef) or (_is_of_jax(value) and not dataclasses.is_dataclass(value)):
-            self.word(_without_addresses(repr(value)))
+        elif isinstance(value, jax.tree_util.PyTreeDef):
+            # Not its text: that would not tell one function in it from another.
+            self.value(("tree", value.num_leaves, jax.tree.unflatten(value, range(value.num_leaves))))
+        elif _is_of_jax(value) and not dataclasses.is_dataclass(value):
+            self._text(value)
         else:
             self._object(value)
 
@@ -199,30 +220,43 @@ class _Words:
         if fields:
             self.value(fields)
         else:
-            self.word(_without_addresses(repr(value)))
+            self._text(value)
+
+    def _text(self, value: Any) -> None:
+        text = repr(value)
+        without = _without_addresses(text)
+        self.is_foreign |= without != text
+        self.word(without)
 
     def _class(self, kind: type) -> None:
         self.word("class", _name_of(kind))
-        if _is_installed(kind.__module__, None):
+        self.is_foreign |= not _is_versioned(kind.__module__)
+        if is_installed(kind.__module__, None):
             return
         self.value([base for base in kind.__bases__ if base is not object])
         own = {name: each for name, each in vars(kind).items() if not name.startswith("__") or name == "__call__"}
         self.value({name: each for name, each in own.items() if not name.startswith("_abc")})
 
     def _function(self, function: types.FunctionType) -> None:
-        if _is_installed(function.__module__, function.__code__.co_filename):
+        self.is_foreign |= not _is_versioned(function.__module__)
+        if is_installed(function.__module__, function.__code__.co_filename):
             self.word("function", _name_of(function))
+            if _top(function.__module__) == _OWN:
+                self._closed_over(function)
             return
         self._code(function.__code__, function.__doc__)
+        self._closed_over(function)
+        for name, used in _used_globals(function):
+            self.word(name)
+            self.value(used)
+
+    def _closed_over(self, function: types.FunctionType) -> None:
         self.value([function.__defaults__, function.__kwdefaults__])
         for cell in function.__closure__ or ():
             try:
                 self.value(cell.cell_contents)
             except ValueError:  # a cell that has not been filled yet
                 self.word("empty")
-        for name, used in _used_globals(function):
-            self.word(name)
-            self.value(used)
 
     def _code(self, code: types.CodeType, doc: str | None) -> None:
         """Operations, constants and names of what is looked up; not the names of variables, lines, or the docstring."""
@@ -242,7 +276,7 @@ def _used_globals(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
             continue
         used = function.__globals__[name]
         yield name, used
-        if isinstance(used, types.ModuleType) and not _is_installed(used.__name__, getattr(used, "__file__", None)):
+        if isinstance(used, types.ModuleType) and not is_installed(used.__name__, getattr(used, "__file__", None)):
             yield from ((f"{name}.{inner}", getattr(used, inner)) for inner in names if hasattr(used, inner))
 
 
@@ -262,6 +296,19 @@ def _is_of_jax(value: Any) -> bool:
 
 _OWN = __name__.split(".")[0]
 
+VERSIONED = frozenset({
+    _OWN, "jax", "jaxlib", "equinox", "diffrax", "lineax", "optimistix", "optax", "jaxtyping", "numpy",
+})  # fmt: skip
+"""What runs are made of: packages whose versions tell their code, besides Python's own."""
+
+
+def _top(module: str | None) -> str:
+    return (module or "").split(".")[0]
+
+
+def _is_versioned(module: str | None) -> bool:
+    return _top(module) in VERSIONED or (_top(module) in sys.stdlib_module_names and _top(module) != "__main__")
+
 
 @functools.lru_cache(maxsize=1)
 def _installed_folders() -> tuple[str, ...]:
@@ -270,9 +317,9 @@ def _installed_folders() -> tuple[str, ...]:
     return tuple(str(Path(each)) for each in (*folders, site.getusersitepackages()))
 
 
-def _is_installed(module: str | None, file: str | None) -> bool:
+def is_installed(module: str | None, file: str | None) -> bool:
     """Whether code belongs to Python, an installed package or this one: their versions tell them."""
-    top = (module or "").split(".")[0]
+    top = _top(module)
     if top == _OWN or top in sys.builtin_module_names or top in sys.stdlib_module_names:
         return top != "__main__"
     file = file or getattr(sys.modules.get(module or ""), "__file__", None)

@@ -43,6 +43,14 @@ class Graph:
         self.dtypes: list[np.dtype] = []
         self._known: dict = {}
 
+    def __getstate__(self) -> dict[str, list]:
+        """Without the register of nodes, which only serves to add some."""
+        return {name: value for name, value in vars(self).items() if name != "_known"}
+
+    def __setstate__(self, state: dict[str, list]) -> None:
+        nodes = zip(state["operations"], state["arguments"], state["parameters"], state["dtypes"], strict=True)
+        vars(self).update(state, _known={(o, a, p, d): index for index, (o, a, p, d) in enumerate(nodes)})
+
     def node(self, operation, arguments: tuple[int, ...], dtype: np.dtype, parameters=None) -> int:
         """The node for an operation, made only if it does not exist yet."""
         if operation in _COMMUTATIVE and arguments[0] > arguments[1]:

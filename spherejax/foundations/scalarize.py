@@ -44,9 +44,21 @@ class ScalarProgram:
         self.n_operations: int = self.operations.total()
         self._ahead = graph.invariants(self._flat_outputs, range(n_ahead))
         self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
+        self._compile()
+
+    def _compile(self) -> None:
         self._run = jax.jit(lambda *flat: self._emit(flat, {}))
         self._run_ahead = jax.jit(self._emit_ahead)
         self._run_inside = jax.jit(self._emit_inside)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what JAX compiles; a tree of results stands for its structure."""
+        state = {name: value for name, value in vars(self).items() if name not in ("_run", "_run_ahead", "_run_inside")}
+        return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _tree=jax.tree.structure(state["_tree"]))
+        self._compile()
 
     def __call__(self, *arguments) -> Any:
         """Evaluate; the arguments have the shapes of the example arguments."""

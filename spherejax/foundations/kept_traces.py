@@ -1,0 +1,208 @@
+"""What was traced is kept on disk for the next process: tracing a run takes longer than to load what came of it.
+
+A thing is found again by a key over everything that it was made from: the arguments, the sources of this package, the
+versions of what it stands on, and the settings of JAX. Where that cannot be told for certain nothing is kept, and the
+thing is made anew as if there were no store: code of a user's own is part of it, a function of this package has been
+replaced, or a source file has changed since the process began. What others patch in JAX is not seen: set
+`SPHEREJAX_CACHE=0` then.
+
+Whatever is wrong with the folder (damaged files, a full disk, no permission), a run does not notice. A file is written
+beside its place and moved there, so that processes may share the folder.
+"""
+
+import hashlib
+import io
+import os
+import pickle
+import sys
+import tempfile
+import threading
+import time
+import types
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax.extend.core import Primitive
+
+from spherejax import runtime
+from spherejax.foundations.fingerprints import VERSIONED, is_installed, told
+
+_MARK = b"spherejax trace 1\n"
+_began = time.time()
+_PACKAGE = Path(__file__).resolve().parents[1]
+_tracing = threading.local()
+
+
+def key_for(*what: Any) -> str | None:
+    """The key of what is made from some values; None where it must not be kept.
+
+    Args:
+        *what: all that goes into it: functions of this package, values and static parts of arguments. Constants of the
+            folders in `ROOMS` are part of the key as they are now, those of studies as they stand in the sources.
+    """
+    if _folder() is None or _is_debugging():
+        return None
+    values, constants = told(what), _constants()
+    if values.is_foreign or constants is None or _has_changed():
+        return None
+    return hashlib.sha256("\0".join([_code(), constants, values.fingerprint]).encode()).hexdigest()
+
+
+def load(key: str | None) -> Any:
+    """What was kept under a key; None where there is nothing, or nothing whole."""
+    folder = _folder()
+    if key is None or folder is None:
+        return None
+    try:
+        content = (folder / key).read_bytes()
+        head = len(_MARK) + 64
+        if content[: len(_MARK)] != _MARK or content[len(_MARK) : head] != _digest_of(content[head:]):
+            return None
+        return pickle.loads(content[head:])
+    except Exception:  # whatever a folder that anybody may write to holds: it is made anew
+        return None
+
+
+def save(key: str | None, value: Any) -> None:
+    """Keep a value under a key, where that can be."""
+    folder = _folder()
+    if key is None or folder is None:
+        return
+    try:
+        buffer = io.BytesIO()
+        _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
+        content = buffer.getvalue()
+        folder.mkdir(exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=folder, prefix=".new-")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(_MARK + _digest_of(content) + content)
+            os.replace(name, folder / key)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except Exception:  # a full disk, no permission, a value that cannot be written: nothing is kept
+        return
+
+
+@contextmanager
+def listened() -> Iterator[Callable[[], bool]]:
+    """A function that says whether something warned, or was made of a user's code, since the context was entered.
+
+    What warns while it is traced would be silent when it is loaded.
+    """
+    before = getattr(_tracing, "n_warnings", 0)
+    yield lambda: getattr(_tracing, "n_warnings", 0) > before
+
+
+def has_warned() -> None:
+    """What is traced now must not be kept: it has said something that whoever loads it must hear too."""
+    _tracing.n_warnings = getattr(_tracing, "n_warnings", 0) + 1
+
+
+# What a thing depends on besides its arguments ------------------------------------------------------------------------
+
+
+def _folder() -> Path | None:
+    folder = runtime.cache_folder()
+    return None if folder is None else folder / "traced"
+
+
+def _is_debugging() -> bool:
+    """Whether JAX is to do something else than usual with programs, or may run them in several places."""
+    unusual = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
+    is_debugged = any(getattr(jax.config, name) for name in unusual)
+    return is_debugged or jax.default_backend() != "cpu" or jax.device_count() > 1
+
+
+@lru_cache(maxsize=1)
+def _sources() -> tuple[Path, ...]:
+    return tuple(sorted(_PACKAGE.rglob("*.py")))
+
+
+def _has_changed() -> bool:
+    """Whether what is on disk may be something else than what was imported."""
+    return any(file.stat().st_mtime >= _began for file in _sources())
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """The sources of this package and the versions of the others."""
+    words = hashlib.sha256()
+    for file in _sources():
+        words.update(str(file.relative_to(_PACKAGE)).encode() + b"\0" + file.read_bytes() + b"\0")
+    words.update("\0".join([sys.version, *(f"{name} {_version(name)}" for name in sorted(VERSIONED))]).encode())
+    return words.hexdigest()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+_SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion")
+
+
+ROOMS = frozenset({"foundations", "physics", "model", "motion"})
+"""Folders whose modules are always loaded, and hold what every program is made of."""
+
+
+def _constants() -> str | None:
+    """Settings of JAX and constants of this package as they are; None where a function of it has been replaced."""
+    words = hashlib.sha256(os.environ.get("XLA_FLAGS", "").encode())
+    words.update(repr([getattr(jax.config, name) for name in _SETTINGS]).encode())
+    for name in sorted(name for name in sys.modules if name.startswith("spherejax.")):
+        folder = name.split(".")[1]
+        if folder not in ROOMS and folder != "studies":
+            continue
+        for key, value in list(vars(sys.modules[name]).items()):
+            if type(value) in (int, float, bool, str, tuple):
+                if folder in ROOMS and key == key.upper():
+                    words.update(f"{name}.{key}={value!r}\0".encode())
+            elif not _is_original(value, name):
+                return None
+    return words.hexdigest()
+
+
+def _is_original(value: Any, module: str) -> bool:
+    """Whether a name of a module of this package stands for a function or a class of ours, or of what is versioned."""
+    if isinstance(value, types.FunctionType):
+        return _is_known(value)
+    if isinstance(value, type) and value.__module__ == module:
+        return all(_is_known(each) for each in vars(value).values() if isinstance(each, types.FunctionType))
+    return True
+
+
+def _is_known(function: types.FunctionType) -> bool:
+    # Methods of named tuples are in modules of their own.
+    module = function.__module__ or ""
+    return module.startswith("namedtuple_") or is_installed(module, function.__code__.co_filename)
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+
+def _digest_of(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
+
+
+class _Pickler(pickle.Pickler):
+    """Writes JAX's operations by their names."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, Primitive):
+            if getattr(jax.lax, f"{obj.name}_p", None) is not obj:
+                raise pickle.PicklingError(f"the operation {obj.name!r} is not one of jax.lax")
+            return _primitive, (obj.name,)
+        return NotImplemented
+
+
+def _primitive(name: str) -> Primitive:
+    return getattr(jax.lax, f"{name}_p")

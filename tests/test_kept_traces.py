@@ -1,0 +1,309 @@
+"""What was traced in one process is found by the next one, computes the same, and is never what it is not."""
+
+import errno
+import os
+import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax import runtime
+from spherejax.foundations import kept_traces
+from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.fingerprints import told
+from spherejax.foundations.scalarize import scalarize
+from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion import jobs
+from spherejax.motion.dynamics import state_rate
+from spherejax.motion.lanes import landing
+from spherejax.motion.programs import program_for
+
+RUN = """
+import sys, jax
+traced = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda event, seconds, **said: traced.append(said.get("fun_name")) if "trace_duration" in event else None
+)
+import jax.numpy as jnp
+import numpy as np
+import spherejax as sj
+force = {force}
+scene = sj.gallery.simple_pendulum() if force is None else sj.Scene(
+    bodies={{"bob": sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(1.0, 0.0, 0.0))}}, joints={{}}, forces=force
+)
+run = sj.simulate(scene, jnp.linspace(0.0, 0.3, 4))
+print(run.ys.tobytes().hex())
+print("integrated" in traced, "state_rate" in traced, sep="\\n")
+"""
+
+
+def script(cache, force="None", **environment):
+    """The last state and whether the run, and its equations, were traced, in a process of its own."""
+    environment = {**os.environ, "SPHEREJAX_CACHE": str(cache), **environment}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    code = RUN.format(force=force)
+    return subprocess.Popen(
+        [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def answer(process):
+    out, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert errors == ""
+    states, run, equations = out.split()
+    return states, run == "True", equations == "True"
+
+
+def in_a_process(cache, force="None", **environment):
+    return answer(script(cache, force, **environment))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder of this process."""
+    monkeypatch.setattr(runtime, "_kept", [tmp_path])
+    return tmp_path
+
+
+@pytest.fixture
+def pendulum():
+    return flatten_system(compile_scene(sj.gallery.simple_pendulum()).system)
+
+
+# Processes ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_next_process_traces_nothing_and_computes_the_same_bits(tmp_path):
+    first, run, equations = in_a_process(tmp_path)
+    assert run
+    assert equations
+    assert in_a_process(tmp_path) == (first, False, False)
+    assert in_a_process("0")[0] == first
+
+
+def test_damaged_files_are_made_anew(tmp_path):
+    first, *_ = in_a_process(tmp_path)
+    files = list((tmp_path / "traced").iterdir())
+    assert len(files) > 3
+    for place, file in enumerate(files):
+        content = bytearray(file.read_bytes())
+        content[place * len(content) // len(files)] ^= 1
+        file.write_bytes(content)
+    again, run, equations = in_a_process(tmp_path)
+    assert again == first
+    assert run
+    assert equations
+    assert in_a_process(tmp_path) == (first, False, False)
+
+
+def test_processes_may_fill_a_folder_together(tmp_path):
+    processes = [script(tmp_path) for _ in range(2)]
+    answers = {answer(process)[0] for process in processes}
+    assert answers == {in_a_process(tmp_path)[0]}
+    assert in_a_process(tmp_path)[1:] == (False, False)
+    assert not list(tmp_path.rglob(".new-*"))
+
+
+def test_without_a_folder_to_write_to_a_run_is_a_run(tmp_path):
+    is_a_file = tmp_path / "file"
+    is_a_file.write_text("")
+    home = tmp_path / "home"
+    home.mkdir()
+    expected, *_ = in_a_process("0")
+    assert in_a_process(is_a_file)[0] == expected
+    # Root may write anywhere, so the home is a file as well.
+    assert in_a_process("", HOME=str(is_a_file), XDG_CACHE_HOME="")[0] == expected
+    assert in_a_process("", HOME=str(home), XDG_CACHE_HOME="")[0] == expected
+    assert list((home / ".cache" / "spherejax" / "traced").iterdir())
+
+
+def test_code_of_a_users_own_is_never_kept(tmp_path):
+    def pushed(newtons):
+        return f'dict(push=sj.AppliedWrench("bob", force=sj.UserFunction(lambda t: jnp.array([0.0, 0.0, {newtons}]))))'
+
+    answers = [in_a_process(tmp_path, pushed(newtons)) for newtons in (1.0, 2.0, 1.0)]
+    assert all(run and equations for _, run, equations in answers)
+    assert answers[0][0] == answers[2][0] != answers[1][0]
+
+
+# Keys -----------------------------------------------------------------------------------------------------------------
+
+
+def test_the_key_is_over_all_that_goes_in(folder, monkeypatch, pendulum):
+    structure, _ = pendulum
+    other, _ = flatten_system(compile_scene(sj.gallery.four_bar()).system)
+    key = kept_traces.key_for(state_rate, structure)
+    assert key is not None
+    assert key == kept_traces.key_for(state_rate, structure)
+    assert len({key, kept_traces.key_for(state_rate, other), kept_traces.key_for(jobs.job_of, structure)}) == 3
+    monkeypatch.setattr(landing, "SAFETY", 0.8)
+    assert kept_traces.key_for(state_rate, structure) not in (None, key)
+    with jax.numpy_dtype_promotion("strict"):
+        assert kept_traces.key_for(state_rate, structure) != key
+
+
+def test_nothing_is_kept_where_something_cannot_be_told(folder, monkeypatch, pendulum):
+    structure, _ = pendulum
+    assert kept_traces.key_for(state_rate, structure, lambda: 1) is None
+    assert kept_traces.key_for(state_rate, structure, object()) is None
+    with jax.debug_nans(True):
+        assert kept_traces.key_for(state_rate, structure) is None
+    with monkeypatch.context() as patched:
+        patched.setattr(landing, "own_time", lambda share, bend: share)
+        assert kept_traces.key_for(state_rate, structure) is None
+    with monkeypatch.context() as patched:
+        patched.setattr(landing.Landing, "judge", lambda self, *step: step)
+        assert kept_traces.key_for(state_rate, structure) is None
+    with monkeypatch.context() as patched:
+        # As after an edit of a source: this process may hold what the file said before.
+        patched.setattr(kept_traces, "_began", 0.0)
+        assert kept_traces.key_for(state_rate, structure) is None
+    with monkeypatch.context() as patched:
+        patched.setattr(runtime, "_kept", [])
+        assert kept_traces.key_for(state_rate, structure) is None
+    assert kept_traces.key_for(state_rate, structure) is not None
+
+
+def test_functions_of_this_package_are_told_by_what_they_close_over():
+    one, two, again = (jobs._magnitudes_of.__wrapped__((name,)) for name in ("a", "b", "a"))
+    assert told(one).fingerprint == told(again).fingerprint != told(two).fingerprint
+    assert not told(one).is_foreign
+
+
+def test_trees_are_told_by_the_functions_in_them():
+    def tree(function):
+        return jax.tree.structure(sj.UserFunction(function))
+
+    assert told(tree(lambda t: 2 * t)).fingerprint != told(tree(lambda t: 3 * t)).fingerprint
+    assert told(tree(lambda t: 2 * t)).is_foreign
+    assert not told(jax.tree.structure(sj.Sine(1.0, 2.0))).is_foreign
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_and_what_cannot_be_written_leave_nothing(folder, monkeypatch, pendulum):
+    key = kept_traces.key_for("something")
+    kept_traces.save(key, lambda: 1)
+    assert kept_traces.load(key) is None
+    kept_traces.save(key, "kept")
+    assert kept_traces.load(key) == "kept"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    kept_traces.save(kept_traces.key_for("other"), "lost")
+    assert kept_traces.load(kept_traces.key_for("other")) is None
+    assert [file.name for file in (folder / "traced").iterdir()] == [key]
+
+
+@pytest.mark.parametrize("warns", [False, True])
+def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
+    monkeypatch.setattr(kept_traces, "key_for", lambda *_: "key")  # a function of a test is not told by any version
+    traced = []
+
+    def doubled(x):
+        traced.append(x)
+        if warns:
+            kept_traces.has_warned()
+        return 2 * x
+
+    for _ in range(2):
+        assert float(bounded_jit(doubled)(jnp.asarray(2.0))) == 4.0
+    assert len(traced) == 1 + warns
+
+
+def test_the_folder_stays_small(tmp_path, monkeypatch):
+    monkeypatch.setattr(runtime, "LARGEST_CACHE", 3000)
+    for part in ("traced", "compiled-1"):
+        (tmp_path / part).mkdir()
+        for age in range(4):
+            file = tmp_path / part / f"{age}"
+            file.write_bytes(bytes(1000))
+            then = time.time() - 1000.0 * age - (part == "traced")
+            os.utime(file, (then, then))
+    (tmp_path / "mine").write_bytes(bytes(10_000))
+    runtime._make_room(tmp_path)
+    left = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*") if file.is_file()}
+    assert left == {"looked-at", "mine", "traced/0", "compiled-1/0", "compiled-1/1"}
+    (tmp_path / "traced" / "large").write_bytes(bytes(10_000))
+    runtime._make_room(tmp_path)  # looked at a moment ago
+    assert (tmp_path / "traced" / "large").exists()
+
+
+def test_a_folder_that_was_asked_for_must_be_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(runtime, "_kept", [])
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(OSError, match="file"):
+        runtime.configure(cache=file)
+
+
+# Programs -------------------------------------------------------------------------------------------------------------
+
+
+def test_scalar_programs_survive_being_written(pendulum):
+    structure, theta = pendulum
+    program = program_for(state_rate, structure, None).scalar
+    again = pickle.loads(_pickled(program))
+    y = np.linspace(0.1, 0.7, program._shapes[2][0])
+    assert again.operations == program.operations
+    assert np.array_equal(again.dependence(2), program.dependence(2))
+    for evaluated in (
+        lambda made: made(theta, 0.5, y),
+        lambda made: made.compute(theta, 0.5, y),
+        lambda made: made.inside(made.ahead(theta), theta, 0.5, y),
+        lambda made: jax.jacfwd(made, argnums=2)(jnp.asarray(theta), jnp.asarray(0.5), jnp.asarray(y)),
+    ):
+        assert np.array_equal(evaluated(again), evaluated(program))
+
+
+def test_an_operation_that_is_not_of_jax_is_not_written():
+    def special(x):
+        return jnp.sin(x[0]) + jnp.cosh(x[1]) + jax.scipy.special.erf(x[0])
+
+    program = scalarize(special, jax.ShapeDtypeStruct((2,), jnp.float64))
+    x = jnp.array([0.3, 0.4])
+    assert float(pickle.loads(_pickled(program))(x)) == float(program(x))
+    for operation in program._graph.operations:
+        if not isinstance(operation, str):
+            program._graph.operations[program._graph.operations.index(operation)] = _Foreign("mine")
+            break
+    with pytest.raises(pickle.PicklingError, match="mine"):
+        _pickled(program)
+
+
+class _Foreign(jax.extend.core.Primitive):
+    pass
+
+
+def _pickled(value) -> bytes:
+    import io
+
+    buffer = io.BytesIO()
+    kept_traces._Pickler(buffer).dump(value)
+    return buffer.getvalue()
+
+
+def test_a_loaded_program_serves_traces_too(folder):
+    """Under `jax.grad` and `jax.vmap` it is the function again that is traced."""
+
+    def end(length):
+        scene = sj.gallery.four_bar(sj.Bushing(length, 1e-2))
+        return sj.simulate(scene, jnp.array([0.0, 1e-3]), max_steps=200).position("rocker")[-1, 2]
+
+    value = end(1e5)
+    jobs.integrated.clear()
+    assert end(1e5) == value
+    slope = jax.jvp(end, (1e5,), (1.0,))[1]
+    assert np.isfinite(slope)
+    assert Path(folder, "traced").exists()
