@@ -53,13 +53,11 @@ def outputs_of(notebook) -> list:
 
 
 def environment() -> dict[str, str]:
-    """The kernel's: the compilation cache of the tests, and one that does not keep figures back."""
-    cache = os.environ.get("SPHEREJAX_TEST_CACHE", str(ROOT / ".jax_cache"))
+    """The kernel's; the cache is that of the tests."""
     search = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     return {
         **os.environ,
-        "JAX_COMPILATION_CACHE_DIR": cache,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.5",
+        "SPHEREJAX_QUIET": "1",  # says what it compiles, unless the cache has it already
         "PYTHONPATH": search,
         "TF_CPP_MIN_LOG_LEVEL": "3",  # XLA's alarm for compilations on a busy machine
     }

@@ -19,6 +19,7 @@ import jax.core
 from jax import export
 
 from spherejax.foundations import kept_traces
+from spherejax.foundations.terminals import waiting_for
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
 """Programs of one function that are kept: of a mechanism such as the four-bar about half a gigabyte.
@@ -36,10 +37,14 @@ class _Entry:
     Attributes:
         jitted: the program as it is traced; for use inside another one.
         compiled: the program for threads that share it, once it was asked for.
+        has_been_called: whether it was compiled here, by its first call.
+        name: under which it is compiled.
     """
 
     def __init__(self, function: Callable, rest: Any, tree: Any, kinds: tuple):
         self.compiled: Any = None
+        self.has_been_called = False
+        self.name: str = getattr(function, "__name__", "program")
         self._results: Any = None
         self._program: Any = None
         self._made_from = function, rest, tree, kinds
@@ -52,7 +57,7 @@ class _Entry:
             self._results = (found_tree, static)
             return tuple(found)
 
-        self.jitted: Any = _jitted(run, _name_of(function))
+        self.jitted: Any = _jitted(run, self.name)
 
     @property
     def program(self) -> Any:
@@ -73,7 +78,7 @@ class _Entry:
         content, (example, static) = found
         self._results = jax.tree.structure(example), static
         # What this process has traced goes the same way: what is compiled of it is then found by the next one.
-        return _jitted(export.deserialize(bytearray(content)).call, "kept_" + _name_of(function))
+        return _jitted(export.deserialize(bytearray(content)).call, "kept_" + self.name)
 
     def _traced(self, key: str | None) -> tuple | None:
         """The program, traced and kept, with what tells the results of it; None where it cannot be kept."""
@@ -105,10 +110,6 @@ class _Entry:
         return eqx.combine(jax.tree.unflatten(tree, leaves), static)
 
 
-def _name_of(function: Callable) -> str:
-    return getattr(function, "__name__", "program")
-
-
 def _jitted(run: Callable, name: str) -> Any:
     """A function, compiled under a name."""
 
@@ -122,8 +123,8 @@ def _jitted(run: Callable, name: str) -> Any:
 class BoundedJit:
     """A compiled function; see `bounded_jit`."""
 
-    def __init__(self, function: Callable, n_programs: int):
-        self._function, self._n_programs = function, n_programs
+    def __init__(self, function: Callable, n_programs: int, what: str):
+        self._function, self._n_programs, self._what = function, n_programs, what
         self._entries: OrderedDict[Hashable, _Entry] = OrderedDict()
         self._lock = threading.RLock()
         update_wrapper(self, function)
@@ -131,21 +132,33 @@ class BoundedJit:
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Evaluate; what has not been seen is traced and compiled."""
         entry, leaves = self._entry_for(arguments, named)
-        is_inside = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-        return entry.results((entry.jitted if is_inside else entry.program)(*leaves))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return entry.results(entry.jitted(*leaves))
+        if entry.has_been_called:
+            return entry.results(entry.program(*leaves))
+        with waiting_for(self._what, entry.name):
+            found = entry.program(*leaves)
+        entry.has_been_called = True
+        return entry.results(found)
 
     def compiled(self, *arguments: Any) -> Callable:
         """The program for arguments like these, compiled now: threads that share it do not compile it again."""
         entry, leaves = self._entry_for(arguments, {})
         with self._lock:
             if entry.compiled is None:
-                entry.compiled = entry.program.lower(*leaves).compile()
+                with waiting_for(self._what, entry.name):
+                    entry.compiled = entry.program.lower(*leaves).compile()
         program = entry.compiled
 
         def run(*arguments: Any) -> Any:
             return entry.results(program(*jax.tree.leaves(eqx.filter((arguments, {}), eqx.is_array))))
 
         return run
+
+    def shapes(self, *arguments: Any) -> Any:
+        """What a call would return, as shapes and types."""
+        entry, leaves = self._entry_for(arguments, {})
+        return entry.results(jax.eval_shape(entry.program, *leaves))
 
     @property
     def n_programs(self) -> int:
@@ -178,7 +191,7 @@ class BoundedJit:
         entry.clear()
 
 
-def bounded_jit(function: Callable | None = None, *, n_programs: int = N_PROGRAMS) -> Any:
+def bounded_jit(function: Callable | None = None, *, n_programs: int = N_PROGRAMS, what: str = "") -> Any:
     """Compile a function: arrays are traced, all else is static, as `eqx.filter_jit` does.
 
     Args:
@@ -187,8 +200,11 @@ def bounded_jit(function: Callable | None = None, *, n_programs: int = N_PROGRAM
     Other args:
         n_programs: how many programs are kept; the one that was used longest ago goes first, and is compiled again when
             it is asked for again.
+        what: what whoever waits is told to wait for, e.g. `"a run"`; by default the name of the function.
     """
-    return partial(bounded_jit, n_programs=n_programs) if function is None else BoundedJit(function, n_programs)
+    if function is None:
+        return partial(bounded_jit, n_programs=n_programs, what=what)
+    return BoundedJit(function, n_programs, what or getattr(function, "__name__", "a program"))
 
 
 def inlined(function: Callable) -> Callable:

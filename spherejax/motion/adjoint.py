@@ -125,7 +125,7 @@ def _differentiable(solver: Any) -> diffrax.AbstractSolver:
     return solver if is_explicit or isinstance(solver, AbstractRosenbrock) else Ros34PW2()
 
 
-@bounded_jit
+@bounded_jit(what="a run that keeps its steps")
 def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal) -> KeptRun:
     rate = program_for(state_rate, plan.structure, plan.scalar)
     began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
@@ -193,7 +193,7 @@ def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray)
     return _Legs(filled(starts[state]), filled(t_next), filled(state), filled(sample), np.asarray(order.size))
 
 
-@bounded_jit
+@bounded_jit(what="the gradient of a run")
 def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
     step, event = _step_of(plan, solver, rate), _event_of(plan, rate)

@@ -113,7 +113,7 @@ class Outcome(eqx.Module):
     assembly: Assembly
 
 
-@bounded_jit
+@bounded_jit(what="a run")
 def integrate(
     plan: Plan,
     options: Options,

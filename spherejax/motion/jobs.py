@@ -339,14 +339,14 @@ class _Request(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
 
 
-@bounded_jit
+@bounded_jit(what="a run")
 def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
     """`integrate_as_job` with everything decided."""
     job = request.job(plan, values, known, ts, start, values_are_legal)
     return _outcome(request, job, request.made(plan, job, ts, False))
 
 
-@bounded_jit
+@bounded_jit(what="a run and its derivatives")
 def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
     def job_of_values(values):
         return request.job(plan, values, known, ts, start, values_are_legal)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import SceneError
-from spherejax.foundations.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
+from spherejax.foundations.fingerprints import Traced, combined, program_fingerprint, told, value_fingerprint
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.assembly import as_ideal, assembly_residuals
@@ -34,20 +34,27 @@ class Known:
         function: the function itself.
         fingerprint: of what it computes.
         itself: the function again where equal code may stand for different objects; None otherwise.
+        is_all: whether the fingerprint tells all there is to tell, in other processes too: no code of a user's own is
+            left that has not been traced.
     """
 
     function: Callable = field(compare=False)
     fingerprint: str
     itself: Callable | None = None
+    is_all: bool = True
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """What the function answers."""
         return self.function(*arguments, **named)
 
+    def told_by(self) -> Any:
+        """What `fingerprints.told` takes for the function."""
+        return self.fingerprint if self.itself is None and self.is_all else self.function
 
-def known(function: Callable, traced: Traced) -> Known:
+
+def known(function: Callable, traced: Traced, is_all: bool = True) -> Known:
     """A function with what is known of it."""
-    return Known(function, traced.fingerprint, function if traced.is_bound else None)
+    return Known(function, traced.fingerprint, function if traced.is_bound else None, is_all)
 
 
 def built(build: Build, parameters: Any) -> Scene:
@@ -84,7 +91,9 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
     if by:
         traced.append(program_fingerprint(_with_slopes(lambda p: numbers(p)[0]), shapes))
     parts = [each.fingerprint for each in traced]
-    return known(build, Traced(combined(*parts), any(each.is_bound for each in traced)))
+    return known(
+        build, Traced(combined(*parts), any(each.is_bound for each in traced)), is_all=not told(structure).is_foreign
+    )
 
 
 @lru_cache(maxsize=32)

@@ -182,7 +182,7 @@ def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> 
     return method._replace(by=by)
 
 
-@bounded_jit
+@bounded_jit(what="runs in lanes")
 def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     prepared = Prepared(partial(built, build), method, ts)

@@ -207,7 +207,7 @@ def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
     return jax.jacfwd(floats)(values)
 
 
-@bounded_jit
+@bounded_jit(what="the derivatives of a run")
 def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
     scale = scales_of(values)

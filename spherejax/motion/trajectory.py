@@ -357,17 +357,17 @@ class Trajectory(eqx.Module):
 
 
 # Compiled, though it is little: by themselves a dozen kernels would be kept for each number of samples, 1.5 MB each.
-@bounded_jit
+@bounded_jit(what="the state of a run")
 def _unpacked(layout: Layout, ys) -> State:
     return unpack(layout, ys)
 
 
-@bounded_jit
+@bounded_jit(what="the state of a body")
 def _of_body(quantity, body: int):
     return quantity[..., body, :]
 
 
-@bounded_jit
+@bounded_jit(what="the quantities of a run")
 def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
     program = program_for(observe, structure, use_scalars)

@@ -88,7 +88,7 @@ def _made(*operands: Array, form: _Form) -> tuple[Array, ...]:
     return tuple(run_in_lanes(problem, parameters, y0, ts, may_run, status, form.block))
 
 
-@bounded_jit
+@bounded_jit(what="runs in lanes")
 def _made_now(form: _Form, operands: tuple[Array, ...]) -> tuple[Array, ...]:
     return _made(*operands, form=form)
 

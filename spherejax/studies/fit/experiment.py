@@ -331,15 +331,15 @@ def _run_of(frame: Frame, setting: Setting, values, ys, assembly) -> Trajectory:
     )
 
 
-_predicted_with_slopes = bounded_jit(_with_slopes)
+_predicted_with_slopes = bounded_jit(_with_slopes, what="the predictions of a fit")
 
 
-@bounded_jit
+@bounded_jit(what="the predictions of a fit")
 def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
     return jax.vmap(lambda each: _with_slopes(frame, setting, each))(numbers)
 
 
-@bounded_jit
+@bounded_jit(what="a prediction of a fit")
 def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
     outcome: Outcome = run_of(
         frame.plan, setting.options, numbers.values, setting.known, setting.ts, setting.start, numbers.are_legal
@@ -349,7 +349,7 @@ def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Predic
     return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps)
 
 
-@bounded_jit
+@bounded_jit(what="the gradient of a fit")
 def _cost_and_slopes(frame: Frame, setting: Setting, values, run: KeptRun, data, weights):
     """Half the sum of squares of a run, and its derivatives by the traced numbers and by the sampled states."""
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from spherejax.foundations.terminals import console, is_watched
 from spherejax.studies.fit.methods import Seen
 from spherejax.studies.fit.problem import Problem
-from spherejax.studies.terminals import console, is_watched
 
 Report = Callable[[Seen], None]
 

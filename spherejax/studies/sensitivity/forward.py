@@ -169,10 +169,10 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
     return Found(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
 
 
-_integrated = bounded_jit(integrate_along)
+_integrated = bounded_jit(integrate_along, what="a run and its derivatives")
 
 
-@bounded_jit
+@bounded_jit(what="the derivatives of what is observed")
 def _observed(prepared: Prepared, wanted: tuple[Wanted, ...], values, directions, ys, slopes):
     """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
 

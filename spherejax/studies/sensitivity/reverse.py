@@ -48,7 +48,7 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
     return Found(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
 
 
-@bounded_jit
+@bounded_jit(what="the gradient of what is observed")
 def _value_and_slopes(prepared: Prepared, wanted: Wanted, values, ys):
     """The number, and its derivatives by the numbers of the system and by the sampled states."""
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,7 +77,7 @@ def compiled_for(work: Work, rows: Rows) -> Callable:
 
 def shapes_of(work: Work, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
     """Shape and type of what is kept of one run, by name."""
-    kept, _ = eqx.filter_eval_shape(_program, work, *filled(work, rows))
+    kept, _ = _program.shapes(work, *filled(work, rows))
     return {name: jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for name, each in kept.items()}
 
 
@@ -126,7 +125,7 @@ def made(work: Work, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
     return work.record.of(runs), outcome
 
 
-_program = bounded_jit(made)
+_program = bounded_jit(made, what="the runs of a sweep")
 
 
 # In other processes ------------------------------------------------------------------------------------------------

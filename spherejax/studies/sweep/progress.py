@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from spherejax.foundations.terminals import console, is_notebook
 from spherejax.motion.status import Status
 from spherejax.studies.sweep.chunks import ChunkResult
-from spherejax.studies.terminals import console, is_notebook
 
 
 @dataclass(frozen=True)
