@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize as scipy_minimize
-from scipy.optimize import nnls
 
 from spherejax.studies.design.problem import DesignProblem, Evaluation
 
@@ -112,7 +110,9 @@ class Constrained:
         size = np.linalg.norm(gradient)
         if not columns:
             return prices, 1.0 if size > 0 else 0.0
-        found, residual = nnls(np.array(columns).T, -gradient)
+        from scipy import optimize  # not every process that imports this package needs it
+
+        found, residual = optimize.nnls(np.array(columns).T, -gradient)
         prices[touched] = found[: int(np.sum(touched))]
         return prices, float(residual / size) if size else 0.0
 
@@ -182,7 +182,9 @@ def _round(task: Constrained, u, sharpness: float, max_iterations: int, seen: li
     limits = [{"type": "ineq", "fun": room, "jac": room_slopes}] if task.rows else []
     options = {"ftol": task.tolerance * 1e-2, "maxiter": max_iterations}
     bounds = list(zip(low, high, strict=True))
-    return scipy_minimize(value, u, jac=slope, method="SLSQP", bounds=bounds, constraints=limits, options=options)
+    from scipy import optimize
+
+    return optimize.minimize(value, u, jac=slope, method="SLSQP", bounds=bounds, constraints=limits, options=options)
 
 
 def _seen(task: Constrained, u, sharpness: float, seen: list[Evaluation]) -> Evaluation:

@@ -7,14 +7,16 @@ see `motion.adjoint`.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import optax
 
 from spherejax.foundations.checks import SceneError
 from spherejax.studies.fit.levenberg_marquardt import is_converged
 from spherejax.studies.fit.methods import Course, Ending, Residuals, cost_of
+
+if TYPE_CHECKING:
+    import optax
 
 MANY = 30
 """Unknowns from which on reverse mode is cheaper: a run in reverse takes about as long as this many sensitivities."""
@@ -36,13 +38,15 @@ class Descent:
         reverse: whether gradients are computed in reverse mode; None: with more than 30 unknowns.
     """
 
-    optimiser: optax.GradientTransformation
+    optimiser: "optax.GradientTransformation"
     n_steps: int = 500
     patience: int = 50
     tolerance: float = 1e-6
     reverse: bool | None = None
 
     def __post_init__(self):
+        import optax  # whoever asks for a descent has imported it already
+
         if not isinstance(self.optimiser, optax.GradientTransformation):
             raise SceneError(f"Descent needs an optimiser of optax, e.g. optax.adam(1e-2); it got {self.optimiser!r}")
         if self.n_steps < 1:
@@ -114,6 +118,8 @@ class _Descending:
     """One start on its way."""
 
     def __init__(self, method: Descent, problem: Residuals, u: np.ndarray):
+        import optax
+
         self.method, self.problem = method, problem
         self.u = self.last = np.array(u)
         self.optimiser = optax.with_extra_args_support(method.optimiser)

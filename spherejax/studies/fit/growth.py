@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
 
 from spherejax.studies.fit.horizon import instants_of
 from spherejax.studies.fit.problem import Problem
@@ -247,6 +246,8 @@ def _e_folding_time(sensitivity: SensitivityHistory) -> float:
     later = (ts >= (ts[0] + ts[-1]) / 2) & (sizes > 0)
     if np.sum(later) < 3:
         return np.inf
+    from scipy import stats  # half a second, which not every process has to spend
+
     rate = float(np.asarray(stats.theilslopes(np.log(sizes[later]), ts[later]))[0])
     return 1 / rate if rate > 0 else np.inf
 

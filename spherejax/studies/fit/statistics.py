@@ -16,7 +16,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from spherejax.studies.fit.parameters import Unknowns
 
@@ -139,6 +138,8 @@ class Knowledge:
 
     def intervals(self, level: float) -> np.ndarray:
         """Confidence intervals within the bounds, shape (k, 2): of positive parameters symmetric in the logarithm."""
+        from scipy import stats  # half a second, which not every process has to spend
+
         quantile = float(stats.t.ppf((1 + level) / 2, self.degrees_of_freedom))
         reach = quantile * self.scaled_deviations
         relative = self.unknowns.each("is_relative") & (self.values > 0)
@@ -214,4 +215,6 @@ def white(residuals: np.ndarray, lags: int = 10) -> float:
         return 1.0
     correlations = np.array([centered[k:] @ centered[:-k] for k in range(1, lags + 1)]) / power
     statistic = n * (n + 2) * np.sum(correlations**2 / (n - np.arange(1, lags + 1)))
+    from scipy import stats
+
     return float(stats.chi2.sf(statistic, lags))
