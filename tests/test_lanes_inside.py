@@ -1,9 +1,14 @@
 """States inside an explicit step, from its stages; and the flags that the lanes' speed rests on."""
 
+from dataclasses import replace
+from functools import partial
+
 import diffrax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import spherejax as sj
 from spherejax.motion.lanes.inside import extension, trees_of
 from spherejax.motion.lanes.stages import ExplicitStages
 from spherejax.runtime import _with_flags
@@ -40,6 +45,51 @@ def test_states_inside_a_step_have_the_order_that_the_stages_allow(solver, order
 
 def test_a_method_of_order_one_has_a_straight_line_inside():
     assert extension(np.zeros((1, 1)), np.ones(1)).tolist() == [[1.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("joint", "solver"), [(sj.Ideal(), diffrax.Dopri8()), (sj.Dry(1e-4), diffrax.Tsit5())]
+)
+def test_the_first_step_is_the_same_by_looks_and_by_diffrax(joint, solver):
+    """Runs that begin together look with their own stages; those of a queue are given what diffrax finds."""
+
+    def build(scale):
+        scene = sj.gallery.four_bar(joint)
+        return replace(scene, gravity=scale * jnp.asarray(scene.gravity))
+
+    ts, scales = jnp.array([0.0, 0.1]), jnp.array([1.0, 2.0, 0.5])
+    first = [
+        sj.simulate_many(build, scales, ts, solver=solver, max_steps=1, block=sj.Block(width, width)).trajectories
+        for width in (1, 3)
+    ]
+    for runs in first:
+        assert np.all(runs.stats.n_steps == 1)
+        assert np.all(runs.t_reached > 0)
+    np.testing.assert_allclose(first[1].t_reached, first[0].t_reached, rtol=1e-6)
+
+
+def test_looks_are_not_counted_and_leave_no_trace():
+    build = partial(sj.gallery.four_bar, sj.Dry(1e-4))
+    ts = jnp.array([0.0, 0.02, 0.04])
+    alone = sj.simulate(build(), ts)
+    queued = sj.simulate_many(lambda _: build(), jnp.zeros(3), ts, block=sj.Block(2, 2)).trajectories
+    for name in ("n_accepted", "n_rejected", "n_onsets"):
+        assert np.array_equal(np.asarray(getattr(queued.stats, name))[1], getattr(alone.stats, name)), name
+    np.testing.assert_allclose(np.asarray(queued.stats.audit)[1], alone.stats.audit, rtol=0.2, atol=1e-12)
+    np.testing.assert_allclose(queued.ys[2], alone.ys, rtol=1e-6, atol=1e-6)
+
+
+def test_a_run_of_one_instant_and_a_run_that_may_not_be_made():
+    at_once = sj.simulate(sj.gallery.four_bar(), jnp.array([0.5]))
+    assert at_once.succeeded
+    assert np.all(np.isfinite(at_once.ys))
+
+    def build(mass):
+        return sj.Scene({"ball": sj.Body(mass, (1.0, 1.0, 1.0))}, {})
+
+    runs = sj.simulate_many(build, jnp.array([1.0, -1.0]), jnp.array([0.0, 0.1])).trajectories
+    assert list(np.asarray(runs.status)) == [sj.Status.SUCCEEDED, sj.Status.BAD_VALUE]
+    assert np.all(np.asarray(runs.stats.audit)[1] <= 0)
 
 
 def test_flags_of_the_user_are_kept():

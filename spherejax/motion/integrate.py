@@ -27,7 +27,14 @@ from spherejax.motion.programs import Program, program_for
 from spherejax.motion.projection import correction_of
 from spherejax.motion.solvers.auditing import AuditingSolver, of_audited, watch_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
-from spherejax.motion.solvers.landing import Contacts, LandingController, MemorySolver, count_of, without_memory
+from spherejax.motion.solvers.landing import (
+    Contacts,
+    LandingController,
+    MemorySolver,
+    count_of,
+    depths_of,
+    without_memory,
+)
 from spherejax.motion.solvers.wrapping import StepBudget
 from spherejax.motion.status import Status, status_of
 from spherejax.motion.trajectory import Statistics
@@ -266,7 +273,8 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
 
     slots = {slot.joint: slot for slot in example.memory_slots}
     entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
-    return Contacts(crossing_at, updated, updated_lanes, entries)
+    depths = depths_of(crossing_at, len(entries)) if example.touching_forces else None
+    return Contacts(crossing_at, updated, updated_lanes, entries, depths)
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:

@@ -46,6 +46,7 @@ class Step(NamedTuple):
         error: estimate of the error of y1.
         dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
+        depths: as `stages.Trial` has them.
     """
 
     t0: Float[Array, " n_lanes"]
@@ -55,6 +56,7 @@ class Step(NamedTuple):
     error: Float[Array, "... n_lanes"]
     dense_info: Any
     parameters: Any
+    depths: Float[Array, "n_stages n_touches n_lanes"] | None = None
 
 
 class Repeating:

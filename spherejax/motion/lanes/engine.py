@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.audit import CHECKS, Audit, Watch
 from spherejax.motion.lanes.control import Repeating, Step
+from spherejax.motion.lanes.first_step import N_LOOKS, Looks
 from spherejax.motion.lanes.landing import Landing
 from spherejax.motion.lanes.stages import ExplicitStages, Trial, own_time, steps_of
 from spherejax.motion.solvers.landing import Contacts
@@ -179,16 +180,22 @@ class _Queue:
         # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
         # be a seventh of the operations, and a quarter of the time that they take to compile.
         self.refills = self.width < self.n_jobs
-        self.steps = steps_of(problem.solver, problem.rate, with_dense_output=ts.shape[0] > 2)
+        depths = None if problem.contacts is None else problem.contacts.depths
+        self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2, depths)
         self.term = diffrax.ODETerm(problem.rate)
         self.order = problem.solver.error_order(self.term)
         self.control = (
-            Landing(problem, self.order, self.steps.inside)
+            Landing(problem, self.order, self.steps.inside, self.steps.instants)
             if isinstance(self.steps, ExplicitStages)
             else Repeating(problem, self.order)
         )
-        # The first step of every run, found for all runs at once.
-        self.first_steps = jax.vmap(partial(self.control.init, self.term, ts[0], ts[-1]))(y0, parameters)
+        # Where all runs begin together, and go on, the first turns look at their starts.
+        is_explicit = isinstance(self.steps, ExplicitStages) and self.steps.can_look
+        self.looks = is_explicit and not self.refills and ts.shape[0] > 1
+        # The first step of every run, found for all runs at once; by looks where there are some.
+        looking = self.control.init_with_looks if self.looks and isinstance(self.control, Landing) else None
+        init = looking or partial(self.control.init, self.term)
+        self.first_steps = jax.vmap(partial(init, ts[0], ts[-1]))(y0, parameters)
         # And what the audit and the peaks begin with: a lane that takes a job only fetches it.
         self.begun = jax.vmap(self._begun)(y0, parameters)
         self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
@@ -235,19 +242,25 @@ class _Queue:
     def _begun(self, y0, parameters) -> tuple[Watch | None, Array]:
         """The audit and the watched numbers at the start of a run."""
         audit, t0 = self.problem.audit, self.ts[0]
-        return None if audit is None else audit.begun(parameters, t0, y0), self._watched(t0, y0, parameters)
+        watch = None
+        if audit is not None:
+            watch = Watch.of_nothing() if self.looks else audit.begun(parameters, t0, y0)
+        return watch, self._watched(t0, y0, parameters)
 
-    def judged(self, lane: Lane, trial: Trial) -> Lane:
-        """The lanes after trial steps: corrected, with their contact events, kept or to be repeated."""
+    def judged(self, lane: Lane, trial: Trial, is_look) -> Lane:
+        """The lanes after trial steps: corrected, with their contact events, kept or to be repeated.
+
+        A look leaves them as they were.
+        """
         problem = self.problem
         error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters)
+        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters, trial.depths)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )
         told = in_lanes(_told)(keep, trial.result, verdict)
         # Idle lanes and runs that may not be made go through the motions, and count nothing.
-        is_running = _is_busy(lane, self.n_jobs)
+        is_running = _is_busy(lane, self.n_jobs) & ~is_look
         keep = keep & is_running
         repeats = ~keep & is_running
         t = jnp.where(is_running, jnp.minimum(t, lane.t_end), lane.t)
@@ -260,8 +273,11 @@ class _Queue:
 
         watch = lane.watch
         if problem.audit is not None:
-            seen = in_lanes(problem.audit.seen)(lane.parameters, watch, t, y)
+            begun, seen = in_lanes(problem.audit.begun_and_seen)(lane.parameters, watch, t, y)
             watch = jax.tree.map(kept, seen, watch)
+            if self.looks:  # which leave the state at the start
+                begins = is_look & _is_busy(lane, self.n_jobs)
+                watch = jax.tree.map(lambda new, old: jnp.where(begins, new, old), begun, watch)
             told = jnp.where((told == Status.SUCCEEDED) & ~in_lanes(_is_sound)(watch), Status.AUDIT_FAILED, told)
 
         return lane._replace(
@@ -269,7 +285,7 @@ class _Queue:
             t_next=_clipped(t, t_next, lane.t_end, keep),
             y=kept(y, lane.y),
             solver_state=jax.tree.map(kept, trial.solver_state, lane.solver_state),
-            controller_state=state,
+            controller_state=jax.tree.map(lambda new, old: jnp.where(is_look, old, new), state, lane.controller_state),
             made_jump=jnp.asarray(made_jump),
             n_accepted=lane.n_accepted + keep,
             n_rejected=lane.n_rejected + repeats,
@@ -310,7 +326,8 @@ class _Queue:
         size = self.y0[0].size
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
         account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
-        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64)
+        looks = Looks(jnp.zeros((), jnp.int64), jnp.zeros_like(lanes.y)) if self.looks else None
+        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), looks
 
         def busy(carry):
             lanes, waiting, *_ = carry
@@ -319,14 +336,14 @@ class _Queue:
 
         carry = jax.lax.while_loop(busy, self.turn, carry)
         if narrow < width:
-            lanes, *rest = carry
+            lanes, *rest, _ = carry
             order = jnp.argsort(~_is_busy(lanes, self.n_jobs))[:narrow]
             lanes = jax.tree.map(lambda x: x[..., order], lanes)
 
             def still_busy(carry):
                 return jnp.any(_is_busy(carry[0], self.n_jobs))
 
-            carry = jax.lax.while_loop(still_busy, self.turn, (lanes, *rest))
+            carry = jax.lax.while_loop(still_busy, self.turn, (lanes, *rest, None))
         return self._outcome(carry[3], carry[2], carry[4])
 
     def block_of(self, jobs) -> Lane:
@@ -335,20 +352,36 @@ class _Queue:
 
     def turn(self, carry):
         """One step of every lane; then lanes that have ended take new jobs."""
-        lanes, waiting, account, ys, n_lane_steps = carry
+        lanes, waiting, account, ys, n_lane_steps, looks = carry
         before = lanes
+        is_look = jnp.array(False) if looks is None else looks.is_looking
+        steps: Any = self.steps
+        n_stages = None if looks is None else looks.n_stages(steps.n_stages)
         bend = self.control.bend_of_time(lanes.controller_state, lanes.t_next - lanes.t)
-        trial = self.steps.step(
-            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, bend
+        trial = steps.step(
+            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, bend, n_stages
         )
-        lanes = self.judged(lanes, trial)
+        lanes = self.judged(lanes, trial, is_look)
+        if looks is not None:
+            t_next, looks = jax.lax.cond(
+                is_look, self._looked, lambda _, t_next, looks, *ignored: (t_next, looks),
+                before, lanes.t_next, looks, trial.dense_info["k"][:2],
+            )  # fmt: skip
+            lanes = lanes._replace(t_next=t_next)
         if self.ts.shape[0] > 1:
             lanes, ys = self._with_samples(before, lanes, bend, trial.dense_info, ys)
         has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
         refilled = jax.lax.cond(
             jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
         )
-        return *refilled, ys, n_lane_steps + lanes.t.shape[-1]
+        return *refilled, ys, n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1]), looks
+
+    def _looked(self, before: Lane, _, looks: Looks, k) -> tuple[Array, Looks]:
+        """Where the next look or the first step ends, after a look."""
+        size = before.t_next - before.t
+        control: Any = self.control
+        looks, t_next = control.looked(looks, self.ts[0], before.y, size, k, before.parameters)
+        return jnp.where(looks.turn == N_LOOKS, jnp.minimum(t_next, before.t_end), t_next), looks
 
     def _with_samples(self, before: Lane, lanes: Lane, bend, dense_info, ys):
         """Write the samples that lie in the steps just kept; the first one is the start."""

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.lanes.first_step import can_look
 from spherejax.motion.lanes.inside import extension
 
 
@@ -28,6 +29,7 @@ class Trial(NamedTuple):
         dense_info: what the solver's interpolation is made from.
         solver_state: the solver's state at its end.
         result: whether the solver could make it, as `diffrax.RESULTS`; None where it always can.
+        depths: how far each touch was pressed in at each stage [m], shape (n_stages, n_touches, n_lanes), or None.
     """
 
     y: Array
@@ -35,6 +37,7 @@ class Trial(NamedTuple):
     dense_info: dict[str, Any]
     solver_state: Any
     result: Any
+    depths: Array | None = None
 
 
 def own_time(share: Array, bend: Array) -> Array:
@@ -45,9 +48,22 @@ def own_time(share: Array, bend: Array) -> Array:
 
 
 class ExplicitStages:
-    """Trial steps by the tableau of an explicit Runge-Kutta method."""
+    """Trial steps by the tableau of an explicit Runge-Kutta method.
 
-    def __init__(self, tableau: diffrax.ButcherTableau, rate: Callable, with_dense_output: bool):
+    Args:
+        tableau: of the method.
+        rate: takes (t, y, parameters) of one lane.
+        with_dense_output: whether states inside a step are wanted from the method's own interpolation.
+        depths: how far each one-sided force is pressed in, a function (parameters, t, y) of one lane, or None.
+    """
+
+    def __init__(
+        self,
+        tableau: diffrax.ButcherTableau,
+        rate: Callable,
+        with_dense_output: bool,
+        depths: Callable | None = None,
+    ):
         n = len(tableau.b_sol)
         self.coefficients = np.zeros((n, n))
         for i, row in enumerate(tableau.a_lower, start=1):
@@ -57,31 +73,44 @@ class ExplicitStages:
         n_used = _last_used(self.weights, self.error_weights)
         self.n_stages = n if with_dense_output else n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
-        self.rate = rate
+        self.can_look = can_look(self.coefficients, self.instants)
+        self.rate, self.depths = rate, depths
 
     def init(self, t, t_next, y, parameters) -> tuple:
         """An explicit method carries nothing from step to step."""
         del t, t_next, y, parameters
         return ()
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend) -> Trial:
-        """All stages of all lanes, in a time of their own: t = t0 + h ((1 - bend) x + bend x^2)."""
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> Trial:
+        """All stages of all lanes, in a time of their own: t = t0 + h ((1 - bend) x + bend x^2).
+
+        With `n_evaluated` only so many, which may be traced: then of the trial only their increments say something.
+        """
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
         c = jnp.asarray(self.instants)
         rate = in_lanes(self.rate)
+        depths = None if self.depths is None else in_lanes(self.depths)
         # Each stage reads the increments that it needs, in one loop over lanes; a product of matrices is far slower.
         moves = [partial(_moved, row) for row in self.coefficients[:n]]
 
-        def with_stage(i, k):
+        def with_stage(i, made):
+            k, pressed = made
             moved = jax.lax.switch(i, moves, y, k)
             instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
             change = h * speed * rate(t + instant * h, moved, parameters)
-            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
+            if depths is not None:
+                now = depths(parameters, t + instant * h, moved)
+                pressed = jax.lax.dynamic_update_index_in_dim(pressed, now, i, 0)
+            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0), pressed
 
-        k = jax.lax.fori_loop(0, n, with_stage, jnp.zeros((n, *y.shape)))
+        pressed = None
+        if depths is not None:
+            pressed = jnp.zeros((n, *jax.eval_shape(depths, parameters, t, y).shape))
+        n_made = n if n_evaluated is None else n_evaluated
+        k, pressed = jax.lax.fori_loop(0, n_made, with_stage, (jnp.zeros((n, *y.shape)), pressed))
         end = y + _weighted(self.weights, k)
-        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
+        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None, pressed)
 
 
 class MappedSteps:
@@ -95,9 +124,9 @@ class MappedSteps:
         """The solver's state of one lane."""
         return self.solver.init(self.term, t, t_next, y, parameters)
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend) -> Trial:
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> Trial:
         """One step of every lane."""
-        del bend
+        del bend, n_evaluated
 
         def of_one(t, t_next, y, parameters, solver_state, made_jump):
             step: Any = self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump)
@@ -106,10 +135,12 @@ class MappedSteps:
         return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
 
 
-def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitStages | MappedSteps:
-    """How a solver makes the trial steps of a block; `rate` takes (t, y, parameters) of one lane."""
+def steps_of(
+    solver: Any, rate: Callable, with_dense_output: bool, depths: Callable | None
+) -> ExplicitStages | MappedSteps:
+    """How a solver makes the trial steps of a block; arguments as for `ExplicitStages`."""
     if isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau):
-        return ExplicitStages(solver.tableau, rate, with_dense_output)
+        return ExplicitStages(solver.tableau, rate, with_dense_output, depths)
     return MappedSteps(solver, rate)
 
 
