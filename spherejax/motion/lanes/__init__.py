@@ -1,5 +1,6 @@
 """Many runs of one system side by side, in lanes that never idle."""
 
-from spherejax.motion.lanes.engine import Block, LaneOutcome, LaneProblem, run_in_lanes
+from spherejax.motion.lanes.engine import run_in_lanes
+from spherejax.motion.lanes.lane import Block, LaneOutcome, LaneProblem
 
 __all__ = ["Block", "LaneOutcome", "LaneProblem", "run_in_lanes"]

@@ -21,7 +21,8 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations import kept_traces
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.motion.audit import CHECKS
-from spherejax.motion.lanes.engine import Block, LaneOutcome, LaneProblem, run_in_lanes
+from spherejax.motion.lanes.engine import run_in_lanes
+from spherejax.motion.lanes.lane import Block, LaneOutcome, LaneProblem
 
 ONE_AFTER_THE_OTHER = (
     "jax.vmap of runs whose sample times, max_steps or numbers of the solver differ: they are made one after the "
