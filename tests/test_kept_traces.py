@@ -187,6 +187,25 @@ def test_trees_are_told_by_the_functions_in_them():
     assert not told(jax.tree.structure(sj.Sine(1.0, 2.0))).is_foreign
 
 
+@jax.tree_util.register_pytree_node_class
+class _Picky:
+    """Takes nothing but texts for its leaves."""
+
+    def tree_flatten(self):
+        return ("leaf",), None
+
+    @classmethod
+    def tree_unflatten(cls, _, leaves):
+        assert all(isinstance(leaf, str) for leaf in leaves)
+        return cls()
+
+
+def test_a_tree_that_cannot_be_made_of_numbers_is_told_by_its_text():
+    tree = jax.tree.structure(_Picky())
+    assert told(tree).is_foreign
+    assert told(tree).fingerprint == told(jax.tree.structure(_Picky())).fingerprint
+
+
 # Files ----------------------------------------------------------------------------------------------------------------
 
 

@@ -199,8 +199,7 @@ class _Words:
         elif isinstance(value, property | staticmethod | classmethod | functools.cached_property):
             self.value([getattr(value, name, None) for name in ("fget", "__func__", "func")])
         elif isinstance(value, jax.tree_util.PyTreeDef):
-            # Not its text: that would not tell one function in it from another.
-            self.value(("tree", value.num_leaves, jax.tree.unflatten(value, range(value.num_leaves))))
+            self._tree(value)
         elif _is_of_jax(value) and not dataclasses.is_dataclass(value):
             self._text(value)
         else:
@@ -224,6 +223,16 @@ class _Words:
             self.value(fields)
         else:
             self._text(value)
+
+    def _tree(self, tree: Any) -> None:
+        """By what it is the structure of: its text would not tell one function in it from another."""
+        try:
+            example = jax.tree.unflatten(tree, range(tree.num_leaves))
+        except Exception:  # a class of a user's own that does not take numbers for its leaves
+            self.is_foreign = True
+            self._text(tree)
+            return
+        self.value(("tree", tree.num_leaves, example))
 
     def _text(self, value: Any) -> None:
         text = repr(value)
