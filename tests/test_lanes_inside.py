@@ -96,3 +96,16 @@ def test_flags_of_the_user_are_kept():
     mine = "--xla_backend_extra_options=my_option"
     assert _with_flags(mine).startswith(mine + ",xla_cpu_small_while_loop_byte_threshold=")
     assert _with_flags(_with_flags(mine)) == _with_flags(mine)
+
+
+def test_the_audit_begins_with_the_start_and_not_with_a_look():
+    """What is looked at at the ends of looks is no motion: driven joints gape there."""
+    bodies, axis = ("ground", "rod"), (0.0, 1.0, 0.0)
+    motor = sj.RotationDriver(bodies, axis, angle=sj.Linear(slope=1.0))
+    joints = {"hinge": sj.Revolute(bodies, (0.0, 0.0, 0.0), axis), "motor": motor}
+    motion = {"velocity": (0.0, 0.0, -0.3), "angular_velocity": (0.0, 1.0, 0.0)}
+    rod = sj.Body(1.0, (1e-2, 1e-2, 1e-3), position=(0.3, 0.0, 0.0), **motion)
+    scene = sj.Scene({"rod": rod}, joints)
+    run = sj.simulate(scene, jnp.array([0.0, 0.1]))
+    assert run.succeeded
+    assert np.max(np.asarray(run.stats.audit)) < 1e-3

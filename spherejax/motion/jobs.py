@@ -243,8 +243,12 @@ def can_be_a_job(structure: Structure, options: Options) -> bool:
     """Whether the lanes can make a run: with the step-size control that they have themselves."""
     solver: Any = options.solver
     is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
-    own = controller_for(structure, 1.0, 1.0)
-    return (is_explicit or isinstance(solver, AbstractRosenbrock)) and _rest(options.controller) == _rest(own)
+    return (is_explicit or isinstance(solver, AbstractRosenbrock)) and _rest(options.controller) == _own_rest(structure)
+
+
+@lru_cache(maxsize=64)
+def _own_rest(structure: Structure) -> Any:
+    return _rest(controller_for(structure, 1.0, 1.0))
 
 
 def _rest(controller) -> Any:

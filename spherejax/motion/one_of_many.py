@@ -14,10 +14,11 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, example_of, flatten_system
 from spherejax.motion.integrate import Plan, stages_of
 from spherejax.motion.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
+from spherejax.motion.known_scenes import split
 from spherejax.motion.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivity_rows import scales_of
-from spherejax.motion.simulate import split, tolerances_of
+from spherejax.motion.simulate import tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.start import known_start
 from spherejax.motion.trajectory import Trajectory

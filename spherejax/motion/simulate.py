@@ -6,23 +6,21 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import SceneError, is_concrete, shown
 from spherejax.foundations.forms import real_number, whole_number
-from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.model.system import System
 from spherejax.motion.integrate import Options, Plan, integrate
 from spherejax.motion.jobs import is_made_in_a_lane
-from spherejax.motion.paths import path_of
+from spherejax.motion.known_scenes import PreparedScene, prepared
 from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.start import start_now
+from spherejax.motion.start import StartWarning
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.times import seconds_of
 from spherejax.motion.tolerances import Tolerances, component_tolerances, controller_for
@@ -100,19 +98,18 @@ def simulate(
     check_tolerances(rtol, atol)
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
-    compiled = compile_scene(scene, track_work=track_work)
-    system = compiled.system
-    structure, theta = flatten_system(system)
-    path = path_of(structure, scalar)
-    choice = choice_for(system, rtol, solver, explicit_only=path.scalar is False and scalar is None)
+    found = prepared(scene, track_work, scalar)
+    system, path, unknown = found.system, found.path, found.unknown
+    choice = found.choice(rtol) if solver is None else choice_for(system, rtol, solver)
     if stepsize_controller is None:
-        tolerances = tolerances_of(system, choice.solver, rtol, atol)
-        controller, said = controller_for(structure, tolerances.rtol, tolerances.atol), tolerances.description
+        controller, said = _control(found, choice.solver, rtol, atol)
     else:
         controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
-    start = start_now(system, ts)
-    known, unknown = split(system)
-    plan = Plan(structure, unknown, path.scalar)
+    start = found.start(ts)
+    for change in () if start is None else start.changes:
+        warnings.warn(change, StartWarning, stacklevel=2)
+    assembly = None if start is None else start.assembly
+    plan = Plan(found.structure, unknown, path.scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
@@ -128,12 +125,12 @@ def simulate(
         by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
         said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
-    increase = True if is_concrete(ts) else jnp.all(jnp.diff(ts) >= 0)
-    conditions = [*compiled.conditions, *traced_tolerances(rtol, atol), jnp.asarray(increase)]
-    values_are_legal = jnp.all(jnp.stack(conditions))
-    values = jnp.asarray(theta)[np.array(unknown, int)] if unknown else jnp.zeros(0)
+    conditions = [*found.conditions, *traced_tolerances(rtol, atol)]
+    conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
+    values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
+    values = jnp.asarray(found.theta)[np.array(unknown, int)] if unknown else np.zeros(0)
     try:
-        outcome = run_of(plan, options, values, known, ts, start, values_are_legal)
+        outcome = run_of(plan, options, values, found.known, ts, assembly, values_are_legal)
     except TypeError as error:
         if "forward-mode" not in str(error):
             raise
@@ -149,7 +146,7 @@ def simulate(
         status=outcome.status,
         t_reached=outcome.t_reached,
         y_reached=outcome.y_reached,
-        assembly=outcome.assembly if start is None else start,
+        assembly=outcome.assembly if assembly is None else assembly,
         choice=choice.reason,
         scalar=path.scalar,
     )
@@ -166,20 +163,6 @@ def choice_for(
         return Choice(solver, f"{type(solver).__name__}: as asked for")
     assert system is not None
     return choose_solver(system, rtol, explicit_only=explicit_only)
-
-
-def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
-    """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
-    known, unknown, start = [], [], 0
-    for leaf in jax.tree.leaves(system):
-        size = int(np.prod(np.shape(leaf)))
-        if is_concrete(leaf):
-            known.append(np.asarray(leaf, np.float64).ravel())
-        else:
-            known.append(np.zeros(size))
-            unknown.extend(range(start, start + size))
-        start += size
-    return np.concatenate(known), tuple(unknown)
 
 
 def checked_times(ts) -> Float[Array, " n"]:
@@ -241,6 +224,16 @@ def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) ->
         # Their root finders take their tolerances from the controller, as numbers.
         return Tolerances(rtol, 1e-2 * rtol, "atol 1e-2 rtol in all units")
     return component_tolerances(system, rtol)
+
+
+def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
+    """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it."""
+    if atol is None and not isinstance(solver, diffrax.AbstractImplicitSolver):
+        tolerances, controller = found.tolerances(rtol)
+    else:
+        tolerances = tolerances_of(found.system, solver, rtol, atol)
+        controller = controller_for(found.structure, tolerances.rtol, tolerances.atol)
+    return controller, tolerances.description
 
 
 def _reported(run: Trajectory, throw: bool) -> Trajectory:

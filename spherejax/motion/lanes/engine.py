@@ -153,6 +153,7 @@ class _Queue:
 
         watch = lane.watch
         if problem.audit is not None:
+            y = jnp.where(is_running, y, lane.y)  # after a look, the start
             begun, seen = in_lanes(problem.audit.begun_and_seen)(lane.parameters, watch, t, y)
             watch = jax.tree.map(kept, seen, watch)
             if self.looks:  # which leave the state at the start

@@ -23,10 +23,11 @@ from spherejax.motion.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.integrate import Options, Outcome, Plan
 from spherejax.motion.jobs import run_of
+from spherejax.motion.known_scenes import split
 from spherejax.motion.many import Build, built
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import integrate_along
-from spherejax.motion.simulate import choice_for, split, tolerances_of
+from spherejax.motion.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now

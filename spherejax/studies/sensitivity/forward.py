@@ -16,11 +16,12 @@ from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.integrate import Options, Plan
+from spherejax.motion.known_scenes import split
 from spherejax.motion.many import built
 from spherejax.motion.paths import path_of
 from spherejax.motion.sensitivities import has_controlled_sensitivities, integrate_along
 from spherejax.motion.sensitivity_rows import scales_of
-from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for, split, tolerances_of
+from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now

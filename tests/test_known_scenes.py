@@ -1,0 +1,146 @@
+"""A scene that was met before is not prepared again; one in which anything has changed is."""
+
+import threading
+import warnings
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.motion import known_scenes
+from spherejax.motion.known_scenes import prepared, values_of
+
+TS = jnp.array([0.0, 0.1, 0.2])
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How often scenes were compiled."""
+    calls = []
+
+    def compile_scene(scene, *, track_work=False):
+        calls.append(scene)
+        return original(scene, track_work=track_work)
+
+    original = known_scenes.compile_scene
+    monkeypatch.setattr(known_scenes, "compile_scene", compile_scene)
+    monkeypatch.setattr(known_scenes, "_scenes", type(known_scenes._scenes)())
+    return calls
+
+
+def pendulum(mass=1.0, **others):
+    rod = sj.Body(mass, np.array([1e-2, 1e-2, 1e-3]), position=(0.3, 0.0, 0.0), points={"end": (-0.3, 0.0, 0.0)})
+    joints = {"hinge": sj.Spherical("ground.pivot", "rod.end")}
+    return sj.Scene({"rod": rod}, joints, forces={}, ground_points={"pivot": (0.0, 0.0, 0.0)}, **others)
+
+
+def height(scene, **options):
+    return float(sj.simulate(scene, TS, **options).position("rod")[-1, 2])
+
+
+def test_equal_scenes_are_prepared_once(counted):
+    scene = pendulum()
+    first = height(scene)
+    assert height(scene) == height(pendulum()) == first
+    assert len(counted) == 1
+    assert height(scene, rtol=1e-4) != first
+    assert len(counted) == 1
+    sj.simulate(scene, TS, track_work=True)
+    assert len(counted) == 2
+
+
+def test_whatever_changes_is_seen(counted):
+    """By value: in a dictionary, within an array, in a number."""
+    scene = pendulum()
+    first = height(scene)
+    assert height(pendulum(2.0)) < first - 1e-3
+    assert len(counted) == 2
+    assert height(replace(scene, gravity=(0.0, 0.0, -1.0))) > first + 1e-3
+    scene.bodies["rod"].inertia[:] = 0.2
+    heavier = height(scene)
+    assert heavier > first + 1e-3
+    spinning = {"velocity": (0.0, 0.0, -0.3), "angular_velocity": (0.0, 1.0, 0.0)}
+    scene.bodies["rod"] = replace(scene.bodies["rod"], **spinning)
+    assert height(scene) != heavier
+    scene.forces["pull"] = sj.AppliedWrench("rod", force=sj.Constant((0.0, 0.0, 9.81)))
+    assert height(scene) > heavier
+    assert len(counted) == 6
+
+
+def test_a_scene_that_is_wrong_is_wrong_again(counted):
+    for _ in range(2):
+        with pytest.raises(sj.SceneError, match="mass"):
+            height(pendulum(-1.0))
+    assert len(counted) == 2
+
+
+def test_warnings_are_given_each_time():
+    scene = pendulum()
+    scene.bodies["rod"] = replace(scene.bodies["rod"], velocity=(1.0, 0.0, 0.0))
+    for _ in range(2):
+        with pytest.warns(sj.StartWarning, match="rod"):
+            height(scene)
+
+
+def test_traced_numbers_are_not_remembered_and_leave_nothing_behind(counted):
+    def end(mass):
+        scene = pendulum(gravity=(0.0, 0.0, -9.81 * mass))
+        return sj.simulate(scene, TS).position("rod")[-1, 2]
+
+    compiled = jax.jit(end)
+    assert float(compiled(1.0)) == pytest.approx(height(pendulum()), abs=1e-9)
+    assert all(not isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves([*known_scenes._scenes.values()]))
+
+    @jax.jit
+    def known(x):
+        return x + sj.simulate(pendulum(3.0), TS).position("rod")[-1, 2]
+
+    # What was remembered within a trace serves outside of it.
+    assert float(known(0.0)) == pytest.approx(height(pendulum(3.0)), abs=1e-12)
+    assert float(jax.vmap(known)(jnp.zeros(2))[1]) == pytest.approx(height(pendulum(3.0)), abs=1e-12)
+
+
+def test_a_driven_start_depends_on_its_time(counted):
+    def scene():
+        bodies, axis = ("ground", "rod"), (0.0, 1.0, 0.0)
+        driver = sj.RotationDriver(bodies, axis, angle=sj.Linear(slope=1.0))
+        return replace(pendulum(), joints={"hinge": sj.Revolute(bodies, (0.0, 0.0, 0.0), axis), "motor": driver})
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sj.StartWarning)
+        early, late, again = (
+            np.asarray(sj.simulate(scene(), jnp.array(ts)).ys[0]) for ts in ([0.0, 0.1], [0.5, 0.6], [0.0, 0.1])
+        )
+    assert np.array_equal(early, again)
+    assert np.max(np.abs(early - late)) > 0.1
+    assert len(counted) == 1
+
+
+def test_only_so_many_are_kept(monkeypatch, counted):
+    monkeypatch.setattr(known_scenes, "N_SCENES", 2)
+    for mass in (1.0, 2.0, 3.0, 1.0, 3.0):
+        prepared(pendulum(mass), False, None)
+    assert len(counted) == 4
+    assert len(known_scenes._scenes) == 2
+
+
+def test_threads_share_them(counted):
+    found = []
+    threads = [threading.Thread(target=lambda: found.append(prepared(pendulum(), False, None))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({one.structure for one in found}) == 1
+    assert prepared(pendulum(), False, None) in found
+
+
+def test_what_cannot_be_compared_is_not_remembered():
+    assert values_of({"a": object()}) is None
+    assert values_of({"a": np.array([None])}) is None
+    assert values_of({"a": 1.0}) != values_of({"a": 1}) != values_of({"a": True})
+    assert values_of({"a": np.nan}) == values_of({"a": np.nan})
+    assert values_of({"a": 0.0}) != values_of({"a": -0.0})
