@@ -120,16 +120,17 @@ def _phase(rods, contact, found, t0, y0, base, onset_rate, touching):
     size = np.array([1.0, turn, 1.0, turn, length, length, speed, speed])
     left = found.ts[-1] - t0
     longest = np.inf if touching else 0.2 * c / max(speed, math.sqrt(2 * GRAVITY * c))
+    first = min(length / speed / 20, left)
+    if released:
+        # A ball that rolls along the wall is back on it soon: the first look must come before that.
+        inwards = -2 * (y0[4] * y0[6] + y0[5] * y0[7])
+        *_, ax, az = rate(0.0, y0)
+        outwards = 2 * (y0[6] ** 2 + y0[7] ** 2 + y0[4] * ax + y0[5] * az)
+        if inwards > 0 and outwards > 0:
+            first = min(first, 0.5 * inwards / outwards)
     solver = DOP853(
-        rate,
-        0.0,
-        y0,
-        left,
-        rtol=RTOL,
-        atol=0.1 * RTOL * size,
-        max_step=longest,
-        first_step=min(length / speed / 20, left),
-    )
+        rate, 0.0, y0, left, rtol=RTOL, atol=0.1 * RTOL * size, max_step=longest, first_step=first
+    )  # fmt: skip
     pending = list(np.flatnonzero((found.ts >= t0) & ~np.isfinite(found.position[:, 0])))
 
     def note(upto, dense):

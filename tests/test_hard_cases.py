@@ -234,8 +234,6 @@ FILM_SMOOTH = {
     "from the center": (0.05, {"vx": 1e-3}),
     "viscosity 1e-3": (2e-3, {"vx": 1e-3, "viscosity": 1e-3}),
 }
-FILM_NOT_REACHED = ("film alone to the wall", "into the wall and back, thin transition")
-NOT_REACHED = pytest.mark.xfail(strict=True, reason="sensitivities need more steps than they have, or shorter ones")
 
 # Sensitivities by all numbers, the place and the velocity in every direction among them, need many more steps than the
 # motion, and those of a film at its center and at its wall most: up to 750,000 at this tolerance.
@@ -243,10 +241,7 @@ FILM_GRADIENT = hard.Family(_film, FILM.numbers, max_steps=1_000_000)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [*FILM_SMOOTH, *(pytest.param(n, marks=[NOT_REACHED] * (n in FILM_NOT_REACHED)) for n in FILM_CASES)],
-)
+@pytest.mark.parametrize("name", [*FILM_SMOOTH, *FILM_CASES])
 def test_gradient_of_a_film(name):
     names = ["clearance", "viscosity", "mass", "gravity", "vx"]
     if name in FILM_CASES:

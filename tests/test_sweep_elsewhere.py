@@ -98,7 +98,7 @@ import sys
 sys.path.insert(0, {tests!r})
 import time
 import test_sweep_elsewhere as t
-t.swept(store={path!r}, progress=lambda seen: time.sleep(0.5))
+t.swept(store={path!r}, progress=lambda seen: time.sleep(2.0))
 """
 
 
@@ -115,7 +115,8 @@ def test_a_sweep_that_is_killed_three_times_ends_the_same(here, tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
         n_before = _n_stored(path)
-    assert 3 <= n_before < 10
+        assert n_before < 10, "it was done before it could be killed"
+    assert n_before >= 3
     assert_same(swept(store=path), here)
 
 
