@@ -223,8 +223,8 @@ def test_bounds_that_are_not_active_change_nothing(fitted):
 
 def test_a_parameter_that_runs_away_is_told():
     start = {"stiffness": 150.0, "damping": 0.4}
-    # At the tolerance of 1e-8 the damping of the method itself is what is found, 7e-4.
-    found = sj.fit(oscillator, start, seen(damping=0.0, noise=1e-9), noise=SENSOR, rtol=1e-9)
+    # The valley is flat: at 1e-8 and 1e-9 some fits end in it at 7e-4, by the rounding of their steps.
+    found = sj.fit(oscillator, start, seen(damping=0.0, noise=1e-9), noise=SENSOR, rtol=1e-10)
     assert found.estimates["damping"] < 0.4e-4
     assert any("damping has fallen from 0.4 to" in warning for warning in found.warnings)
 

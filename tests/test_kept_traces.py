@@ -154,6 +154,15 @@ def test_nothing_is_kept_where_something_cannot_be_told(folder, monkeypatch, pen
     structure, _ = pendulum
     assert kept_traces.key_for(state_rate, structure, lambda: 1) is None
     assert kept_traces.key_for(state_rate, structure, object()) is None
+
+    class Endless:
+        """Whatever is asked for, there is another one."""
+
+        def __getattr__(self, name):
+            return Endless()
+
+    endless = Endless()
+    assert kept_traces.key_for(state_rate, structure, lambda: endless) is None
     with jax.debug_nans(True):
         assert kept_traces.key_for(state_rate, structure) is None
     with monkeypatch.context() as patched:

@@ -98,6 +98,18 @@ def test_flags_of_the_user_are_kept():
     assert _with_flags(_with_flags(mine)) == _with_flags(mine)
 
 
+def test_a_block_of_which_few_may_run_looks_before_it_narrows():
+    def build(mass):
+        return sj.Scene({"ball": sj.Body(mass, (1.0, 1.0, 1.0))}, {})
+
+    masses = jnp.concatenate([jnp.ones(3), -jnp.ones(21)])
+    runs = sj.simulate_many(build, masses, jnp.array([0.0, 0.1, 0.2])).trajectories
+    alone = sj.simulate(build(1.0), jnp.array([0.0, 0.1, 0.2]))
+    assert np.array_equal(np.asarray(runs.status) == sj.Status.SUCCEEDED, masses > 0)
+    assert np.array_equal(runs.stats.n_steps[:3], np.full(3, alone.stats.n_steps))
+    np.testing.assert_allclose(runs.ys[0], alone.ys, atol=1e-12)
+
+
 def test_the_audit_begins_with_the_start_and_not_with_a_look():
     """What is looked at at the ends of looks is no motion: driven joints gape there."""
     bodies, axis = ("ground", "rod"), (0.0, 1.0, 0.0)

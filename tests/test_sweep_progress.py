@@ -10,7 +10,6 @@ import threading
 import time
 from pathlib import Path
 
-import jax
 import nbformat
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ TESTS = str(Path(__file__).parent)
 def environment():
     """Other processes find the scenes, and what has been compiled."""
     path = os.pathsep.join(filter(None, [TESTS, os.environ.get("PYTHONPATH")]))
-    return {**os.environ, "PYTHONPATH": path, "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir}
+    return {**os.environ, "PYTHONPATH": path, "SPHEREJAX_QUIET": "1"}
 
 
 @pytest.fixture(scope="module")

@@ -64,8 +64,9 @@ for azimuth in range(0, 360, 40):
 """
 
 
-def test_a_cell_shows_a_widget_that_slides_and_turns():
+def test_a_cell_shows_a_widget_that_slides_and_turns(monkeypatch):
     pytest.importorskip("ipympl", reason="of the extra notebooks")
+    monkeypatch.setenv("SPHEREJAX_QUIET", "1")  # what is compiled would be said below the widget
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in (START, SHOW, USE)])
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
     (shown,) = notebook.cells[1].outputs

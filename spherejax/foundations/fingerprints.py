@@ -85,6 +85,23 @@ def told(value: Any) -> Told:
     return Told(words.fingerprint, words.is_foreign or words.is_bound)
 
 
+def known_fingerprint(value: Any) -> str | None:
+    """The fingerprint of what versions of packages tell; None for all else.
+
+    What is a user's is not looked into any further: it may be large, and may be anything.
+    """
+    words = _Words(stops=True)
+    try:
+        words.value(value)
+    except _ForeignError:
+        return None
+    return None if words.is_bound else words.fingerprint
+
+
+class _ForeignError(Exception):
+    """Something that no version tells."""
+
+
 def combined(*fingerprints: str) -> str:
     """One fingerprint of several."""
     return _digest("\0".join(fingerprints).encode())
@@ -97,8 +114,9 @@ def _digest(content: bytes) -> str:
 class _Words:
     """Words that are hashed one after the other."""
 
-    def __init__(self):
+    def __init__(self, stops: bool = False):
         self._hash = hashlib.sha256()
+        self._stops = stops
         self.is_bound = False
         self.is_foreign = False
         self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
@@ -106,6 +124,11 @@ class _Words:
     @property
     def fingerprint(self) -> str:
         return self._hash.hexdigest()[:32]
+
+    def _meets(self, is_foreign: bool) -> None:
+        if is_foreign and self._stops:
+            raise _ForeignError
+        self.is_foreign |= is_foreign
 
     def word(self, *words: object) -> None:
         for each in words:
@@ -229,7 +252,7 @@ class _Words:
         try:
             example = jax.tree.unflatten(tree, range(tree.num_leaves))
         except Exception:  # a class of a user's own that does not take numbers for its leaves
-            self.is_foreign = True
+            self._meets(True)
             self._text(tree)
             return
         self.value(("tree", tree.num_leaves, example))
@@ -237,12 +260,12 @@ class _Words:
     def _text(self, value: Any) -> None:
         text = repr(value)
         without = _without_addresses(text)
-        self.is_foreign |= without != text
+        self._meets(without != text)
         self.word(without)
 
     def _class(self, kind: type) -> None:
         self.word("class", _name_of(kind))
-        self.is_foreign |= not _is_versioned(kind.__module__)
+        self._meets(not _is_versioned(kind.__module__))
         if is_installed(kind.__module__, None):
             return
         self.value([base for base in kind.__bases__ if base is not object])
@@ -250,7 +273,7 @@ class _Words:
         self.value({name: each for name, each in own.items() if not name.startswith("_abc")})
 
     def _function(self, function: types.FunctionType) -> None:
-        self.is_foreign |= not _is_versioned(function.__module__)
+        self._meets(not _is_versioned(function.__module__))
         if is_installed(function.__module__, function.__code__.co_filename):
             self.word("function", _name_of(function))
             if _top(function.__module__) == _OWN:

@@ -30,7 +30,7 @@ import jax
 from jax.extend.core import Primitive
 
 from spherejax import runtime
-from spherejax.foundations.fingerprints import VERSIONED, is_installed, told
+from spherejax.foundations.fingerprints import VERSIONED, is_installed, known_fingerprint
 
 _MARK = b"spherejax trace 1\n"
 _began = time.time()
@@ -47,10 +47,11 @@ def key_for(*what: Any) -> str | None:
     """
     if _folder() is None or _is_debugging():
         return None
-    values, constants = told(what), _constants()
-    if values.is_foreign or constants is None or _has_changed():
+    values = known_fingerprint(what)
+    constants = None if values is None else _constants()
+    if values is None or constants is None or _has_changed():
         return None
-    return hashlib.sha256("\0".join([_code(), constants, values.fingerprint]).encode()).hexdigest()
+    return hashlib.sha256("\0".join([_code(), constants, values]).encode()).hexdigest()
 
 
 def load(key: str | None) -> Any:

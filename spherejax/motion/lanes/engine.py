@@ -211,9 +211,11 @@ class _Queue:
         carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), looks
 
         def busy(carry):
-            lanes, waiting, *_ = carry
+            lanes, waiting, *_, looks = carry
             at_least = narrow if narrow < width else 0
-            return (waiting < self.n_jobs) | (jnp.sum(_is_busy(lanes, self.n_jobs)) > at_least)
+            is_wide = (waiting < self.n_jobs) | (jnp.sum(_is_busy(lanes, self.n_jobs)) > at_least)
+            # The narrow block goes on, it does not look.
+            return is_wide if looks is None else is_wide | looks.is_looking
 
         carry = jax.lax.while_loop(busy, self.turn, carry)
         if narrow < width:
