@@ -98,7 +98,7 @@ def test_traced_numbers_are_not_remembered_and_leave_nothing_behind(counted):
     def known(x):
         return x + sj.simulate(pendulum(3.0), TS).position("rod")[-1, 2]
 
-    # What was remembered within a trace serves outside of it.
+    # Nothing that belongs to a trace is remembered.
     assert float(known(0.0)) == pytest.approx(height(pendulum(3.0)), abs=1e-12)
     assert float(jax.vmap(known)(jnp.zeros(2))[1]) == pytest.approx(height(pendulum(3.0)), abs=1e-12)
 

@@ -2,7 +2,7 @@
 
 To check a scene, to place its joints, to choose a method, to find its tolerances and its start takes several times
 longer than the motion itself. Scenes are told by value, not by identity: whoever changes a number, in a dictionary or
-within an array, has another scene. Scenes with traced numbers are prepared each time.
+within an array, has another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
 """
 
 import threading
@@ -12,6 +12,7 @@ from typing import Any
 
 import diffrax
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import is_concrete
@@ -136,10 +137,9 @@ def _remembered(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Call
         if key in found:
             found.move_to_end(key)
             return found[key]
-    # Without the lock: it may take seconds, and two threads that make the same do no harm. Within a trace too what is
-    # remembered are numbers.
-    with jax.ensure_compile_time_eval():
-        made = make()
+    made = make()  # without the lock: it may take seconds, and two threads that make the same do no harm
+    if not is_concrete(jnp.zeros(())):
+        return made  # under `jax.jit` arrays belong to its trace, also those of known numbers
     with lock:
         found[key] = made
         while len(found) > n:
