@@ -115,7 +115,8 @@ def main() -> None:
     command = os.path.join(os.path.dirname(sys.executable), "spherejax")
     rows.append(row("spherejax --help", of_command([command, "--help"]), unit, 0.5 / unit))
     rows.append(row("spherejax run nothing", of_command([command, "run", "nothing"]), unit, 0.5 / unit))
-    write("start_up", "python benchmarks/start_up.py", rows)
+    only = "" if chosen == list(CALLS) else f" --only {' '.join(chosen)}"
+    write("start_up", f"python benchmarks/start_up.py{only}", rows)
 
 
 def row(what: str, seconds: float, unit: float, goal: float | None) -> dict[str, object]:
