@@ -76,10 +76,10 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
 
 
 LARGEST_CACHE = 2 * 2**30
-"""Bytes that are kept; what was not used for longest goes first. A program of a four-bar takes 0.5 to 3 MB."""
+"""Bytes that are kept; what was not used for longest goes first."""
 
 LOOKED_AT_AGAIN_AFTER = 3600.0
-"""How often the size of the folder is looked at [s], at the start of a process: four thousand files take 20 ms."""
+"""How often the size of the folder is looked at [s], at the start of a process."""
 
 _kept: list[Path] = []
 
@@ -93,11 +93,10 @@ def _keep_programs(asked: str | os.PathLike | None) -> None:
     named = os.environ.get("SPHEREJAX_CACHE", "")
     if asked is None and named == "0":
         return
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "spherejax"
-    folder = Path(asked or named or user).absolute()
-    # One folder for each kind of processor: homes are shared between machines, compiled programs must not be.
-    compiled = folder / f"compiled-{_kind_of_processor()}"
     try:
+        folder = Path(asked or named or _users_own()).absolute()
+        # One folder for each kind of processor: homes are shared between machines, compiled programs must not be.
+        compiled = folder / f"compiled-{_kind_of_processor()}"
         compiled.mkdir(parents=True, exist_ok=True)
         if not os.access(compiled, os.W_OK):
             raise PermissionError(f"no permission to write to {compiled}")
@@ -111,6 +110,13 @@ def _keep_programs(asked: str | os.PathLike | None) -> None:
         return
     jax.config.update("jax_compilation_cache_dir", os.fspath(compiled))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _users_own() -> Path:
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "spherejax"
+    except RuntimeError as error:  # nobody's home, as in some containers
+        raise OSError(str(error)) from error
 
 
 def _make_room(folder: Path) -> None:
@@ -143,14 +149,18 @@ def _sized(files: list[Path]) -> Iterator[tuple[Path, os.stat_result]]:
 
 def _kind_of_processor() -> str:
     """A short name of what the compiler makes its code for."""
-    words = f"{platform.machine()} {platform.system()}"
+    words = {"machine": platform.machine(), "system": platform.system()}
     try:
         with open("/proc/cpuinfo") as file:
-            first = file.read(8192)  # of a machine with many cores the file is long; all are of a kind
-        words += "".join(line for line in first.splitlines() if line.startswith(("flags", "Features", "model name")))
+            for line in file:  # one processor after the other, each in as many lines; all are of a kind
+                name = line.partition(":")[0].strip()
+                if name == "processor" and name in words:
+                    break
+                if name in ("processor", "model name", "flags", "Features"):
+                    words[name] = line
     except OSError:
-        words += platform.processor()
-    return hashlib.sha256(words.encode()).hexdigest()[:8]
+        words["name"] = platform.processor()
+    return hashlib.sha256(repr(sorted(words.items())).encode()).hexdigest()[:8]
 
 
 AGAIN_AFTER = 0.01

@@ -1,6 +1,7 @@
 """What was traced in one process is found by the next one, computes the same, and is never what it is not."""
 
 import errno
+import io
 import os
 import pickle
 import subprocess
@@ -17,7 +18,7 @@ import spherejax as sj
 from spherejax import runtime
 from spherejax.foundations import kept_traces
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.fingerprints import told
+from spherejax.foundations.fingerprints import known_fingerprint, value_fingerprint
 from spherejax.foundations.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion import jobs
@@ -183,17 +184,21 @@ def test_nothing_is_kept_where_something_cannot_be_told(folder, monkeypatch, pen
 
 def test_functions_of_this_package_are_told_by_what_they_close_over():
     one, two, again = (jobs._magnitudes_of.__wrapped__((name,)) for name in ("a", "b", "a"))
-    assert told(one).fingerprint == told(again).fingerprint != told(two).fingerprint
-    assert not told(one).is_foreign
+    assert value_fingerprint(one) == known_fingerprint(one) == known_fingerprint(again) != known_fingerprint(two)
 
 
 def test_trees_are_told_by_the_functions_in_them():
     def tree(function):
         return jax.tree.structure(sj.UserFunction(function))
 
-    assert told(tree(lambda t: 2 * t)).fingerprint != told(tree(lambda t: 3 * t)).fingerprint
-    assert told(tree(lambda t: 2 * t)).is_foreign
-    assert not told(jax.tree.structure(sj.Sine(1.0, 2.0))).is_foreign
+    assert value_fingerprint(tree(lambda t: 2 * t)) != value_fingerprint(tree(lambda t: 3 * t))
+    assert known_fingerprint(tree(lambda t: 2 * t)) is None
+    assert known_fingerprint(jax.tree.structure(sj.Sine(1.0, 2.0))) is not None
+
+
+def test_what_is_in_a_set_is_looked_at_too():
+    assert known_fingerprint({1, "a"}) == known_fingerprint({"a", 1}) is not None
+    assert known_fingerprint(frozenset({lambda: 1})) is None
 
 
 @jax.tree_util.register_pytree_node_class
@@ -211,8 +216,8 @@ class _Picky:
 
 def test_a_tree_that_cannot_be_made_of_numbers_is_told_by_its_text():
     tree = jax.tree.structure(_Picky())
-    assert told(tree).is_foreign
-    assert told(tree).fingerprint == told(jax.tree.structure(_Picky())).fingerprint
+    assert known_fingerprint(tree) is None
+    assert value_fingerprint(tree) == value_fingerprint(jax.tree.structure(_Picky()))
 
 
 # Files ----------------------------------------------------------------------------------------------------------------
@@ -234,6 +239,43 @@ def test_a_full_disk_and_what_cannot_be_written_leave_nothing(folder, monkeypatc
     assert [file.name for file in (folder / "traced").iterdir()] == [key]
 
 
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners here")
+def test_files_of_others_are_not_opened(folder, monkeypatch):
+    """They are pickles, which can hold code."""
+    kept_traces.save("key", "kept")
+    assert kept_traces.load("key") == "kept"
+    assert (folder / "traced").stat().st_mode & 0o077 == 0
+    me = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    assert kept_traces.load("key") is None
+
+
+def test_nobodys_home_is_done_without(monkeypatch):
+    def nobody(_):
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "expanduser", nobody)
+    monkeypatch.setattr(runtime, "_kept", [])
+    monkeypatch.setenv("SPHEREJAX_CACHE", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    runtime.configure()
+    assert runtime.cache_folder() is None
+
+
+def test_processors_are_told_by_the_first_of_a_machine(monkeypatch):
+    def kind_with(text):
+        monkeypatch.setattr("builtins.open", lambda *_: io.StringIO(text))
+        try:
+            return runtime._kind_of_processor()
+        finally:
+            monkeypatch.undo()
+
+    one = "processor : 0\nmodel name : Fast\ncpu MHz : {}\nflags : " + "avx " * 2000 + "{}\n\n"
+    kind = kind_with(one.format(1000, "sse"))
+    assert kind_with(one.format(2100, "sse") + one.format(1000, "sse")) == kind
+    assert kind_with(one.format(1000, "avx512")) != kind
+
+
 @pytest.mark.parametrize("warns", [False, True])
 def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
     monkeypatch.setattr(kept_traces, "key_for", lambda *_: "key")  # a function of a test is not told by any version
@@ -242,7 +284,7 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
     def doubled(x):
         traced.append(x)
         if warns:
-            kept_traces.has_warned()
+            kept_traces.note_warning()
         return 2 * x
 
     for _ in range(2):

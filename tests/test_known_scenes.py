@@ -70,6 +70,24 @@ def test_whatever_changes_is_seen(counted):
     assert len(counted) == 6
 
 
+def test_what_is_changed_in_place_changes_no_other_run(counted):
+    """Neither the scene that a run was made from, nor what a run hands out, is what is remembered."""
+    first = height(pendulum())
+    scene = pendulum()
+    run = sj.simulate(scene, TS)
+    scene.bodies["rod"].inertia[:] = 0.2
+    for leaf in jax.tree.leaves((run.system, run.assembly)):
+        if isinstance(leaf, np.ndarray) and leaf.ndim and leaf.flags.writeable:
+            leaf[...] = 7.0
+    for each in vars(run.system).values():
+        if isinstance(each, dict):
+            each.clear()
+    again = sj.simulate(pendulum(), TS)
+    assert float(again.position("rod")[-1, 2]) == first
+    assert len(counted) == 1
+    assert float(np.max(again.assembly.y)) < 1.1
+
+
 def test_a_scene_that_is_wrong_is_wrong_again(counted):
     for _ in range(2):
         with pytest.raises(sj.SceneError, match="mass"):

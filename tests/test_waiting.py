@@ -58,6 +58,15 @@ def test_nothing_is_said_in_logs(monkeypatch, capsys):
 
 
 @pytest.mark.usefixtures("watched")
+def test_workers_of_a_pool_are_silent(monkeypatch, capsys):
+    """Each of them would say it beside the bar of the study that they work for."""
+    monkeypatch.setattr(terminals.multiprocessing, "parent_process", lambda: "a process")
+    with waiting_for("something", "program"):
+        time.sleep(0.1)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.usefixtures("watched")
 def test_the_wait_is_over_when_it_is_compiled(capsys):
     def slow_to_trace(x):
         time.sleep(0.2)

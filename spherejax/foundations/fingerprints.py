@@ -61,36 +61,19 @@ def program_fingerprint(function: Callable, *examples: Any) -> Traced:
     return Traced(words.fingerprint, words.is_bound)
 
 
-class Told(NamedTuple):
-    """What a Python value is.
-
-    Attributes:
-        fingerprint: the same for equal values.
-        is_foreign: whether something in it belongs to none of `VERSIONED`, or could be told by its name alone.
-    """
-
-    fingerprint: str
-    is_foreign: bool
-
-
 def value_fingerprint(value: Any) -> str:
     """What a Python value is: numbers, containers, objects by their fields, functions and classes by their code."""
-    return told(value).fingerprint
-
-
-def told(value: Any) -> Told:
-    """As `value_fingerprint`, and whether versions of packages tell the code of it."""
     words = _Words()
     words.value(value)
-    return Told(words.fingerprint, words.is_foreign or words.is_bound)
+    return words.fingerprint
 
 
 def known_fingerprint(value: Any) -> str | None:
-    """The fingerprint of what versions of packages tell; None for all else.
+    """The fingerprint of what versions of packages tell (those of `VERSIONED`); None for all else.
 
     What is a user's is not looked into any further: it may be large, and may be anything.
     """
-    words = _Words(stops=True)
+    words = _Words(is_known_only=True)
     try:
         words.value(value)
     except _ForeignError:
@@ -114,11 +97,10 @@ def _digest(content: bytes) -> str:
 class _Words:
     """Words that are hashed one after the other."""
 
-    def __init__(self, stops: bool = False):
+    def __init__(self, is_known_only: bool = False):
         self._hash = hashlib.sha256()
-        self._stops = stops
+        self._is_known_only = is_known_only
         self.is_bound = False
-        self.is_foreign = False
         self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
 
     @property
@@ -126,9 +108,8 @@ class _Words:
         return self._hash.hexdigest()[:32]
 
     def _meets(self, is_foreign: bool) -> None:
-        if is_foreign and self._stops:
+        if is_foreign and self._is_known_only:
             raise _ForeignError
-        self.is_foreign |= is_foreign
 
     def word(self, *words: object) -> None:
         for each in words:
@@ -206,7 +187,7 @@ class _Words:
                 self.value(key)
                 self.value(value[key])
         elif isinstance(value, set | frozenset):
-            self.word(type(value).__name__, *sorted(value_fingerprint(each) for each in value))
+            self.word(type(value).__name__, *sorted(self._alone(each) for each in value))
         elif isinstance(value, tuple | list | np.ndarray):
             self.word(type(value).__name__, len(value))
             for each in value:
@@ -227,6 +208,13 @@ class _Words:
             self._text(value)
         else:
             self._object(value)
+
+    def _alone(self, value: Any) -> str:
+        """The fingerprint of a part, whatever came before it."""
+        words = _Words(self._is_known_only)
+        words.value(value)
+        self.is_bound |= words.is_bound
+        return words.fingerprint
 
     def _object(self, value: Any) -> None:
         if hasattr(type(value), "told_by"):  # it knows better than its fields

@@ -7,7 +7,8 @@ replaced, or a source file has changed since the process began. What others patc
 `SPHEREJAX_CACHE=0` then.
 
 Whatever is wrong with the folder (damaged files, a full disk, no permission), a run does not notice. A file is written
-beside its place and moved there, so that processes may share the folder.
+beside its place and moved there, so that processes may share the folder. The files are pickles, which can hold code:
+none is opened but the user's own.
 """
 
 import hashlib
@@ -60,12 +61,13 @@ def load(key: str | None) -> Any:
     if key is None or folder is None:
         return None
     try:
-        content = (folder / key).read_bytes()
+        with open(folder / key, "rb") as file:
+            content = file.read() if _is_own(os.fstat(file.fileno())) else b""
         head = len(_MARK) + 64
         if content[: len(_MARK)] != _MARK or content[len(_MARK) : head] != _digest_of(content[head:]):
             return None
         return pickle.loads(content[head:])
-    except Exception:  # whatever a folder that anybody may write to holds: it is made anew
+    except Exception:  # whatever the folder holds: it is made anew
         return None
 
 
@@ -78,7 +80,7 @@ def save(key: str | None, value: Any) -> None:
         buffer = io.BytesIO()
         _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
         content = buffer.getvalue()
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=folder, prefix=".new-")
         try:
             with os.fdopen(handle, "wb") as file:
@@ -93,15 +95,12 @@ def save(key: str | None, value: Any) -> None:
 
 @contextmanager
 def listened() -> Iterator[Callable[[], bool]]:
-    """A function that says whether something warned, or was made of a user's code, since the context was entered.
-
-    What warns while it is traced would be silent when it is loaded.
-    """
+    """A function that says whether something has warned since the context was entered; see `note_warning`."""
     before = getattr(_tracing, "n_warnings", 0)
     yield lambda: getattr(_tracing, "n_warnings", 0) > before
 
 
-def has_warned() -> None:
+def note_warning() -> None:
     """What is traced now must not be kept: it has said something that whoever loads it must hear too."""
     _tracing.n_warnings = getattr(_tracing, "n_warnings", 0) + 1
 
@@ -112,6 +111,10 @@ def has_warned() -> None:
 def _folder() -> Path | None:
     folder = runtime.cache_folder()
     return None if folder is None else folder / "traced"
+
+
+def _is_own(file: os.stat_result) -> bool:
+    return not hasattr(os, "getuid") or file.st_uid == os.getuid()
 
 
 def _is_debugging() -> bool:

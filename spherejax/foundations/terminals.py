@@ -1,5 +1,6 @@
 """Whether somebody watches, and what they are told: how far a study is, and what they wait for."""
 
+import multiprocessing
 import os
 import sys
 import threading
@@ -38,14 +39,15 @@ SAID_AFTER = 1.0
 def waiting_for(what: str, program: str) -> Iterator[None]:
     """Say what is compiled, to whoever waits for longer than a moment, and how long it took.
 
-    On terminals and in notebooks; not in logs, and not where the environment variable `SPHEREJAX_QUIET` is set. Of
-    waits within one another the outermost speaks.
+    On terminals and in notebooks; not in logs, not in the workers of a pool, and not where the environment variable
+    `SPHEREJAX_QUIET` is set. Of waits within one another the outermost speaks.
 
     Args:
         what: is compiled, e.g. `"a run"`.
         program: name of the compiled function, with which the wait is over.
     """
-    if _waiting.word is not None or not is_watched() or os.environ.get("SPHEREJAX_QUIET", "0") != "0":
+    is_quiet = os.environ.get("SPHEREJAX_QUIET", "0") != "0" or multiprocessing.parent_process() is not None
+    if _waiting.word is not None or is_quiet or not is_watched():
         yield
         return
     _listen()

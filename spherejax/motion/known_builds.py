@@ -15,7 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import SceneError
-from spherejax.foundations.fingerprints import Traced, combined, program_fingerprint, told, value_fingerprint
+from spherejax.foundations.fingerprints import (
+    Traced,
+    combined,
+    known_fingerprint,
+    program_fingerprint,
+    value_fingerprint,
+)
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.assembly import as_ideal, assembly_residuals
@@ -48,7 +54,7 @@ class Known:
         return self.function(*arguments, **named)
 
     def told_by(self) -> Any:
-        """What `fingerprints.told` takes for the function."""
+        """What `fingerprints` takes for the function."""
         return self.fingerprint if self.itself is None and self.is_all else self.function
 
 
@@ -91,9 +97,8 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
     if by:
         traced.append(program_fingerprint(_with_slopes(lambda p: numbers(p)[0]), shapes))
     parts = [each.fingerprint for each in traced]
-    return known(
-        build, Traced(combined(*parts), any(each.is_bound for each in traced)), is_all=not told(structure).is_foreign
-    )
+    is_bound = any(each.is_bound for each in traced)
+    return known(build, Traced(combined(*parts), is_bound), is_all=known_fingerprint(structure) is not None)
 
 
 @lru_cache(maxsize=32)

@@ -25,7 +25,7 @@ from spherejax.motion.start import KnownStart, known_start
 from spherejax.motion.tolerances import Tolerances, component_tolerances, controller_for
 
 N_SCENES = 64
-"""Scenes that are remembered; those not used for longest are let go. One of a four-bar takes 30 kB."""
+"""Scenes that are remembered; those not used for longest are let go."""
 
 N_ANSWERS = 16
 """Choices, tolerances and starts of a scene that are remembered."""
@@ -34,9 +34,11 @@ N_ANSWERS = 16
 class PreparedScene:
     """A scene, checked and taken apart.
 
+    What is handed out is handed out anew each time: whoever changes an array or a dictionary of a scene, or of a run,
+    changes no other run.
+
     Attributes:
-        system: what it calls for.
-        structure: of the system.
+        structure: of the system that it calls for.
         theta: all numbers of the system.
         path: scalar programs or array code.
         known: the numbers that are known, with zeros elsewhere.
@@ -46,35 +48,40 @@ class PreparedScene:
 
     def __init__(self, scene: Scene, track_work: bool, scalar: bool | None):
         compiled = compile_scene(scene, track_work=track_work)
-        self.system = compiled.system
-        self.structure, self.theta = flatten_system(self.system)
+        self._system = _apart(compiled.system)
+        self.structure, self.theta = flatten_system(self._system)
         self.path = path_of(self.structure, scalar)
-        self.known, self.unknown = split(self.system)
+        self.known, self.unknown = split(self._system)
         self.conditions = compiled.conditions
         # On the array path the linear systems of a stiff method are dense.
         self._explicit_only = self.path.scalar is False and scalar is None
         self._answers: OrderedDict[Hashable, Any] = OrderedDict()
         self._lock = threading.Lock()
 
+    def system(self) -> System:
+        """What the scene calls for."""
+        return _apart(self._system)
+
     def choice(self, rtol: Any) -> Choice:
         """The method that it calls for."""
         return self._once(
-            "choice", (rtol,), lambda: choose_solver(self.system, rtol, explicit_only=self._explicit_only)
+            "choice", (rtol,), lambda: choose_solver(self._system, rtol, explicit_only=self._explicit_only)
         )
 
     def tolerances(self, rtol: Any) -> tuple[Tolerances, diffrax.PIDController]:
         """Tolerances by its scales, and the step-size control with them."""
 
         def found() -> tuple[Tolerances, diffrax.PIDController]:
-            tolerances = component_tolerances(self.system, rtol)
+            tolerances = component_tolerances(self._system, rtol)
             return tolerances, controller_for(self.structure, tolerances.rtol, tolerances.atol)
 
         return self._once("tolerances", (rtol,), found)
 
     def start(self, ts: Numeric) -> KnownStart | None:
         """The consistent start, where it is known."""
-        times = (ts,) if self.system.is_driven else ()  # what is not driven starts alike at any time
-        return self._once("start", times, lambda: known_start(self.system, ts))
+        times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
+        found = self._once("start", times, lambda: known_start(self._system, ts))
+        return None if found is None else found._replace(assembly=_apart(found.assembly))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
         key = None if self.unknown else values_of(numbers)
@@ -112,6 +119,11 @@ def values_of(tree: Any) -> Hashable | None:
     except TypeError:  # something static in it is not hashable
         return None
     return structure, tuple(values)
+
+
+def _apart(tree: Any) -> Any:
+    """The same, in arrays and containers of its own."""
+    return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, np.ndarray) else leaf, tree)
 
 
 def split(system: System) -> tuple[Numeric, tuple[int, ...]]:

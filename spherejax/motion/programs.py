@@ -69,7 +69,7 @@ class Program:
         except NotScalarizable as reason:
             if is_quiet:
                 return
-            kept_traces.has_warned()
+            kept_traces.note_warning()
             warnings.warn(
                 f"{function.__name__} runs as array code, which may be several times slower than a scalar program: "
                 f"{reason}. Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, "

@@ -99,7 +99,7 @@ def simulate(
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     found = prepared(scene, track_work, scalar)
-    system, path, unknown = found.system, found.path, found.unknown
+    system, path, unknown = found.system(), found.path, found.unknown
     choice = found.choice(rtol) if solver is None else choice_for(system, rtol, solver)
     if stepsize_controller is None:
         controller, said = _control(found, choice.solver, rtol, atol)
@@ -231,7 +231,7 @@ def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -
     if atol is None and not isinstance(solver, diffrax.AbstractImplicitSolver):
         tolerances, controller = found.tolerances(rtol)
     else:
-        tolerances = tolerances_of(found.system, solver, rtol, atol)
+        tolerances = tolerances_of(found.system(), solver, rtol, atol)
         controller = controller_for(found.structure, tolerances.rtol, tolerances.atol)
     return controller, tolerances.description
 

@@ -122,7 +122,7 @@ def _batched(operands, dims, *, form: _Form):
     n = next(x.shape[dim] for x, dim in zip(operands, dims, strict=True) if dim is not None)
     front = [jnp.moveaxis(x, dim, 0) if mapped else x for x, dim, mapped in zip(operands, dims, is_mapped, strict=True)]
     if any(is_mapped[: form.n_shared]):
-        kept_traces.has_warned()
+        kept_traces.note_warning()
         warnings.warn(ONE_AFTER_THE_OTHER, SerialRunsWarning, stacklevel=2)
 
         def one(mapped):
