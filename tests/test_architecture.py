@@ -36,10 +36,13 @@ def _executed(tree: ast.AST):
         yield from _executed(node)
 
 
-def imported(path: Path) -> set[str]:
-    """Full names that a file imports, `from` imports resolved to the module where there is one."""
-    names = set()
-    for node in _executed(ast.parse(path.read_text())):
+def imported(path: Path, *, for_types: bool = True) -> set[str]:
+    """Full names that a file imports, anywhere in it, within functions too, and for type checkers if asked.
+
+    `from` imports are resolved to the module where there is one.
+    """
+    names, tree = set(), ast.parse(path.read_text())
+    for node in ast.walk(tree) if for_types else _executed(tree):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -72,6 +75,21 @@ def test_runtime_imports_nothing_of_the_package():
     assert not [name for name in imported(PACKAGE / "runtime.py") if name.startswith("spherejax")]
 
 
+def late_imports(path: Path) -> set[str]:
+    """What is imported by functions, when they are called."""
+    functions = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef)]
+    nodes = [node for function in functions for node in ast.walk(function) if isinstance(node, ast.ImportFrom)]
+    return {str(node.module) for node in nodes if str(node.module).startswith("spherejax")}
+
+
+def test_what_is_imported_late_is_what_takes_long():
+    """Pictures, files and commands are not loaded with the package; all else stands at the head of a file."""
+    late = ("spherejax.output", "spherejax.files.text")
+    for path in FILES:
+        if folder_of(path) not in ("command_line", "top"):
+            assert all(name.startswith(late) for name in late_imports(path)), path
+
+
 def test_imports_have_no_cycle():
     graph = {
         module: {name for name in imported(path) if name in MODULES and name != module}
@@ -84,7 +102,9 @@ def test_imports_have_no_cycle():
 
 
 def test_matplotlib_only_in_plot():
-    users = {path for path in FILES if any(name.split(".")[0] == "matplotlib" for name in imported(path))}
+    users = {
+        path for path in FILES if any(name.split(".")[0] == "matplotlib" for name in imported(path, for_types=False))
+    }
     assert {path.relative_to(PACKAGE).parts[:2] for path in users} <= {("output", "plot")}
 
 
@@ -95,5 +115,7 @@ def test_files_are_short(path):
 
 def test_checks_can_fail(tmp_path):
     bad = tmp_path / "bad.py"
-    bad.write_text("from spherejax.motion import simulate\nimport matplotlib.pyplot as plt\n")
-    assert {"spherejax.motion.simulate", "matplotlib.pyplot"} <= imported(bad)
+    late = "def late():\n    from spherejax.physics.bodies import Body\n"
+    bad.write_text("from spherejax.motion import simulate\nimport matplotlib.pyplot as plt\n" + late)
+    assert {"spherejax.motion.simulate", "matplotlib.pyplot", "spherejax.physics.bodies"} <= imported(bad)
+    assert late_imports(bad) == {"spherejax.physics.bodies"}

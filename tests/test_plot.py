@@ -21,8 +21,8 @@ from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
 from spherejax.output.plot.style import LAW_COLORS, new_figure
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
-from spherejax.studies.compare import Comparison, LimitResult, Row, StudyResult
-from spherejax.studies.subjects.four_bar import law_figures
+from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult
+from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures
 
 TS = np.linspace(0.0, 2.0, 20001)
 
@@ -203,7 +203,7 @@ def test_a_comparison_draws_every_figure_of_the_paper(models):
     limits = [
         LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order) for s in limit_studies()
     ]
-    found = figures_of(Comparison(2.0, rows, models, {}, studies, limits, 0.5))
+    found = figures_of(Comparison(2.0, rows, models, {}, studies, limits, 0.5, subject=FOUR_BAR))
     numbers = {name[:5] for name in found if name.startswith("fig")}
     assert numbers == {f"fig{n:02d}" for n in (6, 7, 8, *range(10, 22))}
     assert set(law_figures()) <= set(found)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import spherejax as sj
 from spherejax.command_line.printing import print_table, progress
-from spherejax.studies.compare import Comparison, Row, compare
+from spherejax.studies.compare import compare
+from spherejax.studies.subject import Comparison, Row
 from spherejax.studies.subjects import SUBJECTS
 
 SAVED_SAMPLES = 2000

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from spherejax.studies.compare import Comparison
+from spherejax.studies.subject import Comparison
 
 
 def figures_of(comparison: Comparison) -> dict[str, Callable]:

@@ -1,7 +1,7 @@
 """A run as an `xarray.Dataset`: every quantity labelled, with its unit."""
 
 import importlib.metadata
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,8 +12,6 @@ from spherejax.physics.forces import UNITS
 if TYPE_CHECKING:
     import xarray
 
-    from spherejax.motion.trajectory import Trajectory
-
 AXES = ("x", "y", "z")
 Column = tuple[tuple[str, ...], object, str, str]
 """Dimensions, values, unit, long name."""
@@ -21,7 +19,7 @@ Column = tuple[tuple[str, ...], object, str, str]
 COMPONENTS = ("w", "x", "y", "z")
 
 
-def to_dataset(run: "Trajectory", *, every: int = 1) -> "xarray.Dataset":
+def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
     """A run as a labelled data set.
 
     Dimensions: `time`; `body` (all moving bodies); `joint` (all joints); `spherical_joint` (those with an
@@ -30,7 +28,7 @@ def to_dataset(run: "Trajectory", *, every: int = 1) -> "xarray.Dataset":
     force element are variables of their own: `shock.length`, `shock.force`, `tyre.load`, ...
 
     Args:
-        run: a single run; of a batch, take a lane first.
+        run: a `Trajectory`, a single run; of a batch, take a lane first.
         every: keep every so many samples.
 
     Returns:
@@ -66,15 +64,15 @@ def to_dataset(run: "Trajectory", *, every: int = 1) -> "xarray.Dataset":
     return xarray.Dataset(variables, coordinates, _attributes(run))
 
 
-def _spherical(run: "Trajectory") -> list[str]:
+def _spherical(run: Any) -> list[str]:
     return [name for name in run.system.joints if name in run.observation.eccentricity]
 
 
-def _with_clearance(run: "Trajectory") -> list[str]:
+def _with_clearance(run: Any) -> list[str]:
     return [name for name in _spherical(run) if hasattr(getattr(run.system.joints[name], "model", None), "clearance")]
 
 
-def _joint_coordinates(run: "Trajectory") -> dict:
+def _joint_coordinates(run: Any) -> dict:
     memory = [f"{slot.joint}.{name}" for slot in run.system.memory_slots for name in slot.names]
     candidates = {
         "spherical_joint": _spherical(run),
@@ -86,7 +84,7 @@ def _joint_coordinates(run: "Trajectory") -> dict:
     return {name: values for name, values in candidates.items() if values}
 
 
-def _of_bodies(run: "Trajectory") -> dict[str, Column]:
+def _of_bodies(run: Any) -> dict[str, Column]:
     # By name, never by place: the order of the state is the core's own business.
     def of_all(quantity):
         return _stack(quantity(body) for body in run.system.bodies)
@@ -112,7 +110,7 @@ def _of_bodies(run: "Trajectory") -> dict[str, Column]:
     }
 
 
-def _of_joints(run: "Trajectory") -> dict[str, Column]:
+def _of_joints(run: Any) -> dict[str, Column]:
     seen, system = run.observation, run.system
     if not system.joints:
         return {}
@@ -171,7 +169,7 @@ def _of_joints(run: "Trajectory") -> dict[str, Column]:
     return columns
 
 
-def _of_forces(run: "Trajectory") -> dict[str, Column]:
+def _of_forces(run: Any) -> dict[str, Column]:
     columns: dict[str, Column] = {}
     for name in run.system.forces:
         for part, values in run.force(name).items():
@@ -182,7 +180,7 @@ def _of_forces(run: "Trajectory") -> dict[str, Column]:
     return columns
 
 
-def _of_the_whole(run: "Trajectory") -> dict[str, Column]:
+def _of_the_whole(run: Any) -> dict[str, Column]:
     columns: dict[str, Column] = {
         "kinetic_energy": (("time",), run.kinetic_energy, "J", "kinetic energy of all bodies"),
         "potential_energy": (("time",), run.potential_energy, "J", "energy of weight and force elements"),
@@ -196,7 +194,7 @@ def _of_the_whole(run: "Trajectory") -> dict[str, Column]:
     return columns
 
 
-def _attributes(run: "Trajectory") -> dict:
+def _attributes(run: Any) -> dict:
     """Only strings and numbers: netCDF knows no others."""
     versions = {name: importlib.metadata.version(name) for name in ("spherejax", "jax", "diffrax")}
     return {

@@ -16,6 +16,7 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.audit import CHECKS, NOT_MADE, findings, suspects
+from spherejax.motion.dataset import to_dataset
 from spherejax.motion.modes import modes
 from spherejax.motion.observables import Observation, observe
 from spherejax.motion.programs import program_for
@@ -319,8 +320,6 @@ class Trajectory(eqx.Module):
         Args:
             every: keep every so many samples.
         """
-        from spherejax.motion.dataset import to_dataset
-
         return to_dataset(self, every=every)
 
     def _found(self, lane: tuple) -> str:

@@ -10,9 +10,8 @@ one of many that are equally right. `horizon` finds that instant from two runs.
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import diffrax
 import jax
@@ -26,7 +25,7 @@ from spherejax.motion.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves, curves_of
 from spherejax.physics.joints import Ideal
 from spherejax.studies.cases import Case, LimitStudy, Study
-from spherejax.studies.subject import Subject
+from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult, Subject, Timed
 from spherejax.studies.subjects.four_bar import FOUR_BAR
 from spherejax.studies.workers import Piece, Progress, Report, silent, workers
 
@@ -38,124 +37,6 @@ REPEATS = 3
 
 TIMED_SAMPLES = 201
 """Samples of the timed runs."""
-
-
-class Timed(NamedTuple):
-    """What a model costs with one method.
-
-    Attributes:
-        n_steps: steps of the integrator.
-        seconds: median time of a warm run with few samples [s].
-        time_ratio: `seconds` divided by those of the ideal joint with the same method.
-    """
-
-    n_steps: int
-    seconds: float
-    time_ratio: float
-
-
-@dataclass(frozen=True)
-class Row:
-    """One joint model in the table.
-
-    Attributes:
-        name: short name of the model, e.g. `"friction"`.
-        label: name for people.
-        lost_energy: mechanical energy lost until the end [J].
-        peak_acceleration: largest |z acceleration| of the body at the samples [m/s^2].
-        eccentricity_ratio: largest |e| / the subject's reference length [-]; for every model the same.
-        n_onsets: contact onsets; None for a model that does not locate them.
-        n_steps: steps of the integrator.
-        seconds: median time of a warm run with few samples [s].
-        time_ratio: `seconds` divided by those of the ideal joint.
-        horizon: until when the motion does not depend on the tolerance [s]; None when that is the end.
-        method: which integrator, and why.
-        measures: further numbers, by name; see `Subject.measures`.
-        fixed: what the run costs with the subject's fixed method, or None.
-    """
-
-    name: str
-    label: str
-    lost_energy: float
-    peak_acceleration: float
-    eccentricity_ratio: float
-    n_onsets: int | None
-    n_steps: int
-    seconds: float
-    time_ratio: float
-    horizon: float | None
-    method: str
-    measures: Mapping[str, float] = field(default_factory=dict)
-    fixed: Timed | None = None
-
-
-@dataclass(frozen=True)
-class StudyResult:
-    """The curves of one parameter study.
-
-    Attributes:
-        study: what was varied.
-        curves: one for each case.
-    """
-
-    study: Study
-    curves: list[Curves]
-
-    @property
-    def summary(self) -> list[tuple[str, float, float]]:
-        """Label, lost energy [J] and peak |z acceleration| [m/s^2] of each case."""
-        return [
-            (one.label, -float(one.energy_change[-1]), float(np.max(np.abs(one.acceleration)))) for one in self.curves
-        ]
-
-
-@dataclass(frozen=True)
-class LimitResult:
-    """Deviation from the ideal motion as a parameter tends to its limit.
-
-    Attributes:
-        label: the joint model, with the parameters that stay.
-        parameter: name and unit.
-        values: values of the parameter.
-        deviations: largest deviation of the body's height from the ideal motion [m].
-        order: power of the parameter that is expected near the limit.
-    """
-
-    label: str
-    parameter: str
-    values: list[float]
-    deviations: list[float]
-    order: int | None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Everything that `compare` found.
-
-    Attributes:
-        t_end: length of the motion [s].
-        rows: the table, one row for each model.
-        models: the curves of the five models by short name.
-        runs: their trajectories by short name.
-        studies: parameter studies.
-        limits: limits to the ideal joint, over `t_limits` seconds.
-        t_limits: length of the motion in the limits [s].
-        subject: the mechanism.
-    """
-
-    t_end: float
-    rows: list[Row]
-    models: dict[str, Curves]
-    runs: dict[str, Trajectory]
-    studies: list[StudyResult] = field(default_factory=list)
-    limits: list[LimitResult] = field(default_factory=list)
-    t_limits: float = 0.0
-    subject: Subject = FOUR_BAR
-
-    @property
-    def horizons(self) -> dict[str, float | None]:
-        """Until when each model's motion does not depend on the tolerance [s], by short name."""
-        return {row.name: row.horizon for row in self.rows}
 
 
 def compare(subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report = silent) -> Comparison:
@@ -204,7 +85,7 @@ def compare(subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report 
         for name in models
     ]
     results = [StudyResult(study, [replace(known[c], label=c.label) for c in study.cases]) for study in studies]
-    return Comparison(t_end, rows, curves, runs, results, limit_results, t_limits, subject)
+    return Comparison(t_end, rows, curves, runs, results, limit_results, t_limits, subject=subject)
 
 
 def _piece(verb: str, work, subject: Subject, case: Case | LimitStudy, *arguments) -> Piece:

@@ -1,4 +1,4 @@
-"""What a comparison of the joint models is about: one mechanism, and what of it is looked at.
+"""What a comparison of the joint models is about, one mechanism and what of it is looked at; and what it finds.
 
 A `Subject` says everything that is particular to a mechanism; `spherejax.studies.compare` does the rest. Another
 mechanism is one more file in `spherejax.studies.subjects`.
@@ -6,7 +6,7 @@ mechanism is one more file in `spherejax.studies.subjects`.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import numpy as np
@@ -16,9 +16,6 @@ from spherejax.motion.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.physics.joints import AbstractSphericalModel
 from spherejax.studies.cases import Case, LimitStudy, Study
-
-if TYPE_CHECKING:
-    from spherejax.studies.compare import Comparison, Row
 
 SceneOf = Callable[[AbstractSphericalModel], Scene]
 """Makes the scene from the model of the studied joint."""
@@ -136,3 +133,124 @@ class Subject:
     apart: float = 1e-5
     tracks_work: bool = False
     fixed_solver: diffrax.AbstractSolver | None = None
+
+
+# What is found -----------------------------------------------------------------------------------------------------
+
+
+class Timed(NamedTuple):
+    """What a model costs with one method.
+
+    Attributes:
+        n_steps: steps of the integrator.
+        seconds: median time of a warm run with few samples [s].
+        time_ratio: `seconds` divided by those of the ideal joint with the same method.
+    """
+
+    n_steps: int
+    seconds: float
+    time_ratio: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """One joint model in the table.
+
+    Attributes:
+        name: short name of the model, e.g. `"friction"`.
+        label: name for people.
+        lost_energy: mechanical energy lost until the end [J].
+        peak_acceleration: largest |z acceleration| of the body at the samples [m/s^2].
+        eccentricity_ratio: largest |e| / the subject's reference length [-]; for every model the same.
+        n_onsets: contact onsets; None for a model that does not locate them.
+        n_steps: steps of the integrator.
+        seconds: median time of a warm run with few samples [s].
+        time_ratio: `seconds` divided by those of the ideal joint.
+        horizon: until when the motion does not depend on the tolerance [s]; None when that is the end.
+        method: which integrator, and why.
+        measures: further numbers, by name; see `Subject.measures`.
+        fixed: what the run costs with the subject's fixed method, or None.
+    """
+
+    name: str
+    label: str
+    lost_energy: float
+    peak_acceleration: float
+    eccentricity_ratio: float
+    n_onsets: int | None
+    n_steps: int
+    seconds: float
+    time_ratio: float
+    horizon: float | None
+    method: str
+    measures: Mapping[str, float] = field(default_factory=dict)
+    fixed: Timed | None = None
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """The curves of one parameter study.
+
+    Attributes:
+        study: what was varied.
+        curves: one for each case.
+    """
+
+    study: Study
+    curves: list[Curves]
+
+    @property
+    def summary(self) -> list[tuple[str, float, float]]:
+        """Label, lost energy [J] and peak |z acceleration| [m/s^2] of each case."""
+        return [
+            (one.label, -float(one.energy_change[-1]), float(np.max(np.abs(one.acceleration)))) for one in self.curves
+        ]
+
+
+@dataclass(frozen=True)
+class LimitResult:
+    """Deviation from the ideal motion as a parameter tends to its limit.
+
+    Attributes:
+        label: the joint model, with the parameters that stay.
+        parameter: name and unit.
+        values: values of the parameter.
+        deviations: largest deviation of the body's height from the ideal motion [m].
+        order: power of the parameter that is expected near the limit.
+    """
+
+    label: str
+    parameter: str
+    values: list[float]
+    deviations: list[float]
+    order: int | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything that `compare` found.
+
+    Attributes:
+        t_end: length of the motion [s].
+        rows: the table, one row for each model.
+        models: the curves of the five models by short name.
+        runs: their trajectories by short name.
+        studies: parameter studies.
+        limits: limits to the ideal joint, over `t_limits` seconds.
+        t_limits: length of the motion in the limits [s].
+        subject: the mechanism.
+    """
+
+    t_end: float
+    rows: list[Row]
+    models: dict[str, Curves]
+    runs: dict[str, Trajectory]
+    studies: list[StudyResult] = field(default_factory=list)
+    limits: list[LimitResult] = field(default_factory=list)
+    t_limits: float = 0.0
+    subject: Subject = field(kw_only=True)
+
+    @property
+    def horizons(self) -> dict[str, float | None]:
+        """Until when each model's motion does not depend on the tolerance [s], by short name."""
+        return {row.name: row.horizon for row in self.rows}

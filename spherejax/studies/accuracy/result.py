@@ -4,18 +4,42 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, spreads
 from spherejax.studies.accuracy.reference import Reference
-from spherejax.studies.accuracy.samples import UNITS
+from spherejax.studies.accuracy.samples import STATISTICS, UNITS
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from spherejax.output.plot.work_precision import WorkDiagram
+
 SPREADS_ALLOWED = 5.0
 """A statistic further than this many standard deviations from the mean of eight tight runs is pointed out: a ninth run
 of the same distribution is that far out once in 450 times (Student's t with seven degrees of freedom), and a study
 makes some hundred comparisons."""
+
+_COUNTS = {
+    "n_repeats": "runs that the median is of",
+    "n_steps": "steps tried",
+    "n_rejected": "steps repeated",
+    "n_evaluations": "evaluations of the right-hand side",
+    "n_onsets": "contact onsets",
+}
+"""Counts of a row and what they mean."""
+
+_PANELS = {
+    "peak_acceleration": ("peak acceleration [m/s$^2$]", 1.0),
+    "dissipated_energy": ("dissipated energy [mJ]", 1e3),
+    "time_in_contact": ("time in contact [s]", 1.0),
+    "n_onsets": ("contact onsets of the whole run", 1.0),
+    "eccentricity_05": ("|e|, exceeded in 95 % of the time [um]", 1e6),
+    "eccentricity_50": ("|e|, exceeded half of the time [um]", 1e6),
+    "eccentricity_95": ("|e|, exceeded in 5 % of the time [um]", 1e6),
+}
+"""Titles of the statistics, with the unit of the axis, and the factor to it."""
 
 
 @dataclass(frozen=True)
@@ -133,15 +157,11 @@ class WorkPrecision:
 
     def figures(self, model: str) -> "dict[str, Figure]":
         """The figures of a model: `work_precision`, `steps`, and `statistics` where histories do not repeat."""
-        from spherejax.studies.accuracy.figures import figures_of
-
-        return figures_of(self, model)
+        return _figures_of(self, model)
 
     def overview(self) -> "Figure":
         """All models in one figure: position errors of the runs that no other run of the model beats."""
-        from spherejax.studies.accuracy.figures import overview_of
-
-        return overview_of(self)
+        return _overview_of(self)
 
     @property
     def notes(self) -> dict[str, list[str]]:
@@ -200,6 +220,137 @@ class WorkPrecision:
 
     def to_xarray(self) -> "xarray.Dataset":
         """The rows on a grid of `model`, `solver` and `rtol`, with units; what was not run is NaN or zero."""
-        from spherejax.studies.accuracy.dataset import to_dataset
+        return _to_dataset(self)
 
-        return to_dataset(self)
+
+# As a data set, and as pictures ---------------------------------------------------------------------------------------
+
+
+def _to_dataset(result: WorkPrecision) -> "xarray.Dataset":
+    """The rows on a grid of `model`, `solver` and `rtol`, the references by `model`.
+
+    Of a run that did not finish or was not tried, times and errors are NaN and the counts what is known.
+    """
+    import xarray
+
+    solvers = list(dict.fromkeys(row.solver for row in result.rows))
+    rtols = sorted({row.rtol for row in result.rows}, reverse=True)
+    place = {(row.model, row.solver, row.rtol): row for row in result.rows}
+    grid = [[[place.get((m, s, r)) for r in rtols] for s in solvers] for m in result.models]
+    coordinates = {
+        "model": result.models,
+        "solver": solvers,
+        "rtol": ("rtol", rtols, {"units": "1", "long_name": "relative tolerance of a step"}),
+    }
+    texts = {f"advice_{model}": text for model, text in result.advice.items()}
+    notes = {f"notes_{model}": " ".join(text) for model, text in result.notes.items()}
+    attributes = {"t1": result.t1, "n_samples": result.n_samples, **texts, **notes}
+    return xarray.Dataset({**_of_rows(grid), **_of_references(result)}, coordinates, attributes)
+
+
+def _of_rows(grid: list[list[list[Row | None]]]) -> dict:
+    nan = float("nan")
+
+    def column(value, missing, unit: str, long_name: str):
+        values = [[[missing if row is None else value(row) for row in line] for line in plane] for plane in grid]
+        return ("model", "solver", "rtol"), np.array(values), {"units": unit, "long_name": long_name}
+
+    columns = {
+        "seconds": column(lambda row: row.seconds, nan, "s", "median time of a warm run"),
+        "compile_seconds": column(lambda row: row.compile_seconds, nan, "s", "time to trace and compile"),
+        "succeeded": column(lambda row: int(row.succeeded), 0, "1", "1 when the run reached its end"),
+    }
+    for name, meaning in _COUNTS.items():
+        columns[name] = column(lambda row, name=name: getattr(row, name), 0, "1", meaning)
+    for name, unit in UNITS.items():
+        meaning = f"largest error of the {name}"
+        columns[f"{name}_error"] = column(lambda row, name=name: row.errors[name], nan, unit, meaning)
+    for name, (unit, meaning) in STATISTICS.items():
+        if any(row is not None and name in row.statistics for plane in grid for line in plane for row in line):
+            columns[name] = column(lambda row, name=name: row.statistics.get(name, nan), nan, unit, meaning)
+    return columns
+
+
+def _of_references(result: WorkPrecision) -> dict:
+    references = [result.references[model] for model in result.models]
+    columns = {}
+    for name, unit in UNITS.items():
+        errors, peaks = [one.errors[name] for one in references], [one.scales[name] for one in references]
+        apart = {"units": unit, "long_name": f"difference of the two reference runs, {name}"}
+        peak = {"units": unit, "long_name": f"peak of the {name}, to which errors may be related"}
+        columns[f"{name}_reference_error"] = ("model", errors, apart)
+        columns[f"{name}_peak"] = ("model", peaks, peak)
+    horizons = [result.t1 if one.horizon is None else one.horizon for one in references]
+    until = {"units": "s", "long_name": "time until which errors are measured"}
+    return {**columns, "horizon": ("model", horizons, until)}
+
+
+def _figures_of(result: WorkPrecision, model: str) -> "dict[str, Figure]":
+    """The figures of one model by name: `work_precision`, `steps`, and `statistics` where histories do not repeat.
+
+    Args:
+        result: the study.
+        model: one of `result.models`.
+    """
+    from spherejax.output.plot.work_precision import statistics_figure, steps_figure, work_precision_figure
+
+    diagram = _diagram_of(result, model)
+    drawn = {"work_precision": work_precision_figure(diagram), "steps": steps_figure(diagram)}
+    parted = result.references[model].parted
+    if diagram.statistics and parted is not None:
+        title = f"{model}: statistics from {parted:.3g} s, when tight runs have parted, to {result.t1:g} s"
+        drawn["statistics"] = statistics_figure(diagram, title)
+    return drawn
+
+
+def _diagram_of(result: WorkPrecision, model: str) -> "WorkDiagram":
+    """What the figures of one model show."""
+    from spherejax.output.plot.work_precision import Statistic, WorkCurve, WorkDiagram
+
+    reference = result.references[model]
+    rows = [row for row in result.rows_of(model) if row.succeeded]
+    curves = []
+    for solver in dict.fromkeys(row.solver for row in rows):
+        own = [row for row in rows if row.solver == solver]
+        curves.append(
+            WorkCurve(
+                solver,
+                [row.rtol for row in own],
+                [row.seconds for row in own],
+                [row.n_steps for row in own],
+                {name: [row.errors[name] for row in own] for name in UNITS},
+                {name: [row.statistics[name] for row in own] for name in own[0].statistics},
+            )
+        )
+    known = reference.members[0] if reference.members else {}
+    columns = {name: [member[name] for member in reference.members] for name in known}
+    frontiers = {name: result.frontier(model, name) for name in UNITS}
+    failed = list(dict.fromkeys(row.solver for row in result.rows_of(model) if not row.succeeded))
+    return WorkDiagram(
+        f"{model}: what accuracy costs, {result.t1:g} s of motion\n{result.advice[model]}",
+        curves,
+        UNITS,
+        {name: reference.floor(name) for name in UNITS},
+        {name: ([p.seconds for p in points], [p.error for p in points]) for name, points in frontiers.items()},
+        {
+            name: Statistic(*_PANELS[name], float(np.mean(values)), float(np.std(values, ddof=1)))
+            for name, values in columns.items()
+        },
+        f"did not finish at every tolerance: {', '.join(failed)}" if failed else "",
+    )
+
+
+def _overview_of(result: WorkPrecision) -> "Figure":
+    """The efficient runs of all models in one figure.
+
+    Args:
+        result: the study.
+    """
+    from spherejax.output.plot.work_precision import frontiers_figure
+
+    runs = {
+        model: [(p.seconds, p.error, f"{p.solver} {p.rtol:.0e}") for p in result.frontier(model)]
+        for model in result.models
+    }
+    title = f"What accuracy costs, {result.t1:g} s of motion: the best run of each model for every error"
+    return frontiers_figure(runs, title)

@@ -21,13 +21,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spherejax.studies.fit.horizon import instants_of
+from spherejax.studies.fit.methods import Course
 from spherejax.studies.fit.problem import Problem
 from spherejax.studies.fit.statistics import Knowledge
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from spherejax.studies.fit.result import Fit
 
 STEPS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 """Changes of the parameters that are tried, as shares of their sizes, until one is followed to the end."""
@@ -129,27 +128,32 @@ class Growth:
         return growth_figure(sizes, self.names, followed, (begin, self.end), title)
 
 
-def growth_of(fit: "Fit") -> Growth:
-    """Growth of the sensitivities at the estimates of a fit. Costs some evaluations of its Jacobian."""
-    problem, knowledge, at = fit.problem, fit.knowledge, _estimates(fit)
+def growth_of(problem: Problem, knowledge: Knowledge, best: Course) -> Growth:
+    """Growth of the sensitivities at the estimates of a fit. Costs some evaluations of its Jacobian.
+
+    Args:
+        problem: what was minimised.
+        knowledge: what the data tell at the estimates.
+        best: where the fit went.
+    """
     return Growth(
         _sensitivities(problem, knowledge),
         problem.names,
-        _steps(problem, knowledge, at),
-        start_of(fit),
+        _steps(problem, knowledge, _estimates(best)),
+        start_of(problem, knowledge, best),
         _end(problem),
-        bool(np.any(np.isfinite(fit.best.ends))),
+        bool(np.any(np.isfinite(best.ends))),
     )
 
 
-def start_of(fit: "Fit") -> Followed | None:
+def start_of(problem: Problem, knowledge: Knowledge, best: Course) -> Followed | None:
     """How far the gradient where the fit began means something on the way to the estimates; None if the run failed."""
-    problem, u, at = fit.problem, fit.best.us[0], _estimates(fit)
+    u, at = best.us[0], _estimates(best)
     start = problem.evaluate(u[None])
     if start.failed[0]:
         return None
     values = problem.unknowns.flat_values_of(u)
-    change = float(np.max(np.abs(values - fit.knowledge.values) / fit.knowledge.scales))
+    change = float(np.max(np.abs(values - knowledge.values) / knowledge.scales))
     until = _followed_to(problem, _Point(u, start.residuals[0], start.jacobians[0]), at.u, at.residuals)
     return Followed(change, until, until >= _end(problem))
 
@@ -163,8 +167,8 @@ class _Point:
     jacobian: np.ndarray
 
 
-def _estimates(fit: "Fit") -> _Point:
-    return _Point(fit.u, fit.best.residuals, fit.best.jacobian)
+def _estimates(best: Course) -> _Point:
+    return _Point(best.u, best.residuals, best.jacobian)
 
 
 def _end(problem: Problem) -> float:

@@ -101,7 +101,7 @@ def _lost(fit) -> list[str]:
     """A gradient that has lost its meaning within the record, where the residuals are large."""
     if not _misfit(fit) or fit.reduced_chi_square < 1:
         return []
-    start = start_of(fit)
+    start = start_of(fit.problem, fit.knowledge, fit.best)
     if start is None or start.to_the_end:
         return []
     return [f"{lost_at(start)} (see fit.growth). {REMEDY}".replace("The fit", "the fit", 1)]

@@ -10,14 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import SceneError
+from spherejax.motion.many import built
 from spherejax.motion.simulate import simulate
 from spherejax.motion.status import SimulationError
 from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.fit.columns import columns_of, tables_of
+from spherejax.studies.fit.dataset import to_dataset
+from spherejax.studies.fit.figures import figures_of
 from spherejax.studies.fit.growth import Growth, growth_of
 from spherejax.studies.fit.judgement import diagnosis_of, warnings_of
 from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.problem import Problem
+from spherejax.studies.fit.report import report
 from spherejax.studies.fit.statistics import Knowledge, Undetermined
 
 if TYPE_CHECKING:
@@ -217,7 +221,7 @@ class Fit:
         """
         if not self.best.us:
             raise SceneError(f"there are no sensitivities: {self.diagnosis}")
-        return growth_of(self)
+        return growth_of(self.problem, self.knowledge, self.best)
 
     # Residuals and runs ---------------------------------------------------------------------------------------------
 
@@ -243,8 +247,6 @@ class Fit:
     @cached_property
     def runs(self) -> dict[str, Trajectory]:
         """A run of each experiment at the estimates, sampled when it was measured; made on first use."""
-        from spherejax.motion.many import built
-
         found = {}
         for experiment in self.problem.experiments:
             measured = experiment.measured
@@ -263,20 +265,14 @@ class Fit:
         return f"Fit({estimates}; {self.status})"
 
     def __str__(self) -> str:
-        from spherejax.studies.fit.report import report
-
         return report(self)
 
     def figures(self, title: str = "") -> "dict[str, matplotlib.figure.Figure]":
         """Pictures by name: `"fit"`, `"residuals"`, `"correlation"`, `"history"`."""
-        from spherejax.studies.fit.figures import figures_of
-
         return figures_of(self, title)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Estimates, statistics, measurements, predictions and history, labelled."""
-        from spherejax.studies.fit.dataset import to_dataset
-
         return to_dataset(self)
 
     def save(self, path: str | os.PathLike, *, overwrite: bool = False) -> Path:

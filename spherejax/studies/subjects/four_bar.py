@@ -1,7 +1,6 @@
 """The spatial four-bar: five models (Figs 18 to 21), parameter studies (Figs 10 to 17), limits to the ideal joint."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from spherejax.gallery import four_bar
 from spherejax.physics.joints import Lubricated
@@ -19,10 +18,7 @@ from spherejax.physics.laws import (
     Threlfall,
 )
 from spherejax.studies.cases import CLEARANCE, VISCOSITY, five_models, limit_studies, parameter_studies
-from spherejax.studies.subject import Column, Length, Subject
-
-if TYPE_CHECKING:
-    from spherejax.studies.compare import Comparison, StudyResult
+from spherejax.studies.subject import Column, Comparison, Length, StudyResult, Subject
 
 PARAMETERS = "c = 0.10 mm, Lankarani-Nikravesh 0.9, Threlfall mu 0.1, 0.4 Pa s, k = 1e6 N/m, b = 1e-2 s"
 """Parameters of the five models, for titles."""

@@ -1,7 +1,6 @@
 """The suspension over a bump: five models of the joint between wheel and A-arm (Figs 22 to 25)."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 import diffrax
 import numpy as np
@@ -10,10 +9,7 @@ from spherejax.gallery import suspension
 from spherejax.motion.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.studies.cases import CLEARANCE, five_models
-from spherejax.studies.subject import Column, Length, Subject, TableOf
-
-if TYPE_CHECKING:
-    from spherejax.studies.compare import Comparison
+from spherejax.studies.subject import Column, Comparison, Length, Subject, TableOf
 
 BODY, JOINT = "wheel", "wheel_a_arm"
 
