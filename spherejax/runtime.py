@@ -21,6 +21,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,9 @@ LARGEST_CACHE = 2 * 2**30
 LOOKED_AT_AGAIN_AFTER = 3600.0
 """How often the size of the folder is looked at [s], at the start of a process."""
 
+KEPT = "kept"
+"""Folder in the cache of what this package keeps itself; see `foundations.kept_on_disk`."""
+
 _kept: list[Path] = []
 
 
@@ -96,7 +100,7 @@ def _keep_programs(asked: str | os.PathLike | None) -> None:
     try:
         folder = Path(asked or named or _users_own()).absolute()
         # One folder for each kind of processor: homes are shared between machines, compiled programs must not be.
-        compiled = folder / f"compiled-{_kind_of_processor()}"
+        compiled = folder / f"compiled-{kind_of_processor()}"
         compiled.mkdir(parents=True, exist_ok=True)
         if not os.access(compiled, os.W_OK):
             raise PermissionError(f"no permission to write to {compiled}")
@@ -129,7 +133,7 @@ def _make_room(folder: Path) -> None:
         if looked.exists() and time.time() - looked.stat().st_mtime < LOOKED_AT_AGAIN_AFTER:
             return
         looked.touch()
-        files = [file for part in ("traced", "compiled-*") for file in folder.glob(f"{part}/*")]
+        files = [file for part in (KEPT, "compiled-*") for file in folder.glob(f"{part}/*")]
         found = sorted(((max(each.st_atime, each.st_mtime), each.st_size, file) for file, each in _sized(files)))
         total = sum(size for _, size, _ in found)
         for _, size, file in found:
@@ -147,7 +151,8 @@ def _sized(files: list[Path]) -> Iterator[tuple[Path, os.stat_result]]:
             yield file, file.stat()
 
 
-def _kind_of_processor() -> str:
+@cache
+def kind_of_processor() -> str:
     """A short name of what the compiler makes its code for."""
     words = {"machine": platform.machine(), "system": platform.system()}
     try:

@@ -212,7 +212,8 @@ def exact(laws: Laws, numbers, ts, rtol: float, random) -> Exact:
     place, speed = np.zeros(ts.size), np.zeros(ts.size)
     for _ in range(2):
         scale = np.array([length / reach, pace / reach, length / reach, pace / reach, length, length, pace, pace])
-        moved = {**numbers, "clearance": numbers["clearance"] + length * random.normal()}
+        # At loose tolerances the disturbance may be as large as the clearance itself.
+        moved = {**numbers, "clearance": clearance * math.exp(math.tanh(length * random.normal() / clearance))}
         other = path(rods, laws.contact(moved), numbers["state"] + scale * random.normal(size=8), ts)
         fly = (other.n_onsets == true.n_onsets) & ~true.touching & ~other.touching
         place = np.maximum(place, np.linalg.norm(other.position - true.position, axis=1))

@@ -3,22 +3,27 @@
 JAX keeps what it has compiled for as long as the process lives: 15 to 30 MB for a program of a four-bar, for each
 number of samples, each structure, each builder. A study that varies them grows until it is killed.
 
-What was traced is kept on disk too (`kept_traces`): another process neither traces nor compiles it again.
+What was compiled is kept on disk too (`kept_on_disk`): another process neither traces nor compiles it again.
 """
 
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from functools import partial, update_wrapper
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache, cached_property, partial, update_wrapper
 from typing import Any
+from uuid import uuid4
 
 import equinox as eqx
 import jax
 import jax.core
-from jax import export
+import jax.monitoring
+from jax.experimental import serialize_executable
+from jax.extend import core as jex
 
-from spherejax.foundations import kept_traces
+from spherejax import runtime
+from spherejax.foundations import kept_on_disk
 from spherejax.foundations.terminals import waiting_for
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
@@ -36,17 +41,16 @@ class _Entry:
 
     Attributes:
         jitted: the program as it is traced; for use inside another one.
-        compiled: the program for threads that share it, once it was asked for.
         has_been_called: whether it was compiled here, by its first call.
         name: under which it is compiled.
     """
 
     def __init__(self, function: Callable, rest: Any, tree: Any, kinds: tuple):
-        self.compiled: Any = None
         self.has_been_called = False
         self.name: str = getattr(function, "__name__", "program")
         self._results: Any = None
         self._program: Any = None
+        self._shapes: list | None = None
         self._made_from = function, rest, tree, kinds
         self._lock = threading.Lock()
 
@@ -57,54 +61,91 @@ class _Entry:
             self._results = (found_tree, static)
             return tuple(found)
 
+        self._run = run
         self.jitted: Any = _jitted(run, self.name)
 
     @property
     def program(self) -> Any:
-        """The program for numbers: loaded, or traced and kept, at its first use."""
+        """The program for numbers: loaded, or compiled and kept, at its first use."""
         with self._lock:
             if self._program is None:
-                self._program = self._loaded_or_traced()
+                self._program = self._loaded() or self._compiled()
         return self._program
 
-    def _loaded_or_traced(self) -> Any:
-        function, rest, tree, kinds = self._made_from
-        key = kept_traces.key_for(function, rest, tree, kinds)
-        found = kept_traces.load(key)
-        if found is None:
-            found = self._traced(key)
-        if found is None:
-            return self.jitted
-        content, (example, static) = found
-        self._results = jax.tree.structure(example), static
-        # What this process has traced goes the same way: what is compiled of it is then found by the next one.
-        return _jitted(export.deserialize(bytearray(content)).call, "kept_" + self.name)
+    @property
+    def compiled(self) -> Any:
+        """The program for threads that share it."""
+        program = self.program
+        with self._lock:
+            if program is self.jitted:
+                self._program = program.lower(*self._examples).compile()
+        return self._program
 
-    def _traced(self, key: str | None) -> tuple | None:
-        """The program, traced and kept, with what tells the results of it; None where it cannot be kept."""
-        if key is None:
-            return None
+    @property
+    def shapes(self) -> list:
+        """What is computed, as shapes and types."""
+        with self._lock:
+            if self._program is None:
+                self._program = self._loaded()
+        if self._shapes is None:
+            self._shapes = list(jax.eval_shape(self.jitted, *self._examples))
+        return self._shapes
+
+    @cached_property
+    def _key(self) -> str | None:
+        return kept_on_disk.key_for(*self._made_from, runtime.kind_of_processor())
+
+    @property
+    def _examples(self) -> list:
         *_, kinds = self._made_from
-        leaves = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in kinds]
-        with kept_traces.listened() as has_warned:
-            self.jitted.trace(*leaves)
-        try:
-            content = bytes(export.export(self.jitted)(*leaves).serialize())
-        except (ValueError, NotImplementedError):  # it calls Python, or code of which JAX promises nothing
+        return [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in kinds]
+
+    def _loaded(self) -> Any:
+        """The program that another process has left; None where there is none."""
+        found = kept_on_disk.load(self._key)
+        if found is None:
             return None
+        content, shapes, (example, static) = found
+        # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
+        trees = jax.tree.structure((tuple(self._examples), {})), jax.tree.structure(tuple(shapes))
+        try:
+            program = serialize_executable.deserialize_and_load(content, *trees)
+        except Exception:  # whatever is wrong with it: it is compiled anew
+            return None
+        self._results, self._shapes = (jax.tree.structure(example), static), shapes
+        return program
+
+    def _compiled(self) -> Any:
+        """The program, compiled and kept; where it cannot be kept, one that JAX compiles when it is called."""
+        if self._key is None:
+            return self.jitted
+        # Named by the key, so that JAX's own cache knows it only where our file of it has been lost. What JAX has
+        # loaded from there cannot be written again: it would lack functions, and fail when it runs.
+        for part in (self._key, uuid4().hex):
+            with kept_on_disk.listened() as has_warned:
+                traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self._examples)
+            with freshness() as is_fresh:
+                program = traced.lower().compile()
+            if has_warned() or calls_python(traced.jaxpr.jaxpr):
+                return program
+            if is_fresh():
+                self._keep(program, traced.out_info)
+                return program
+        return program
+
+    def _keep(self, program: Any, shapes: Any) -> None:
         found_tree, static = self._results
-        found = content, (jax.tree.unflatten(found_tree, range(found_tree.num_leaves)), static)
-        if not has_warned():
-            kept_traces.save(key, found)
-        return found
+        example = jax.tree.unflatten(found_tree, range(found_tree.num_leaves))
+        with suppress(ValueError, NotImplementedError):  # JAX cannot write it
+            content, *_ = serialize_executable.serialize(program)
+            kept_on_disk.save(self._key, (content, jax.tree.leaves(shapes), (example, static)))
 
     def clear(self) -> None:
         """Let go of what was compiled."""
         self.jitted.clear_cache()
-        if self._program is not None:
-            self._program.clear_cache()
+        self._program = None
 
-    def results(self, leaves: tuple) -> Any:
+    def results(self, leaves: Sequence) -> Any:
         """What the function returned, from the leaves that were computed."""
         tree, static = self._results
         return eqx.combine(jax.tree.unflatten(tree, leaves), static)
@@ -118,6 +159,45 @@ def _jitted(run: Callable, name: str) -> Any:
 
     named.__name__ = named.__qualname__ = name
     return jax.jit(named)
+
+
+@contextmanager
+def freshness() -> Iterator[Callable[[], bool]]:
+    """A function that says whether what was compiled since the context was entered was not loaded from JAX's cache."""
+    _listen()
+    before = getattr(_compiling, "n_misses", 0)
+    is_used = jax.config.values["jax_compilation_cache_dir"] is not None
+    yield lambda: not is_used or getattr(_compiling, "n_misses", 0) > before
+
+
+_compiling = threading.local()
+
+
+@cache
+def _listen() -> None:
+    jax.monitoring.register_event_listener(_heard)
+
+
+def _heard(event: str, **_: Any) -> None:
+    if event == "/jax/compilation_cache/cache_misses":
+        _compiling.n_misses = getattr(_compiling, "n_misses", 0) + 1
+
+
+def calls_python(jaxpr: Any) -> bool:
+    """Whether a traced program calls Python when it runs, as no other process could."""
+    return any(
+        "callback" in equation.primitive.name or any(map(calls_python, _programs_in(equation.params.values())))
+        for equation in jaxpr.eqns
+    )
+
+
+def _programs_in(parameters: Iterable) -> Iterator[Any]:
+    """Those within an operation: the branches of a condition, the body of a loop."""
+    for value in parameters:
+        if isinstance(value, tuple | list):
+            yield from _programs_in(value)
+        elif isinstance(value, jex.ClosedJaxpr | jex.Jaxpr):
+            yield value.jaxpr if isinstance(value, jex.ClosedJaxpr) else value
 
 
 class BoundedJit:
@@ -143,12 +223,9 @@ class BoundedJit:
 
     def compiled(self, *arguments: Any) -> Callable:
         """The program for arguments like these, compiled now: threads that share it do not compile it again."""
-        entry, leaves = self._entry_for(arguments, {})
-        with self._lock:
-            if entry.compiled is None:
-                with waiting_for(self._what, entry.name):
-                    entry.compiled = entry.program.lower(*leaves).compile()
-        program = entry.compiled
+        entry, _ = self._entry_for(arguments, {})
+        with waiting_for(self._what, entry.name):
+            program = entry.compiled
 
         def run(*arguments: Any) -> Any:
             return entry.results(program(*jax.tree.leaves(eqx.filter((arguments, {}), eqx.is_array))))
@@ -157,8 +234,8 @@ class BoundedJit:
 
     def shapes(self, *arguments: Any) -> Any:
         """What a call would return, as shapes and types."""
-        entry, leaves = self._entry_for(arguments, {})
-        return entry.results(jax.eval_shape(entry.program, *leaves))
+        entry, _ = self._entry_for(arguments, {})
+        return entry.results(entry.shapes)
 
     @property
     def n_programs(self) -> int:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations import kept_traces
+from spherejax.foundations import kept_on_disk
 from spherejax.foundations.scalar_graph import NotScalarizable, TooManyOperations
 from spherejax.foundations.scalarize import ScalarProgram, scalarize
 from spherejax.model.groups import stacks_from
@@ -69,7 +69,7 @@ class Program:
         except NotScalarizable as reason:
             if is_quiet:
                 return
-            kept_traces.note_warning()
+            kept_on_disk.note_warning()
             warnings.warn(
                 f"{function.__name__} runs as array code, which may be several times slower than a scalar program: "
                 f"{reason}. Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, "
@@ -155,9 +155,9 @@ def _scalar_program(
     vectors = tuple(jax.ShapeDtypeStruct((size,), jnp.float64) for size in sizes)
     state = vectors if isinstance(y_size, tuple) else vectors[0]
     fixed = {(0, index): value for index, value in structure.special}
-    key = kept_traces.key_for("scalar program", function, structure, sizes, isinstance(y_size, tuple), n_ahead, limit)
-    program = kept_traces.load(key)
+    key = kept_on_disk.key_for("scalar program", function, structure, sizes, isinstance(y_size, tuple), n_ahead, limit)
+    program = kept_on_disk.load(key)
     if program is None:
         program = scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit)
-        kept_traces.save(key, program)
+        kept_on_disk.save(key, program)
     return program

@@ -18,7 +18,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations import kept_traces
+from spherejax.foundations import kept_on_disk
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.motion.audit import CHECKS
 from spherejax.motion.lanes.engine import run_in_lanes
@@ -122,7 +122,7 @@ def _batched(operands, dims, *, form: _Form):
     n = next(x.shape[dim] for x, dim in zip(operands, dims, strict=True) if dim is not None)
     front = [jnp.moveaxis(x, dim, 0) if mapped else x for x, dim, mapped in zip(operands, dims, is_mapped, strict=True)]
     if any(is_mapped[: form.n_shared]):
-        kept_traces.note_warning()
+        kept_on_disk.note_warning()
         warnings.warn(ONE_AFTER_THE_OTHER, SerialRunsWarning, stacklevel=2)
 
         def one(mapped):

@@ -1,4 +1,4 @@
-"""What was traced is kept on disk for the next process: tracing a run takes longer than to load what came of it.
+"""What was traced and compiled is kept on disk for the next process, which loads it in a fraction of the time.
 
 A thing is found again by a key over everything that it was made from: the arguments, the sources of this package, the
 versions of what it stands on, and the settings of JAX. Where that cannot be told for certain nothing is kept, and the
@@ -33,7 +33,7 @@ from jax.extend.core import Primitive
 from spherejax import runtime
 from spherejax.foundations.fingerprints import VERSIONED, is_installed, known_fingerprint
 
-_MARK = b"spherejax trace 1\n"
+_MARK = b"spherejax kept 1\n"
 _began = time.time()
 _PACKAGE = Path(__file__).resolve().parents[1]
 _tracing = threading.local()
@@ -110,7 +110,7 @@ def note_warning() -> None:
 
 def _folder() -> Path | None:
     folder = runtime.cache_folder()
-    return None if folder is None else folder / "traced"
+    return None if folder is None else folder / runtime.KEPT
 
 
 def _is_own(file: os.stat_result) -> bool:
