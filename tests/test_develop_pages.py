@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import test_architecture
+import yaml
 from documentation import DOCS, program
 
 ROOT = DOCS.parent
@@ -54,7 +55,9 @@ def test_files_and_names_on_a_page_exist(page):
 
 
 def test_a_wrong_path_or_name_is_seen():
-    right = "`motion/simulate.py::simulate` or `::checked_times`, `tests/test_laws_*.py`, `physics/laws/`, `mu`, `sj.fit`"
+    right = (
+        "`motion/simulate.py::simulate` or `::checked_times`, `tests/test_laws_*.py`, `physics/laws/`, `mu`, `sj.fit`"
+    )
     assert not wrong_in(right)
     assert wrong_in("`motion/simulates.py`") == ["motion/simulates.py"]
     assert wrong_in("`motion/simulate.py::simulates`, `::no`") == ["motion/simulate.py::simulates", "::no"]
@@ -150,7 +153,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
 def test_the_citation_has_the_version_of_the_package():
-    yaml = pytest.importorskip("yaml")
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == PROJECT["project"]["version"]
     assert citation["license"] == PROJECT["project"]["license"]
@@ -165,7 +167,6 @@ def test_the_changelog_has_what_is_not_released_on_top():
 
 
 def test_lowest_versions_are_declared_and_forms_can_be_read():
-    yaml = pytest.importorskip("yaml")
     assert all(re.fullmatch(r"[\w.-]+>=[\d.]+", one) for one in PROJECT["project"]["dependencies"])
     for path in sorted((ROOT / ".github").rglob("*.yml")):
         assert yaml.safe_load(path.read_text()), path
