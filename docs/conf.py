@@ -20,6 +20,7 @@ extensions = [
     "mathml",
     "result_tables",
     "scene_gallery",
+    "floors",
     "public_names",
     "notebooks",
 ]
