@@ -9,9 +9,10 @@ What was compiled is kept on disk too (`kept_on_disk`): another process neither 
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property, partial, update_wrapper
+from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
 
@@ -45,13 +46,14 @@ class _Entry:
         name: under which it is compiled.
     """
 
-    def __init__(self, function: Callable, rest: Any, tree: Any, kinds: tuple):
+    def __init__(self, function: Callable, rest: Any, tree: Any, kinds: tuple, options: Mapping[str, Any]):
         self.has_been_called = False
         self.name: str = getattr(function, "__name__", "program")
         self._results: Any = None
         self._program: Any = None
         self._shapes: list | None = None
         self._made_from = function, rest, tree, kinds
+        self._options = options
         self._lock = threading.Lock()
 
         def run(*leaves: Any) -> Any:
@@ -125,7 +127,7 @@ class _Entry:
             with kept_on_disk.listened() as has_warned:
                 traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self._examples)
             with freshness() as is_fresh:
-                program = traced.lower().compile()
+                program = _compiled(traced.lower(), self._options)
             if has_warned() or calls_python(traced.jaxpr.jaxpr):
                 return program
             if is_fresh():
@@ -159,6 +161,15 @@ def _jitted(run: Callable, name: str) -> Any:
 
     named.__name__ = named.__qualname__ = name
     return jax.jit(named)
+
+
+def _compiled(lowered: Any, options: Mapping[str, Any]) -> Any:
+    try:
+        return lowered.compile(compiler_options=dict(options) or None)
+    except jax.errors.JaxRuntimeError:
+        if not options:
+            raise
+        return lowered.compile()  # a version of XLA that does not know them; what else is wrong is raised again
 
 
 @contextmanager
@@ -203,8 +214,8 @@ def _programs_in(parameters: Iterable) -> Iterator[Any]:
 class BoundedJit:
     """A compiled function; see `bounded_jit`."""
 
-    def __init__(self, function: Callable, n_programs: int, what: str):
-        self._function, self._n_programs, self._what = function, n_programs, what
+    def __init__(self, function: Callable, n_programs: int, what: str, options: Mapping[str, Any]):
+        self._function, self._n_programs, self._what, self._options = function, n_programs, what, options
         self._entries: OrderedDict[Hashable, _Entry] = OrderedDict()
         self._lock = threading.RLock()
         update_wrapper(self, function)
@@ -257,7 +268,7 @@ class BoundedJit:
         with self._lock:
             entry = self._entries.get(key)
             if entry is None:
-                entry = self._entries[key] = _Entry(self._function, rest, tree, kinds)
+                entry = self._entries[key] = _Entry(self._function, rest, tree, kinds, self._options)
             self._entries.move_to_end(key)
             while len(self._entries) > self._n_programs:
                 self._let_go()
@@ -268,7 +279,13 @@ class BoundedJit:
         entry.clear()
 
 
-def bounded_jit(function: Callable | None = None, *, n_programs: int = N_PROGRAMS, what: str = "") -> Any:
+def bounded_jit(
+    function: Callable | None = None,
+    *,
+    n_programs: int = N_PROGRAMS,
+    what: str = "",
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> Any:
     """Compile a function: arrays are traced, all else is static, as `eqx.filter_jit` does.
 
     Args:
@@ -278,10 +295,11 @@ def bounded_jit(function: Callable | None = None, *, n_programs: int = N_PROGRAM
         n_programs: how many programs are kept; the one that was used longest ago goes first, and is compiled again when
             it is asked for again.
         what: what whoever waits is told to wait for, e.g. `"a run"`; by default the name of the function.
+        options: of XLA, for programs that are kept on disk.
     """
     if function is None:
-        return partial(bounded_jit, n_programs=n_programs, what=what)
-    return BoundedJit(function, n_programs, what or getattr(function, "__name__", "a program"))
+        return partial(bounded_jit, n_programs=n_programs, what=what, options=options)
+    return BoundedJit(function, n_programs, what or getattr(function, "__name__", "a program"), options)
 
 
 def inlined(function: Callable) -> Callable:
