@@ -1,4 +1,4 @@
-"""The command line: `spherejax run | draw | compare | effects | accuracy | sweep | fit | write | list`."""
+"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|write|list`."""
 
 import argparse
 import os

@@ -26,15 +26,22 @@ def parsed(*words):
     return cli.parser().parse_args(["run", "four-bar", *words])
 
 
-@pytest.mark.parametrize(
-    "words", [(), ("run",), ("draw",), ("compare",), ("effects",), ("accuracy",), ("write",), ("list",)]
-)
+COMMANDS = ("run", "draw", "compare", "effects", "accuracy", "sweep", "fit", "sensitivity", "write", "list")
+
+
+@pytest.mark.parametrize("words", [(), *((name,) for name in COMMANDS)])
 def test_help_says_what_the_command_does_and_gives_an_example(words, capsys):
     assert cli.main([*words, "--help"]) == 0
     out = capsys.readouterr().out
     assert "example" in out
     assert f"spherejax {words[0] if words else 'run'}" in out
     assert max(map(len, out.splitlines())) <= 110
+
+
+def test_the_package_is_a_command_too():
+    done = subprocess.run([sys.executable, "-m", "spherejax", "run", "nothing"], capture_output=True, text=True)
+    assert done.returncode == cli.BAD_REQUEST
+    assert "there is no scene 'nothing'" in done.stderr
 
 
 def test_help_of_run_names_defaults_with_units(capsys):

@@ -2,6 +2,8 @@
 
 import inspect
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 import spherejax as sj
@@ -142,6 +144,15 @@ def test_statistics_offer(name):
     from spherejax.motion.trajectory import Statistics
 
     assert name in Statistics.__dataclass_fields__
+
+
+def test_statistics_read_in_numbers_where_they_are_known():
+    run = sj.simulate(sj.gallery.simple_pendulum(), jnp.linspace(0.0, 0.1, 3))
+    assert f"n_steps={int(run.stats.n_steps)}, " in repr(run.stats)
+    assert "Dopri8" in repr(run.stats)
+    said = []
+    jax.jit(lambda stats: said.append(repr(stats)))(run.stats)
+    assert "n_steps=" in said[0]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ on the terminal ranks the parameters by what 1 % of each changes.
 """
 
 EPILOG = """examples:
-  spherejax sensitivity four-bar --joint bushing --by stiffness --by damping --of position.rocker --out sensitivities/
+  spherejax sensitivity four-bar --joint bushing --by stiffness --by damping --of position.rocker --out s/
   spherejax sensitivity four-bar --joint friction --by clearance --by mu --by rocker.mass --of velocity.rocker.z
 """
 

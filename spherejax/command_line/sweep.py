@@ -19,7 +19,7 @@ from spherejax.motion.status import REMEDIES, Status
 DESCRIPTION = """\
 Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied
 joint (clearance, mu, restitution, stiffness, ...) or a number of a body (rocker.mass). Every
-combination is run, or samples of the ranges with --samples. Results go to a Zarr store chunk by
+combination is run, or samples of the ranges with --draws. Results go to a Zarr store chunk by
 chunk: a sweep that was stopped goes on when the same command is given again. Pictures (maps, curves,
 fan charts) are written beside the store.
 """
@@ -27,7 +27,7 @@ fan charts) are written beside the store.
 EPILOG = """examples:
   spherejax sweep four-bar --joint friction --vary clearance=1e-5:5e-4:64 --vary mu=0:0.3:16 --out sweep.zarr
   spherejax sweep four-bar --joint bushing --vary stiffness=1e5:1e7:16:log --record "position.rocker" --out k.nc
-  spherejax sweep four-bar --vary rocker.mass=0.02:0.04 --vary coupler.mass=0.1:0.2 --draws 256 --out masses.zarr
+  spherejax sweep four-bar --vary rocker.mass=0.02:0.04 --vary coupler.mass=0.1:0.2 --draws 256 --out m.zarr
 """
 
 OF_BODIES = ("mass",)

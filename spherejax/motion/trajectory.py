@@ -1,5 +1,6 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
+from dataclasses import fields
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -49,6 +50,16 @@ class Statistics(eqx.Module):
     n_onsets: Int[Array, " n_contacts"]
     audit: Float[Array, "4"]
     explanation: str = eqx.field(static=True, default="")
+
+    def __repr__(self) -> str:
+        """The numbers, where they are known."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        if not all(is_concrete(value) for value in values.values()):
+            return super().__repr__()
+        said = {name: repr(np.asarray(x).tolist()) for name, x in values.items() if not isinstance(x, str)}
+        said["audit"] = "[" + ", ".join(f"{x:.2g}" for x in np.ravel(self.audit)) + "]"
+        words = [*(f"{name}={value}" for name, value in said.items()), f"explanation={self.explanation!r}"]
+        return f"Statistics({', '.join(words)})"
 
 
 class Trajectory(eqx.Module):
