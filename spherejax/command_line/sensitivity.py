@@ -23,7 +23,7 @@ on the terminal ranks the parameters by what 1 % of each changes.
 
 EPILOG = """examples:
   spherejax sensitivity four-bar --joint bushing --by stiffness --by damping --of position.rocker --out s/
-  spherejax sensitivity four-bar --joint friction --by clearance --by mu --by rocker.mass --of velocity.rocker.z
+  spherejax sensitivity four-bar --joint friction --by clearance --by mu --of velocity.rocker.z
 """
 
 MARKERS = (1.234567e-3, 0.31234567, 0.71234567)

@@ -26,7 +26,7 @@ fan charts) are written beside the store.
 
 EPILOG = """examples:
   spherejax sweep four-bar --joint friction --vary clearance=1e-5:5e-4:64 --vary mu=0:0.3:16 --out sweep.zarr
-  spherejax sweep four-bar --joint bushing --vary stiffness=1e5:1e7:16:log --record "position.rocker" --out k.nc
+  spherejax sweep four-bar --joint bushing --vary stiffness=1e5:1e7:9:log --record position.rocker --out k.nc
   spherejax sweep four-bar --vary rocker.mass=0.02:0.04 --vary coupler.mass=0.1:0.2 --draws 256 --out m.zarr
 """
 
