@@ -276,9 +276,14 @@ def test_processors_are_told_by_the_first_of_a_machine(monkeypatch):
     assert kind_with(one.format(1000, "avx512")) != kind
 
 
+def keyed_by(monkeypatch, key):
+    """A function of a test is not told by any version: as if it were."""
+    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: key)
+
+
 @pytest.mark.parametrize("warns", [False, True])
 def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
-    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: "key")  # a function of a test is not told by any version
+    keyed_by(monkeypatch, os.urandom(8).hex())  # JAX's own cache outlives the tests
     traced = []
 
     def doubled(x):
@@ -290,6 +295,30 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
     for _ in range(2):
         assert float(bounded_jit(doubled)(jnp.asarray(2.0))) == 4.0
     assert len(traced) == 1 + warns
+
+
+def test_options_of_a_compiler_that_does_not_know_them_are_done_without(folder, monkeypatch):
+    keyed_by(monkeypatch, "key")
+    tripled = bounded_jit(lambda x: 3 * x, options={"xla_has_no_such_option": True})
+    assert float(tripled(jnp.asarray(2.0))) == 6.0
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_calls_python_is_not_kept(monkeypatch):
+    """Another process has not the function that it would call."""
+    keyed_by(monkeypatch, "key")
+    called = []
+
+    def counted(x):
+        return jax.lax.cond(
+            x > 0, lambda x: jax.pure_callback(lambda x: called.append(1) or x, jax.ShapeDtypeStruct((), x.dtype), x),
+            lambda x: x, x,
+        )  # fmt: skip
+
+    for n in (1, 2):
+        assert float(bounded_jit(counted)(jnp.asarray(2.0))) == 2.0
+        assert len(called) == n
+        assert kept_on_disk.load("key") is None
 
 
 def test_the_folder_stays_small(tmp_path, monkeypatch):
