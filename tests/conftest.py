@@ -31,3 +31,19 @@ def hears_interrupts():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def lets_go():
+    """What a file has compiled is let go: the next one asks for other programs, and a worker would grow to 8 GB."""
+    yield
+    import gc
+
+    import jax
+
+    from spherejax.foundations.bounded_jit import BoundedJit
+
+    for programs in [each for each in gc.get_objects() if type(each) is BoundedJit]:
+        programs.clear()
+    jax.clear_caches()
+    gc.collect()
