@@ -37,8 +37,8 @@ TS = jnp.linspace(0.0, 6.0, 6001)
 
 
 @functools.lru_cache
-def run_of(name: str, link_mass: float | None = None) -> sj.Trajectory:
-    rtol = 1e-6 if name in STIFF else 1e-8
+def run_of(name: str, link_mass: float | None = None, rtol: float | None = None) -> sj.Trajectory:
+    rtol = rtol or (1e-6 if name in STIFF else 1e-8)
     return sj.simulate(sj.gallery.suspension(MODELS[name], link_mass=link_mass), TS, rtol=rtol, throw=True)
 
 
@@ -96,10 +96,11 @@ def test_the_laws_of_the_shock_absorber_are_smooth():
 @pytest.mark.slow
 def test_mass_of_the_links_is_without_influence():
     """The motion of massless links is the limit of light ones: a tenth of the mass, a tenth of the difference."""
-    massless, light, heavier = (run_of("ideal", mass) for mass in (None, 1e-3, 1e-2))
+    # At 1e-8 the motions err by 1e-9 m, which is a thirtieth of the smaller difference.
+    massless, light, heavier = (run_of("ideal", mass, 1e-9) for mass in (None, 1e-3, 1e-2))
     differences = [np.max(np.abs(massless.position("wheel") - one.position("wheel"))) for one in (light, heavier)]
     assert differences[1] < 1e-5  # of 146 mm
-    assert differences[0] == pytest.approx(0.1 * differences[1], rel=0.05)
+    assert differences[0] == pytest.approx(0.1 * differences[1], rel=0.01)
     assert "leaf_spring" not in massless.system.bodies
     assert "leaf_spring" in light.system.bodies
 
