@@ -60,7 +60,7 @@ def main() -> None:
     for name, (function, number) in CASES.items():
         with_audit, without = (jax.jit(lambda x, function=function: function(x)) for _ in range(2))
         steps = with_audit(number)[1]
-        with mock.patch("spherejax.motion.jobs.audit_of", lambda plan: None):
+        with mock.patch("spherejax.motion.jobs.audit_of", return_value=None):
             assert np.array_equal(without(number)[1], steps), name
         pairs = np.array([[seconds(each, number) for each in (with_audit, without)] for _ in range(TURNS)])
         ratio = float(np.median(pairs[:, 0] / pairs[:, 1]))

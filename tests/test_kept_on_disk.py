@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import jax
@@ -17,7 +18,7 @@ import pytest
 import spherejax as sj
 from spherejax import runtime
 from spherejax.foundations import kept_on_disk
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.bounded_jit import bounded_jit, found_by_jax
 from spherejax.foundations.fingerprints import known_fingerprint, value_fingerprint
 from spherejax.foundations.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
@@ -295,6 +296,36 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
     for _ in range(2):
         assert float(bounded_jit(doubled)(jnp.asarray(2.0))) == 4.0
     assert len(traced) == 1 + warns
+
+
+@pytest.mark.parametrize(("found", "n_traced", "is_kept"), [(False, 1, True), (True, 2, False), (None, 1, False)])
+def test_only_what_was_compiled_here_is_kept(folder, monkeypatch, found, n_traced, is_kept):
+    """What JAX has loaded from its own cache cannot be written again: it is compiled under another name."""
+    keyed_by(monkeypatch, "key")
+    monkeypatch.setattr("spherejax.foundations.bounded_jit.found_by_jax", lambda: nullcontext(lambda: found))
+    traced = []
+
+    def halved(x):
+        traced.append(x)
+        return x / 2
+
+    assert float(bounded_jit(halved)(jnp.asarray(2.0))) == 1.0
+    assert len(traced) == n_traced
+    assert (kept_on_disk.load("key") is not None) == is_kept
+
+
+def test_jax_says_whether_it_has_found_a_program():
+    name = f"named_{os.urandom(8).hex()}"
+    for expected in (False, True):
+
+        def quartered(x):
+            return x / 4
+
+        quartered.__name__ = name
+        with found_by_jax() as found:
+            jax.jit(quartered).lower(jnp.asarray(2.0)).compile()
+        assert found() is expected
+        jax.clear_caches()
 
 
 def test_options_of_a_compiler_that_does_not_know_them_are_done_without(folder, monkeypatch):

@@ -79,9 +79,9 @@ class _Entry:
         """The program for threads that share it."""
         program = self.program
         with self._lock:
-            if program is self.jitted:
+            if self._program is self.jitted:
                 self._program = program.lower(*self._examples).compile()
-        return self._program
+            return self._program
 
     @property
     def shapes(self) -> list:
@@ -126,13 +126,14 @@ class _Entry:
         for part in (self._key, uuid4().hex):
             with kept_on_disk.listened() as has_warned:
                 traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self._examples)
-            with freshness() as is_fresh:
-                program = _compiled(traced.lower(), self._options)
-            if has_warned() or calls_python(traced.jaxpr.jaxpr):
-                return program
-            if is_fresh():
-                self._keep(program, traced.out_info)
-                return program
+                lowered = traced.lower()
+            with found_by_jax() as found:
+                program = _compiled(lowered, self._options)
+            may_be_kept = not has_warned() and not calls_python(traced.jaxpr.jaxpr)
+            if not may_be_kept or not found():
+                break
+        if may_be_kept and found() is False:
+            self._keep(program, traced.out_info)
         return program
 
     def _keep(self, program: Any, shapes: Any) -> None:
@@ -173,12 +174,12 @@ def _compiled(lowered: Any, options: Mapping[str, Any]) -> Any:
 
 
 @contextmanager
-def freshness() -> Iterator[Callable[[], bool]]:
-    """A function that says whether what was compiled since the context was entered was not loaded from JAX's cache."""
+def found_by_jax() -> Iterator[Callable[[], bool | None]]:
+    """A function that says whether what is compiled in the context was loaded from JAX's cache; None where JAX does not
+    say, for it has been told not to keep it, or uses other words."""
     _listen()
-    before = getattr(_compiling, "n_misses", 0)
-    is_used = jax.config.values["jax_compilation_cache_dir"] is not None
-    yield lambda: not is_used or getattr(_compiling, "n_misses", 0) > before
+    _compiling.was_found = None if jax.config.values["jax_compilation_cache_dir"] else False
+    yield lambda: _compiling.was_found
 
 
 _compiling = threading.local()
@@ -190,8 +191,8 @@ def _listen() -> None:
 
 
 def _heard(event: str, **_: Any) -> None:
-    if event == "/jax/compilation_cache/cache_misses":
-        _compiling.n_misses = getattr(_compiling, "n_misses", 0) + 1
+    if event in ("/jax/compilation_cache/cache_hits", "/jax/compilation_cache/cache_misses"):
+        _compiling.was_found = event.endswith("hits")
 
 
 def calls_python(jaxpr: Any) -> bool:
