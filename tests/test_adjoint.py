@@ -122,6 +122,7 @@ def bounced():
     return {"time": BOUNCES, "position.ball": np.asarray(run.position("ball"))[1:]}
 
 
+@pytest.mark.slow
 def test_through_impacts(monkeypatch):
     """With room for few steps at first: the run is made again with more."""
     monkeypatch.setattr(adjoint, "FIRST_ROOM", 32)

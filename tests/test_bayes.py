@@ -166,6 +166,7 @@ def test_what_a_reader_gets(sharp, tmp_path):
     assert len(figures["traces"].axes) == 2
 
 
+@pytest.mark.slow
 def test_bounds_and_priors_against_quadrature():
     """Noise of a third of the motion: the damping fills its interval, and a prior holds the stiffness."""
     noise, highest, prior = 2e-3, 1.3e-3, Normal(2.2e4, 1e3)

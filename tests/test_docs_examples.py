@@ -11,7 +11,26 @@ from spherejax import cli
 examples = program("examples")
 
 
-@pytest.mark.parametrize("page", examples.pages(), ids=lambda page: str(page.relative_to(DOCS)))
+SLOW = (
+    "concepts/dynamics.md",
+    "concepts/sensitivities.md",
+    "howto/fit.md",
+    "howto/own_mechanism.md",
+    "howto/sensitivity.md",
+    "howto/solvers.md",
+    "howto/sweep.md",
+)
+"""Pages that take half a minute, for what other tests run too."""
+
+
+def pages():
+    """All pages with examples."""
+    for page in examples.pages():
+        name = page.relative_to(DOCS).as_posix()
+        yield pytest.param(page, id=name, marks=[pytest.mark.slow] * (name in SLOW))
+
+
+@pytest.mark.parametrize("page", pages())
 def test_examples_run(page, tmp_path):
     examples.run_page(page, tmp_path)
 

@@ -54,6 +54,7 @@ def everything():
     return sj.Scene(bodies, joints, drift=sj.Projection())
 
 
+@pytest.mark.slow
 def test_every_joint_in_one_mechanism():
     scene = everything()
     report = sj.constraint_report(scene)

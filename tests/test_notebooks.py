@@ -33,7 +33,16 @@ TOPICS = (
 LARGEST = 400 * 1024
 """Bytes of a notebook with its pictures."""
 
-SLOW = ("design_optimisation", "hard_cases", "identification", "your_own_mechanism")
+SLOW = (
+    "design_optimisation",
+    "four_joints",
+    "hard_cases",
+    "identification",
+    "lubrication",
+    "suspension",
+    "sweep",
+    "your_own_mechanism",
+)
 """Notebooks that take more than a minute, or half of one for what other tests run too."""
 
 KEPT = ("image/png", "text/plain", "text/html", "application/vnd.jupyter.widget-view+json")

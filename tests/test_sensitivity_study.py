@@ -119,6 +119,7 @@ def kinetic_end(run):
     return 0.5 * jnp.sum(run.velocity("bob")[-1] ** 2)
 
 
+@pytest.mark.slow
 def test_a_number_forward_and_in_reverse():
     ts = np.array([0.0, 0.3])
     results = {mode: sj.sensitivity(swinging, POINT, ts, of=kinetic_end, mode=mode) for mode in ("forward", "reverse")}

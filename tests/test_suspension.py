@@ -214,6 +214,7 @@ def test_the_comparison_has_the_numbers_of_the_paper(three_models):
     assert "stop" in second
 
 
+@pytest.mark.slow
 def test_the_tables_have_a_cell_for_every_head(three_models):
     for table in SUSPENSION.summaries(three_models):
         assert all(len(row) == len(table.heads) for row in table.rows)
@@ -224,6 +225,7 @@ def test_the_tables_have_a_cell_for_every_head(three_models):
     assert float(cells[1][penetration]) == pytest.approx(0.0266, abs=3e-4)
 
 
+@pytest.mark.slow
 def test_the_figures_of_the_suspension(three_models):
     found = figures_of(three_models)
     assert {name[:5] for name in found} == {"fig22", "fig23", "fig24", "fig25"}

@@ -84,8 +84,8 @@ FAMILIES = {
 }
 
 
-# An explicit and a stiff one; of the rest the slow tests, "lubricated, automatic" takes a minute and a half to compile.
-QUICK = ("friction", "bushing")
+# Of the others the slow tests: "lubricated, automatic" takes a minute and a half to compile.
+QUICK = ("bushing",)
 NAMES = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in FAMILIES]
 
 
