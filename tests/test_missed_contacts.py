@@ -93,6 +93,17 @@ def silently_wrong(laws, way, seed: int) -> list[str]:
     ]
 
 
+@pytest.mark.parametrize("way", WAYS)
+def test_a_wall_that_only_stages_without_a_weight_have_met(way):
+    """A ball at 0.03 m/s in a socket of 3.5 mm: its first step in contact had no error, and was through the wall."""
+    laws, random, rtol = Laws("LankaraniNikravesh", friction=True), np.random.default_rng(112), 1e-8
+    starts, ts = draw(random, 8)
+    run = WAYS[way](laws, starts[5:6], ts, rtol)[0]
+    verdict = judge(starts[5], ts, rtol, run, exact(laws, starts[5], ts, rtol, random))
+    assert verdict.status == sj.Status.SUCCEEDED
+    assert not verdict.is_silently_wrong
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("laws", [PLAIN, ROUGH], ids=str)
 def test_no_double_pendulum_with_a_dry_elbow_succeeds_and_is_wrong(laws):

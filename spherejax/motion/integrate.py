@@ -32,7 +32,6 @@ from spherejax.motion.solvers.landing import (
     LandingController,
     MemorySolver,
     count_of,
-    depths_of,
     without_memory,
 )
 from spherejax.motion.solvers.wrapping import StepBudget
@@ -280,8 +279,7 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
 
     slots = {slot.joint: slot for slot in example.memory_slots}
     entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
-    depths = depths_of(crossing_at, len(entries)) if example.touching_forces else None
-    return Contacts(crossing_at, updated, updated_lanes, entries, depths)
+    return Contacts(crossing_at, updated, updated_lanes, entries)
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:

@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.contacts import GRAZING_RATE
 from spherejax.motion.programs import Program
-from spherejax.motion.solvers.landing import Contacts, depths_of
+from spherejax.motion.solvers.landing import Contacts
 
 
 def scales_of(values: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -119,9 +119,8 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
         return crossings_of_state(parameters, t, rows[0])
 
     first_row = (lambda array: array[..., 0, :], crossings_of_state)
-    depths = None if contacts.depths is None else depths_of(crossings, contacts.n_contacts)
     if not contacts.onset_entries:
-        return contacts._replace(crossings=crossings, first_row=first_row, depths=depths)
+        return contacts._replace(crossings=crossings, first_row=first_row)
 
     def updated(parameters, t, start, end):
         """The rows with the memory updated, and how much later the onset comes with each number."""
@@ -157,7 +156,7 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
         return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
 
     entries = tuple((0, entry) for entry in contacts.onset_entries)
-    return Contacts(crossings, update, update_lanes, entries, depths, first_row)
+    return Contacts(crossings, update, update_lanes, entries, first_row)
 
 
 def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:

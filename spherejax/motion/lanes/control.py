@@ -46,7 +46,6 @@ class Step(NamedTuple):
         error: estimate of the error of y1.
         dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
-        depths: as `stages.Trial` has them.
     """
 
     t0: Float[Array, " n_lanes"]
@@ -56,7 +55,6 @@ class Step(NamedTuple):
     error: Float[Array, "... n_lanes"]
     dense_info: Any
     parameters: Any
-    depths: Float[Array, "n_stages n_touches n_lanes"] | None = None
 
 
 class Repeating:

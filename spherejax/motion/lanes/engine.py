@@ -60,12 +60,11 @@ class _Queue:
         # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
         # be a seventh of the operations, and a quarter of the time that they take to compile.
         self.refills = self.width < self.n_jobs
-        depths = None if problem.contacts is None else problem.contacts.depths
-        self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2, depths)
+        self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2)
         self.term = diffrax.ODETerm(problem.rate)
         self.order = problem.solver.error_order(self.term)
         self.control = (
-            Landing(problem, self.order, self.steps.inside, self.steps.instants)
+            Landing(problem, self.order, self.steps)
             if isinstance(self.steps, ExplicitStages)
             else Repeating(problem, self.order)
         )
@@ -134,7 +133,7 @@ class _Queue:
         """
         problem = self.problem
         error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters, trial.depths)
+        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )

@@ -29,7 +29,6 @@ class Trial(NamedTuple):
         dense_info: what the solver's interpolation is made from.
         solver_state: the solver's state at its end.
         result: whether the solver could make it, as `diffrax.RESULTS`; None where it always can.
-        depths: how far each touch was pressed in at each stage [m], shape (n_stages, n_touches, n_lanes), or None.
     """
 
     y: Array
@@ -37,7 +36,6 @@ class Trial(NamedTuple):
     dense_info: dict[str, Any]
     solver_state: Any
     result: Any
-    depths: Array | None = None
 
 
 def own_time(share: Array, bend: Array) -> Array:
@@ -54,16 +52,9 @@ class ExplicitStages:
         tableau: of the method.
         rate: takes (t, y, parameters) of one lane.
         with_dense_output: whether states inside a step are wanted from the method's own interpolation.
-        depths: how far each one-sided force is pressed in, a function (parameters, t, y) of one lane, or None.
     """
 
-    def __init__(
-        self,
-        tableau: diffrax.ButcherTableau,
-        rate: Callable,
-        with_dense_output: bool,
-        depths: Callable | None = None,
-    ):
+    def __init__(self, tableau: diffrax.ButcherTableau, rate: Callable, with_dense_output: bool):
         n = len(tableau.b_sol)
         self.coefficients = np.zeros((n, n))
         for i, row in enumerate(tableau.a_lower, start=1):
@@ -73,8 +64,9 @@ class ExplicitStages:
         n_used = _last_used(self.weights, self.error_weights)
         self.n_stages = n if with_dense_output else n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
+        self.stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
         self.can_look = can_look(self.coefficients, self.instants)
-        self.rate, self.depths = rate, depths
+        self.rate = rate
 
     def init(self, t, t_next, y, parameters) -> tuple:
         """An explicit method carries nothing from step to step."""
@@ -90,27 +82,19 @@ class ExplicitStages:
         h, n = t_next - t, self.n_stages
         c = jnp.asarray(self.instants)
         rate = in_lanes(self.rate)
-        depths = None if self.depths is None else in_lanes(self.depths)
         # Each stage reads the increments that it needs, in one loop over lanes; a product of matrices is far slower.
         moves = [partial(_moved, row) for row in self.coefficients[:n]]
 
-        def with_stage(i, made):
-            k, pressed = made
+        def with_stage(i, k):
             moved = jax.lax.switch(i, moves, y, k)
             instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
             change = h * speed * rate(t + instant * h, moved, parameters)
-            if depths is not None:
-                now = depths(parameters, t + instant * h, moved)
-                pressed = jax.lax.dynamic_update_index_in_dim(pressed, now, i, 0)
-            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0), pressed
+            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
 
-        pressed = None
-        if depths is not None:
-            pressed = jnp.zeros((n, *jax.eval_shape(depths, parameters, t, y).shape))
         n_made = n if n_evaluated is None else n_evaluated
-        k, pressed = jax.lax.fori_loop(0, n_made, with_stage, (jnp.zeros((n, *y.shape)), pressed))
+        k = jax.lax.fori_loop(0, n_made, with_stage, jnp.zeros((n, *y.shape)))
         end = y + _weighted(self.weights, k)
-        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None, pressed)
+        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
 
 
 class MappedSteps:
@@ -135,13 +119,18 @@ class MappedSteps:
         return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
 
 
-def steps_of(
-    solver: Any, rate: Callable, with_dense_output: bool, depths: Callable | None
-) -> ExplicitStages | MappedSteps:
+def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitStages | MappedSteps:
     """How a solver makes the trial steps of a block; arguments as for `ExplicitStages`."""
     if isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau):
-        return ExplicitStages(solver.tableau, rate, with_dense_output, depths)
+        return ExplicitStages(solver.tableau, rate, with_dense_output)
     return MappedSteps(solver, rate)
+
+
+def _stray_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: np.ndarray) -> np.ndarray | None:
+    """Weights of how far the last stage at a step's end, other than the end itself, is from it; None without one."""
+    differences = [row - weights for row, c in zip(coefficients, instants, strict=True) if c == 1]
+    others = [difference for difference in differences if np.any(np.abs(difference) > 1e-12)]
+    return others[-1] if others else None
 
 
 def _last_used(*weights: np.ndarray) -> int:

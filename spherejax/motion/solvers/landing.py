@@ -46,7 +46,6 @@ class Contacts(NamedTuple):
         update: the flat state at the end of a step with its memory updated; takes (parameters, t, y_start, y_end).
         update_lanes: the same of a block of lanes, all arguments and results with their lanes on the last axis.
         onset_entries: index in the state of each contact's onset rate, which is zero in flight (static).
-        depths: how far each touch is pressed in [m]; None where nothing touches.
         first_row: picks, from arrays whose last axes are those of what is integrated, what belongs to the state: its
             first row, where sensitivities are rows below it. With it come the crossing functions of the state alone.
     """
@@ -55,7 +54,6 @@ class Contacts(NamedTuple):
     update: Callable
     update_lanes: Callable
     onset_entries: tuple[Any, ...]
-    depths: Callable | None = None
     first_row: tuple[Callable, Callable] | None = None
 
     def of_state(self, array: Array) -> Array:
@@ -94,12 +92,7 @@ def without_memory(crossings: Callable) -> Contacts:
         del parameters, t, start
         return end
 
-    return Contacts(crossings, unchanged, unchanged, (), depths_of(crossings, 0))
-
-
-def depths_of(crossings: Callable, n_contacts: int) -> Callable:
-    """The values of the crossing functions of touches, which come after those of contacts."""
-    return lambda parameters, t, y: crossings(parameters, t, y).value[n_contacts:]
+    return Contacts(crossings, unchanged, unchanged, ())
 
 
 class ErrorAndInside(NamedTuple):
