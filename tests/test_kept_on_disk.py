@@ -437,3 +437,14 @@ def test_a_loaded_program_serves_traces_too(folder):
     slope = jax.jvp(end, (1e5,), (1.0,))[1]
     assert np.isfinite(slope)
     assert Path(folder, "kept").exists()
+
+
+def test_options_of_the_compiler_serve_programs_that_are_not_kept(monkeypatch):
+    monkeypatch.setenv("SPHEREJAX_CACHE", "0")
+    given, lower = [], jax.stages.Lowered.compile
+    monkeypatch.setattr(
+        jax.stages.Lowered, "compile", lambda self, compiler_options=None: given.append(compiler_options) or lower(self)
+    )
+    options = {"xla_llvm_enable_noalias_metadata": False}
+    assert bounded_jit(lambda x: 5 * x, options=options)(jnp.float64(2.0)) == 10.0
+    assert given == [options]

@@ -33,17 +33,8 @@ TOPICS = (
 LARGEST = 400 * 1024
 """Bytes of a notebook with its pictures."""
 
-SLOW = (
-    "design_optimisation",
-    "four_joints",
-    "hard_cases",
-    "identification",
-    "lubrication",
-    "suspension",
-    "sweep",
-    "your_own_mechanism",
-)
-"""Notebooks that take more than a minute, or half of one for what other tests run too."""
+FAST = ("accuracy", "bushing", "dry_contact")
+"""Notebooks that take less than a minute and are not the subject of other tests; the others are slow tests."""
 
 KEPT = ("image/png", "text/plain", "text/html", "application/vnd.jupyter.widget-view+json")
 """Kinds of outputs that may be kept; anything else is a surprise."""
@@ -76,7 +67,9 @@ def test_there_is_a_notebook_about_everything():
     assert tuple(NOTEBOOKS) == TOPICS
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in NOTEBOOKS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in FAST else [pytest.mark.slow]) for name in NOTEBOOKS]
+)
 def test_notebook_runs(name):
     notebook = read(name)
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(FOLDER)}}).execute(env=environment())

@@ -120,7 +120,8 @@ class _Entry:
     def _compiled(self) -> Any:
         """The program, compiled and kept; where it cannot be kept, one that JAX compiles when it is called."""
         if self._key is None:
-            return self.jitted
+            # JAX compiles it at its first call, except with options, which it takes here only.
+            return _compiled(self.jitted.lower(*self._examples), self._options) if self._options else self.jitted
         # Named by the key, so that JAX's own cache knows it only where our file of it has been lost. What JAX has
         # loaded from there cannot be written again: it would lack functions, and fail when it runs.
         for part in (self._key, uuid4().hex):

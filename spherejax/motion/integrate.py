@@ -122,8 +122,8 @@ class Outcome(eqx.Module):
 FEWER_WORDS = {"xla_llvm_enable_noalias_metadata": False}
 """A stiff method's program is thousands of scalars, and LLVM is told of each pair that they do not overlap.
 
-Without that the film's takes 14.6 s of processor time to compile instead of 19.8, and a run 13.1 ms instead of 12.2,
-with the same bits."""
+Without that the first call of the film's takes a sixth to a quarter less processor time, and runs the same within the
+noise, with the same bits (`benchmarks/fewer_words.py`)."""
 
 
 @bounded_jit(what="a run", options=FEWER_WORDS)
