@@ -174,6 +174,17 @@ def test_what_the_code_raises_while_it_is_simulated_is_reported_too(wrong, said,
     assert "Traceback" not in err
 
 
+def test_code_that_leaves_while_it_is_simulated_ends_the_run_and_not_the_process(tmp_path):
+    code = LAWS.replace(
+        "        lift = self.stiffness", "        raise SystemExit(0)\n        lift = self.stiffness", 1
+    )
+    scene = sj.load_scene(scene_with(tmp_path, "my_laws.py:Magnet", code), allow_code=True)
+    line = 1 + code[: code.index("raise SystemExit")].count("\n")
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=rf"my_laws.py:{line}: SystemExit: 0"):
+            sj.simulate(scene, [0.0, 0.1])
+
+
 def test_a_file_that_was_edited_is_another_class(tmp_path):
     path = scene_with(tmp_path, "my_laws.py:Magnet")
     first, again = (type(sj.load_scene(path, allow_code=True).forces["push"]) for _ in range(2))

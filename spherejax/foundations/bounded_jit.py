@@ -25,6 +25,7 @@ from jax.extend import core as jex
 
 from spherejax import runtime
 from spherejax.foundations import kept_on_disk
+from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.terminals import waiting_for
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
@@ -58,7 +59,8 @@ class _Entry:
 
         def run(*leaves: Any) -> Any:
             positional, named = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
-            arrays, static = eqx.partition(function(*positional, **named), eqx.is_array)
+            with exits_as_errors():
+                arrays, static = eqx.partition(function(*positional, **named), eqx.is_array)
             found, found_tree = jax.tree.flatten(arrays)
             self._results = (found_tree, static)
             return tuple(found)

@@ -5,7 +5,9 @@ and a violated requirement raises a `SceneError` that names the place; values th
 `vmap`, `grad`) are judged inside the program and turn into the status of that lane.
 """
 
-from collections.abc import Iterable
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +19,17 @@ from jaxtyping import Array, Bool
 
 class SceneError(ValueError):
     """A scene, a model or a request that cannot be simulated; the message says what, where and what to do."""
+
+
+@contextmanager
+def exits_as_errors() -> Iterator[None]:
+    """`SystemExit` of a law or a force, as an error: it would end the user's process, and say neither why nor where."""
+    try:
+        yield
+    except SystemExit as stop:
+        at = traceback.extract_tb(stop.__traceback__)[-1]
+        said = f"{at.filename}:{at.lineno}: SystemExit: {stop.code}, in {at.name}, which is a part of what is computed"
+        raise RuntimeError(said).with_traceback(stop.__traceback__) from stop
 
 
 class Requirement(NamedTuple):

@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 from jax.extend import core as jex
 
+from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph, TooManyOperations
 from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, NotScalarizable, move_names
 
@@ -176,7 +177,8 @@ def scalarize(
     Raises:
         NotScalarizable: for an operation without a scalar rule (the message names it), or beyond the size.
     """
-    closed, output_shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
+    with exits_as_errors():
+        closed, output_shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
     graph = Graph()
     fixed = fixed or {}
     shapes = [tuple(variable.aval.shape) for variable in closed.jaxpr.invars]
