@@ -29,6 +29,9 @@ FRICTION_LAWS = {
     "lugre": sj.LuGre(),
 }
 BOUNDARIES = {"guembel": sj.Guembel(), "pinkus_sternlicht": sj.PinkusSternlicht(), "sommerfeld": sj.Sommerfeld()}
+SWEPT = ("guembel", "sommerfeld")
+"""Boundaries that a full film can have."""
+
 ELASTOMERS = {
     "radial": sj.RadialElastomer(1e6, 1e-3),
     "vector": sj.VectorElastomer(1e6, 1e-3),
@@ -58,6 +61,10 @@ MODELS = {
     **{f"dry_{name}": sj.Dry(clearance=C, friction=law) for name, law in FRICTION_LAWS.items()},
     "dry_hertz_threlfall": sj.Dry(clearance=C, normal=sj.Hertz(), friction=sj.Threlfall()),
     **{f"lubricated_{name}": sj.Lubricated(clearance=C, boundary=law) for name, law in BOUNDARIES.items()},
+    **{
+        f"lubricated_full_{name}": sj.Lubricated(clearance=C, boundary=BOUNDARIES[name], film=sj.FullFilm())
+        for name in SWEPT
+    },
     "lubricated_hertz": sj.Lubricated(clearance=C, normal=sj.Hertz()),
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},

@@ -27,6 +27,7 @@ LARGEST_GAIN = 1e-2
 
 NORMAL_LAWS = ("Hertz", "HuntCrossley", "LankaraniNikravesh", "Gonthier", "Flores", "ExactRestitution")
 FRICTION_LAWS = (None, "Threlfall", "BengisuAkay", "Ambrosio", "BrownMcPhee", "LuGre")
+FILMS = ("RadialFilm", "FullFilm")
 BOUNDARIES = ("Guembel", "PinkusSternlicht", "Sommerfeld")
 KINDS = ("spherical", "spherical", "spherical", "revolute", "universal", "cylindrical", "prismatic", "fixed")
 CLOSURES = ("plane", "line", "circle", "distance", "driver", None, None, None)
@@ -48,6 +49,7 @@ class Link:
     friction: str | None
     boundary: str
     start: str
+    film: str = "RadialFilm"
 
     @property
     def is_contact(self) -> bool:
@@ -117,7 +119,9 @@ def structure(seed: int) -> Structure:
                 pick(STARTS),
             )
         )
-    # A stream of its own: which rubber, which driver.
+    # Streams of their own: which film; which rubber, which driver.
+    films = np.random.default_rng([seed, 3])
+    links = [replace(x, film=FILMS[films.integers(2) if x.boundary != "PinkusSternlicht" else 0]) for x in links]
     others = np.random.default_rng([seed, 2])
     links = [replace(x, model=RUBBER[others.integers(len(RUBBER))]) if x.model in RUBBER else x for x in links]
     closure = None if is_free else pick(CLOSURES)
@@ -320,6 +324,7 @@ def _model(link, i, x, length, speed):
         e_h0=width,
         e_h1=2 * width,
         boundary=getattr(sj, link.boundary)(),
+        film=getattr(sj, link.film)(),
     )
 
 

@@ -199,6 +199,10 @@ def test_joint_words_become_models():
     lubricated = model_from(parsed("--joint", "lubricated", "--boundary", "sommerfeld"))
     assert isinstance(lubricated.boundary, sj.Sommerfeld)
     assert lubricated.viscosity == 0.4
+    assert isinstance(lubricated.film, sj.RadialFilm)
+    assert isinstance(model_from(parsed("--joint", "lubricated", "--film", "full")).film, sj.FullFilm)
+    with pytest.raises(sj.SceneError, match="PinkusSternlicht"):
+        model_from(parsed("--joint", "lubricated", "--film", "full", "--boundary", "pinkus-sternlicht"))
     bushing = model_from(parsed("--joint", "bushing", "--elastomer", "vector", "--stiffness", "2e5"))
     assert isinstance(bushing.law, sj.VectorElastomer)
     assert (bushing.law.stiffness, bushing.law.damping) == (2e5, 1e-2)

@@ -90,6 +90,7 @@ def test_what_is_followed_is_named_in_each_file(section):
 COUNTED = {
     "friction law": "A friction law",
     "normal law": "A normal law",
+    "film": "A film",
     "film boundary": "A film boundary",
     "elastomer": "An elastomer",
     "joint": "A joint",

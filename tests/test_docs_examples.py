@@ -13,14 +13,17 @@ examples = program("examples")
 
 SLOW = (
     "concepts/dynamics.md",
+    "concepts/identification.md",
     "concepts/sensitivities.md",
     "howto/fit.md",
+    "howto/own_law.md",
     "howto/own_mechanism.md",
     "howto/sensitivity.md",
     "howto/solvers.md",
+    "howto/swap_models.md",
     "howto/sweep.md",
 )
-"""Pages that take half a minute, for what other tests run too."""
+"""Pages that take a quarter of a minute or more, for what other tests run too."""
 
 
 def pages():

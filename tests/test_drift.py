@@ -66,7 +66,7 @@ VELOCITY_BOUND = {"none": 2e-8, "baumgarte": 2e-8, "post_stabilization": ROUNDIN
     ("control", "model", "t_end"),
     [
         *((control, "ideal", 2.0) for control in CONTROLS),
-        *(pytest.param(c, "bushing", 0.1, marks=[pytest.mark.slow] * (c != "projection")) for c in CONTROLS),
+        *(pytest.param(c, "bushing", 0.1, marks=pytest.mark.slow) for c in CONTROLS),
     ],
 )
 def test_constraints_are_kept(control, model, t_end):

@@ -47,7 +47,10 @@ def test_a_method_of_order_one_has_a_straight_line_inside():
     assert extension(np.zeros((1, 1)), np.ones(1)).tolist() == [[1.0, 0.0]]
 
 
-@pytest.mark.parametrize(("joint", "solver"), [(sj.Ideal(), diffrax.Dopri8()), (sj.Dry(1e-4), diffrax.Tsit5())])
+@pytest.mark.parametrize(
+    ("joint", "solver"),
+    [(sj.Ideal(), diffrax.Dopri8()), pytest.param(sj.Dry(1e-4), diffrax.Tsit5(), marks=pytest.mark.slow)],
+)
 def test_the_first_step_is_the_same_by_looks_and_by_diffrax(joint, solver):
     """Runs that begin together look with their own stages; those of a queue are given what diffrax finds."""
 

@@ -33,8 +33,8 @@ TOPICS = (
 LARGEST = 400 * 1024
 """Bytes of a notebook with its pictures."""
 
-FAST = ("accuracy", "bushing", "dry_contact")
-"""Notebooks that take less than a minute and are not the subject of other tests; the others are slow tests."""
+FAST = ("bushing", "dry_contact")
+"""Notebooks that take half a minute and are not the subject of other tests; the others are slow tests."""
 
 KEPT = ("image/png", "text/plain", "text/html", "application/vnd.jupyter.widget-view+json")
 """Kinds of outputs that may be kept; anything else is a surprise."""

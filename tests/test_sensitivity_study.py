@@ -101,6 +101,7 @@ def test_pictures(found):
     ]
 
 
+@pytest.mark.slow
 def test_through_impacts():
     ts = np.linspace(0.0, 0.02, 3)
     result = sj.sensitivity(hanging, {"clearance": 1e-4, "mu": 0.1}, ts, observables=["position.bob"])

@@ -69,7 +69,8 @@ def states_of(system):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("friction", "bushing"))) for name in MODELS]
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("friction", "bushing", "bristles"))) for name in MODELS],
 )
 def test_structured_solution_equals_the_dense_one(name):
     """The dense one has its Jacobian by differentiation of the whole right-hand side."""

@@ -105,9 +105,8 @@ def test_mass_of_the_links_is_without_influence():
     assert "leaf_spring" in light.system.bodies
 
 
-@pytest.mark.parametrize(
-    "name", ["friction", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dry", "lubricated"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["friction", "dry", "lubricated"])
 def test_clearance_is_pressed_in_by_the_load(name):
     """The paper: about 20 kN press 0.026 mm in, so |e| is 0.126 mm; K = 1.5089e11 N/m^1.5."""
     run = run_of(name)

@@ -62,6 +62,7 @@ def compiled(width: int, n_runs: int):
     return jax.jit(ends).lower(*arguments).compile(), arguments
 
 
+@pytest.mark.slow
 def test_ten_thousand_lanes_run_in_bounded_memory():
     width, n_runs = 10_000, 20_000
     program, arguments = compiled(width, n_runs)

@@ -107,6 +107,7 @@ def test_one_lane_that_cannot_run_is_one_status():
     assert np.isfinite(np.asarray(runs.ys[jnp.array([0, 2])])).all()
 
 
+@pytest.mark.slow
 def test_derivatives_of_mapped_runs():
     slopes = alone(jax.grad(height), CLEARANCES)
     mapped = jax.vmap(jax.grad(height))

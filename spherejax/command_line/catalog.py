@@ -70,6 +70,7 @@ FRICTION_LAWS = {
     "lugre": sj.LuGre,
 }
 
+FILMS = {"radial": sj.RadialFilm, "full": sj.FullFilm}
 BOUNDARIES = {"guembel": sj.Guembel, "pinkus-sternlicht": sj.PinkusSternlicht, "sommerfeld": sj.Sommerfeld}
 
 ELASTOMERS = {"radial": sj.RadialElastomer, "vector": sj.VectorElastomer}
@@ -128,6 +129,8 @@ def list_names(options: argparse.Namespace) -> int:
     print_table("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
     print_table("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))
     print_table("Friction laws (--friction)", ("name", "parameters and defaults"), _with_parameters(FRICTION_LAWS))
+    films = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in FILMS.items()]
+    print_table("Films (--film)", ("name", "what"), films)
     boundaries = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in BOUNDARIES.items()]
     print_table("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
     print_table("Elastomers (--elastomer)", ("name", "parameters and defaults"), _with_parameters(ELASTOMERS))

@@ -5,7 +5,16 @@ import dataclasses
 from collections.abc import Mapping
 
 import spherejax as sj
-from spherejax.command_line.catalog import BOUNDARIES, ELASTOMERS, FRICTION_LAWS, JOINTS, NORMAL_LAWS, USUAL, Usual
+from spherejax.command_line.catalog import (
+    BOUNDARIES,
+    ELASTOMERS,
+    FILMS,
+    FRICTION_LAWS,
+    JOINTS,
+    NORMAL_LAWS,
+    USUAL,
+    Usual,
+)
 from spherejax.command_line.numbers import real
 
 CONTACT = ("dry", "friction", "lubricated")
@@ -35,6 +44,7 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     )
     film = parser.add_argument_group("film (lubricated)")
     film.add_argument("--viscosity", type=real, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
+    film.add_argument("--film", choices=FILMS, help="directions in which it resists (default: radial, the paper's)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
     bushing.add_argument("--stiffness", type=real, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
@@ -76,7 +86,8 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     clearance = _or(options.clearance, 1e-4)
     if options.joint == "lubricated":
         boundary = BOUNDARIES[options.boundary or "guembel"]()
-        return sj.Lubricated(clearance, viscosity=_or(options.viscosity, 0.4), boundary=boundary, **contact)
+        viscosity, film = _or(options.viscosity, 0.4), FILMS[options.film or "radial"]()
+        return sj.Lubricated(clearance, viscosity=viscosity, boundary=boundary, film=film, **contact)
     return sj.Dry(clearance, **contact)
 
 
@@ -94,7 +105,7 @@ USED_BY: Mapping[str, tuple[str, ...]] = {
         ),
         CONTACT,
     ),
-    **dict.fromkeys(("viscosity", "boundary"), ("lubricated",)),
+    **dict.fromkeys(("viscosity", "film", "boundary"), ("lubricated",)),
     **dict.fromkeys(("stiffness", "damping", "elastomer"), ("bushing",)),
 }
 

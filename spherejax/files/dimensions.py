@@ -115,6 +115,7 @@ MODELS: Mapping[type, Fields] = {
         "e_h0": number("m"),
         "e_h1": number("m"),
         "boundary": Part(laws.AbstractFilmBoundary),
+        "film": Part(laws.AbstractFilm),
     },
     joints.Bushing: {"stiffness": number("N/m"), "damping": number("s"), "law": Part(laws.AbstractElastomer)},
 }
@@ -146,6 +147,8 @@ LAWS: Mapping[type, Fields] = {
         "bristle_damping": number("s/m"),
         "viscous": number("s/m"),
     },
+    laws.RadialFilm: {},
+    laws.FullFilm: {},
     laws.Guembel: {},
     laws.PinkusSternlicht: {},
     laws.Sommerfeld: {},

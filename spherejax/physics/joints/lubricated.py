@@ -1,9 +1,9 @@
-"""The hydrodynamically lubricated joint: a squeeze film that hands over to dry contact (sections 3.3 and 4.3)."""
+"""The hydrodynamically lubricated joint: a film that hands over to dry contact (sections 3.3 and 4.3)."""
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from spherejax.foundations.checks import Requirement
+from spherejax.foundations.checks import Requirement, SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar
 from spherejax.physics.joints.base import Response
@@ -16,21 +16,33 @@ from spherejax.physics.joints.contact import (
     stiffness_of,
 )
 from spherejax.physics.laws import (
+    AbstractFilm,
     AbstractFilmBoundary,
     AbstractFrictionLaw,
     AbstractNormalLaw,
+    FilmGap,
+    FilmMotion,
     Guembel,
     Hertz,
     LankaraniNikravesh,
     Material,
-    film_force,
+    RadialFilm,
     hybrid_weight,
 )
 from spherejax.physics.laws.base import at_least, non_negative, positive
 
 
+def _check_film(film: AbstractFilm, boundary: AbstractFilmBoundary) -> None:
+    """A film in every direction needs a boundary condition for every direction."""
+    if not isinstance(film, RadialFilm) and boundary.swept_load(jnp.zeros(3), jnp.zeros(3)) is None:
+        raise SceneError(
+            f"{type(film).__name__} with {type(boundary).__name__}: that condition is of squeezing along the line of "
+            "centers alone. Take boundary=sj.Guembel() or boundary=sj.Sommerfeld(), or film=sj.RadialFilm()."
+        )
+
+
 class Lubricated(AbstractClearanceModel):
-    """Ball and socket with clearance, filled with a lubricant: squeeze film, and dry contact beyond it.
+    """Ball and socket with clearance, filled with a lubricant: a film, and dry contact beyond it.
 
         f = (1 - w) f_film + w f_contact,    w = 0 up to e = c, linear to 1 at e = c + e_h0
 
@@ -43,6 +55,7 @@ class Lubricated(AbstractClearanceModel):
         e_h0: width of the transition from film to contact [m].
         e_h1: offset that keeps the film finite at e = c [m].
         boundary: which parts of the film carry pressure.
+        film: in which directions it resists: `RadialFilm()`, the paper's, or `FullFilm()`.
         socket_material: material of the socket.
         ball_material: material of the ball.
 
@@ -58,6 +71,7 @@ class Lubricated(AbstractClearanceModel):
     e_h0: Number
     e_h1: Number
     boundary: AbstractFilmBoundary
+    film: AbstractFilm
     socket_material: Material
     ball_material: Material
     _ball_radius_given: bool = eqx.field(static=True)
@@ -74,6 +88,7 @@ class Lubricated(AbstractClearanceModel):
         e_h0: Number = 1e-6,
         e_h1: Number = 2e-6,
         boundary: AbstractFilmBoundary | None = None,
+        film: AbstractFilm | None = None,
         socket_material: Material | None = None,
         ball_material: Material | None = None,
     ):
@@ -85,6 +100,8 @@ class Lubricated(AbstractClearanceModel):
         self.e_h0 = e_h0
         self.e_h1 = e_h1
         self.boundary = Guembel() if boundary is None else boundary
+        self.film = RadialFilm() if film is None else film
+        _check_film(self.film, self.boundary)
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
         self._ball_radius_given = ball_radius is not None
@@ -93,9 +110,8 @@ class Lubricated(AbstractClearanceModel):
     def effects(self):
         """Elastic contact, then what the normal law adds to it, then friction."""
         elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
-        return contact_effects(
-            self, f"squeeze film ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic
-        )
+        film = "squeeze film" if isinstance(self.film, RadialFilm) else type(self.film).__name__
+        return contact_effects(self, f"{film} ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic)
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, lubricant, materials and laws."""
@@ -113,28 +129,33 @@ class Lubricated(AbstractClearanceModel):
         surfaces = self.surfaces
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
-        film = (1 - weight) * film_force(
-            motion.eccentricity,
-            motion.eccentricity_rate,
-            self.clearance,
-            self.socket_radius,
-            self.viscosity,
-            self.boundary,
-            self.e_h1,
+        film = self.film.action(
+            FilmMotion(
+                motion.eccentricity,
+                motion.eccentricity_rate,
+                motion.socket_angular_velocity,
+                motion.ball_angular_velocity,
+            ),
+            FilmGap(self.clearance, self.socket_radius, self.viscosity, self.e_h1, self.boundary),
         )
+        share = 1 - weight
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
         penetration = self.penetration(motion)
         return Response(
-            force=film + contact.force,
-            ball_moment=ball_moment,
-            socket_moment=socket_moment,
+            force=share * film.force + contact.force,
+            ball_moment=share * film.ball_moment + ball_moment,
+            socket_moment=share * film.socket_moment + socket_moment,
             memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
             elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
                 "normal_force": contact.normal_force,
                 "friction_force": contact.friction,
-                "film_force": film,
+                "film_force": share * film.force,
+                "film_moment": share * film.ball_moment,
+                "film_power": share * film.pressure_power,
+                "shear_power": share * film.shear_power,
+                "film_thickness": -penetration,
                 "sliding_velocity": contact.sliding_velocity,
             },
         )

@@ -23,6 +23,14 @@ from spherejax.physics.laws.film import (
     squeeze_coefficient,
     squeeze_factor,
 )
+from spherejax.physics.laws.films import (
+    AbstractFilm,
+    FilmAction,
+    FilmGap,
+    FilmMotion,
+    FullFilm,
+    RadialFilm,
+)
 from spherejax.physics.laws.friction import (
     AbstractFrictionLaw,
     AbstractStaticFriction,
@@ -33,6 +41,7 @@ from spherejax.physics.laws.friction import (
     LuGre,
     Threlfall,
 )
+from spherejax.physics.laws.full_film import ShearFactors, full_sphere_load, half_sphere_load, shear_factors
 from spherejax.physics.laws.impact import (
     exact_hysteresis_factor,
     maximum_penetration,
@@ -54,6 +63,7 @@ from spherejax.physics.laws.normal import (
 __all__ = [
     "MINIMUM_ONSET_RATE",
     "AbstractElastomer",
+    "AbstractFilm",
     "AbstractFilmBoundary",
     "AbstractFrictionLaw",
     "AbstractHysteresisLaw",
@@ -68,7 +78,11 @@ __all__ = [
     "CrossElastomer",
     "CurveElastomer",
     "ExactRestitution",
+    "FilmAction",
+    "FilmGap",
+    "FilmMotion",
     "Flores",
+    "FullFilm",
     "Gonthier",
     "Guembel",
     "Hertz",
@@ -80,15 +94,20 @@ __all__ = [
     "MatrixElastomer",
     "PinkusSternlicht",
     "RadialElastomer",
+    "RadialFilm",
+    "ShearFactors",
     "Sommerfeld",
     "Threlfall",
     "VectorElastomer",
     "exact_hysteresis_factor",
     "film_force",
+    "full_sphere_load",
     "generalized_stiffness",
+    "half_sphere_load",
     "hybrid_weight",
     "maximum_penetration",
     "realized_restitution",
+    "shear_factors",
     "squeeze_coefficient",
     "squeeze_factor",
 ]

@@ -1,5 +1,8 @@
 """Squeeze film between ball and socket, and its blend into dry contact.
 
+What the paper has: a film that acts along the line of centers (`films.RadialFilm`). The one that acts in every
+direction is in `full_film`.
+
 A ball that moves at the rate e_rate along the line of centers presses the lubricant out of the closing half
 of the gap and draws it into the opening half. Reynolds' equation integrated over one half sphere gives
 
@@ -18,6 +21,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import horner, radial_projection, safe_norm
 from spherejax.foundations.types import Flag, Number, Scalar, Vector3
 from spherejax.physics.laws.base import AbstractLaw
+from spherejax.physics.laws.full_film import full_sphere_load, half_sphere_load
 
 MAXIMUM_ECCENTRICITY_RATIO = 1.0 - 1e-12
 """Ratio beyond which the film's load factor, which grows as 1/(1 - eps), is held constant to stay finite.
@@ -84,6 +88,15 @@ class AbstractFilmBoundary(AbstractLaw):
             separating: whether the ball moves toward the center of the socket.
         """
 
+    def swept_load(self, r: Vector3, velocity: Vector3) -> Vector3 | None:
+        """The load F = -C load [m/s] of a ball that moves in any direction; None for a condition of squeezing alone.
+
+        Args:
+            r: e/c, shorter than 1.
+            velocity: of the ball in its socket, less the mean rotation of both [m/s].
+        """
+        return None
+
     def requirements(self) -> list[Requirement]:
         """None: a boundary condition has no numbers."""
         return []
@@ -104,6 +117,10 @@ class Guembel(AbstractFilmBoundary):
     def load_factor(self, eccentricity_ratio: Number, separating: Flag) -> Scalar:
         """B(eps) while closing, B(-eps) while separating."""
         return squeeze_factor(jnp.where(separating, -eccentricity_ratio, eccentricity_ratio))
+
+    def swept_load(self, r: Vector3, velocity: Vector3) -> Vector3:
+        """`half_sphere_load`."""
+        return half_sphere_load(r, velocity)
 
 
 class PinkusSternlicht(AbstractFilmBoundary):
@@ -130,6 +147,10 @@ class Sommerfeld(AbstractFilmBoundary):
     def load_factor(self, eccentricity_ratio: Number, separating: Flag) -> Scalar:
         """B(eps) + B(-eps)."""
         return squeeze_factor(eccentricity_ratio) + squeeze_factor(-eccentricity_ratio)
+
+    def swept_load(self, r: Vector3, velocity: Vector3) -> Vector3:
+        """`full_sphere_load`."""
+        return full_sphere_load(r, velocity)
 
 
 def film_force(

@@ -1,0 +1,138 @@
+"""What a film does to ball and socket: the paper's, along the line of centers, or the full one, in every direction."""
+
+import abc
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Number, Scalar, Vector3
+from spherejax.physics.laws.base import AbstractLaw
+from spherejax.physics.laws.film import (
+    MAXIMUM_ECCENTRICITY_RATIO,
+    AbstractFilmBoundary,
+    film_force,
+    squeeze_coefficient,
+)
+from spherejax.physics.laws.full_film import shear_factors
+
+
+class FilmGap(NamedTuple):
+    """The gap and what fills it.
+
+    Attributes:
+        clearance: c [m].
+        socket_radius: R [m].
+        viscosity: nu [Pa s].
+        transition_offset: e_h1 [m], by which the film is thicker than the gap, so that it stays finite at |e| = c.
+        boundary: which parts of the film carry pressure.
+    """
+
+    clearance: Number
+    socket_radius: Number
+    viscosity: Number
+    transition_offset: Number
+    boundary: AbstractFilmBoundary
+
+
+class FilmMotion(NamedTuple):
+    """Motion of the ball in its socket, world axes.
+
+    Attributes:
+        e: eccentricity, socket center to ball center [m].
+        e_rate: its rate [m/s].
+        socket_spin, ball_spin: angular velocities of both [rad/s].
+    """
+
+    e: Vector3
+    e_rate: Vector3
+    socket_spin: Vector3
+    ball_spin: Vector3
+
+
+class FilmAction(NamedTuple):
+    """What the film does, world axes.
+
+    Attributes:
+        force: on the ball, at its center [N]; the socket receives the opposite at its own center.
+        ball_moment: on the ball about its center [N m].
+        socket_moment: on the socket about its center [N m].
+        pressure_power: absorbed by the pressure [W], not negative.
+        shear_power: absorbed by the shear of the oil [W], not negative.
+    """
+
+    force: Vector3
+    ball_moment: Vector3
+    socket_moment: Vector3
+    pressure_power: Scalar
+    shear_power: Scalar
+
+
+class AbstractFilm(AbstractLaw):
+    """In which directions a film resists."""
+
+    @abc.abstractmethod
+    def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
+        """Force and moments of the film."""
+
+    def requirements(self) -> list[Requirement]:
+        """None: a film has no numbers of its own."""
+        return []
+
+
+class RadialFilm(AbstractFilm):
+    """The paper's film: it resists motion along the line of centers, and nothing else.
+
+        F = -C load_factor P e_rate
+
+    A ball that swings across that line meets no resistance: it may ring for long, and take many steps. No moments.
+
+    Source: Rodrigues da Silva et al. (2022), Eq. 37; see `film_force`.
+    """
+
+    def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
+        """`film_force`, and no moments."""
+        clearance, radius, viscosity, offset, boundary = gap
+        force = film_force(motion.e, motion.e_rate, clearance, radius, viscosity, boundary, offset)
+        none = jnp.zeros(3)
+        return FilmAction(force, none, none, -(force @ motion.e_rate), jnp.zeros(()))
+
+
+class FullFilm(AbstractFilm):
+    """The film of Reynolds' equation for any motion: squeeze and wedge as one vector, and the couple of shear.
+
+        F = -C load(r, V),    V = e_rate - w x e,    w = (w_socket + w_ball)/2,    r = e/(c + e_h1)
+        M_ball = -e x F/2 + M_c,    M_socket = -e x F/2 - M_c
+        M_c = -(8 pi nu R**4/(3 c)) (m_par n n^T + m_perp (I - n n^T)) (w_ball - w_socket)
+
+    with C = 6 pi nu R (R/c)**3 and the load of the boundary condition (`half_sphere_load` for `Guembel`,
+    `full_sphere_load` for `Sommerfeld`). A pair that turns as one body feels nothing; momentum and angular momentum are
+    kept; the absorbed power -F.V - M_c.(w_ball - w_socket) is never negative. The couple of shear is that of a gap that
+    is full of oil, whatever the boundary condition.
+
+    Limits: an unpierced sphere in a full ring of oil of constant viscosity, rigid surfaces, c << R. A cup with a rim
+    has less film; heavily loaded joints deform (elastohydrodynamics). For |e| beyond `MAXIMUM_ECCENTRICITY_RATIO` of
+    c + e_h1 the film is that at this ratio.
+
+    Source: derived here, see `full_film`.
+    """
+
+    def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
+        """Force, and moments that keep the angular momentum of the pair."""
+        e, (socket_spin, ball_spin) = motion.e, motion[2:]
+        velocity = motion.e_rate - jnp.cross((socket_spin + ball_spin) / 2, e)
+        spin = ball_spin - socket_spin
+        r = e / (gap.clearance + gap.transition_offset)
+        ratio = safe_norm(r)
+        r = r * jnp.where(ratio < MAXIMUM_ECCENTRICITY_RATIO, 1.0, MAXIMUM_ECCENTRICITY_RATIO / jnp.maximum(ratio, 0.5))
+        coefficient = squeeze_coefficient(gap.viscosity, gap.socket_radius, gap.clearance)
+        load = gap.boundary.swept_load(r, velocity)
+        assert load is not None  # `Lubricated` refuses such a boundary
+        force = -coefficient * load
+        along, excess = shear_factors(r @ r)
+        across = along + (r @ r) * excess
+        # 8 pi nu R^4/(3 c) = 4/9 C c^2
+        couple = -4.0 / 9.0 * coefficient * gap.clearance**2 * (across * spin - excess * (r @ spin) * r)
+        arm = jnp.cross(e, force) / 2
+        return FilmAction(force, couple - arm, -couple - arm, -(force @ velocity), -(couple @ spin))
