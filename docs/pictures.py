@@ -77,6 +77,47 @@ def orbits() -> Figure:
     return figure
 
 
+def films() -> Figure:
+    """The four-bar on the paper's film and on the full one: acceleration of the rocker, path of the ball."""
+    ts = jnp.linspace(0.0, 2.0, 2001)
+    kinds = {"the paper's film": sj.RadialFilm(), "full film": sj.FullFilm()}
+    ideal = sj.simulate(sj.gallery.four_bar(sj.Ideal()), ts, rtol=1e-8)
+    figure, panels = plt.subplots(
+        2,
+        2,
+        figsize=(8.4, 5.6),
+        layout="constrained",
+        width_ratios=(2, 1),
+        sharex="col",
+    )
+    angle = np.linspace(0, 2 * np.pi, 300)
+    for (left, right), (name, film), color in zip(
+        panels, kinds.items(), (LINES[3], LINES[1]), strict=True
+    ):
+        model = sj.Lubricated(clearance=1e-4, viscosity=0.4, film=film)
+        run = sj.simulate(sj.gallery.four_bar(model), ts, rtol=1e-8)
+        left.plot(ts, run.acceleration("rocker")[:, 2], color=color, linewidth=0.9)
+        left.plot(
+            ts,
+            ideal.acceleration("rocker")[:, 2],
+            color="black",
+            linewidth=0.7,
+            dashes=(4, 3),
+            label="ideal joint",
+        )
+        left.set_title(name, loc="left", fontsize=9)
+        left.margins(x=0)
+        e = 1e6 * np.asarray(run.eccentricity("coupler_rocker"))
+        right.plot(100 * np.cos(angle), 100 * np.sin(angle), "k", linewidth=1.2)
+        right.plot(e[:, 0], e[:, 2], color=color, linewidth=0.7)
+        right.set(aspect="equal", ylabel="e$_z$ [µm]")
+    panels[0, 0].legend(fontsize=8, frameon=False, loc="upper left")
+    panels[1, 0].set_xlabel("t [s]")
+    panels[1, 1].set_xlabel("e$_x$ [µm]")
+    figure.supylabel("vertical acceleration of the rocker [m/s$^2$]", fontsize=10)
+    return figure
+
+
 def restitution() -> Figure:
     """Restitution that a law realizes in a free impact, against the one that it is given."""
     figure, panel = plt.subplots(figsize=(5.4, 3.6), layout="constrained")
@@ -181,6 +222,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
     "orbits": orbits,
+    "films": films,
     "restitution": restitution,
     "friction": friction,
     "suspension_over_bump": suspension,
