@@ -45,6 +45,7 @@ from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from spherejax.motion.start import StartWarning
 from spherejax.motion.status import SimulationError, SimulationWarning, Status
 from spherejax.motion.trajectory import Trajectory
+from spherejax.output.citations import cite
 from spherejax.output.drawing import animate, draw, view
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import (
@@ -310,6 +311,7 @@ __all__ = [
     "WorkPrecision",
     "Wrench",
     "animate",
+    "cite",
     "compile_scene",
     "constraint_report",
     "differentiated_rows",

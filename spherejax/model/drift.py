@@ -102,7 +102,7 @@ class PostStabilization(AbstractDriftControl):
     one of the order of d^2 / (length of the bodies): rounding, but for loose tolerances. Samples between the ends of
     steps are corrected likewise.
 
-    Source: Ascher, Chin, Reich (1994), Numer. Math. 67:131-149, with D v evaluated anew.
+    Source: Ascher et al. (1994), Numer. Math. 67:131-149, with D v evaluated anew.
     """
 
     n_corrections: ClassVar[int] = 1

@@ -303,9 +303,9 @@ class LuGre(AbstractFrictionLaw):
     of the energy of an impact in metal, and more for softer bristles. That belongs to every law whose bristles are
     as stiff as the contact is pressed.
 
-    Source: Canudas de Wit, Olsson, Astroem, Lischinsky (1995), IEEE Trans. Autom. Control 40:419-425, the
-    vector form by components; for bounds of any state, with a constant sigma_1, see Barabanov, Ortega (2000), IEEE
-    Trans. Autom. Control 45:830-832. The defaults for sigma_0 = 1e5 and sigma_1 = sqrt(1e5) are its numbers for a
+    Source: Canudas de Wit et al. (1995), IEEE Trans. Autom. Control 40:419-425, the vector form by components;
+    for bounds of any state, with a constant sigma_1, see Barabanov and Ortega (2000), IEEE Trans. Autom. Control
+    45:830-832. The defaults for sigma_0 = 1e5 and sigma_1 = sqrt(1e5) are its numbers for a
     unit mass, read per newton of normal force; the friction coefficients and v_s are those of Table 3 of
     Rodrigues da Silva et al. (2022).
     """
