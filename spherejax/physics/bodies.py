@@ -1,6 +1,7 @@
 """Rigid bodies: inertia, where they start, and named points on them."""
 
 from collections.abc import Mapping
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +9,8 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.forms import is_numeric, mapping_of
-from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple
+from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple, Unit
+from spherejax.physics import solids
 
 GROUND = "ground"
 """The name of the body that does not move; its axes are the world axes."""
@@ -54,15 +56,15 @@ class Body(eqx.Module):
 
     def __init__(
         self,
-        mass,
-        inertia,
-        position=(0.0, 0.0, 0.0),
-        quaternion=(1.0, 0.0, 0.0, 0.0),
-        velocity=(0.0, 0.0, 0.0),
-        angular_velocity=(0.0, 0.0, 0.0),
-        points: Mapping[str, Numeric] | None = None,
-        reference_position=None,
-        reference_quaternion=None,
+        mass: Annotated[Number, Unit("kg")],
+        inertia: Annotated[Moments, Unit("kg m^2")],
+        position: Annotated[Triple, Unit("m")] = (0.0, 0.0, 0.0),
+        quaternion: Annotated[Quadruple, Unit("1")] = (1.0, 0.0, 0.0, 0.0),
+        velocity: Annotated[Triple, Unit("m/s")] = (0.0, 0.0, 0.0),
+        angular_velocity: Annotated[Triple, Unit("rad/s")] = (0.0, 0.0, 0.0),
+        points: Annotated[Mapping[str, Numeric] | None, Unit("m")] = None,
+        reference_position: Annotated[Triple, Unit("m")] = None,
+        reference_quaternion: Annotated[Quadruple, Unit("1")] = None,
     ):
         self.mass = mass
         self.inertia = numbers(inertia)
@@ -74,6 +76,87 @@ class Body(eqx.Module):
         self.points = {name: numbers(place) for name, place in points.items()}
         self.reference_position = None if reference_position is None else numbers(reference_position)
         self.reference_quaternion = None if reference_quaternion is None else numbers(reference_quaternion)
+
+    @classmethod
+    def box(cls, size, *, mass: Number | None = None, density: Number | None = None, **motion) -> "Body":
+        """A homogeneous box, its edges along the body's axes.
+
+        Args:
+            size: lengths of the edges along x, y, z [m], shape (3,).
+            mass: [kg], or else
+            density: [kg/m^3].
+            **motion: `position`, `quaternion`, `velocity`, `angular_velocity`, `points`, as of any body.
+
+        Raises:
+            SceneError: for both mass and density, or neither; for lengths that are not positive.
+        """
+        return cls(*solids.box(size, mass, density), **motion)
+
+    @classmethod
+    def cylinder(
+        cls, radius: Number, length: Number, *, mass: Number | None = None, density: Number | None = None, **motion
+    ) -> "Body":
+        """A homogeneous cylinder along the body's x axis: a shaft, a disc.
+
+        Args:
+            radius: [m].
+            length: [m].
+            mass: [kg], or else
+            density: [kg/m^3].
+            **motion: as in `box`.
+
+        Raises:
+            SceneError: as in `box`.
+        """
+        return cls(*solids.cylinder(radius, length, mass, density), **motion)
+
+    @classmethod
+    def sphere(cls, radius: Number, *, mass: Number | None = None, density: Number | None = None, **motion) -> "Body":
+        """A homogeneous ball.
+
+        Args:
+            radius: [m].
+            mass: [kg], or else
+            density: [kg/m^3].
+            **motion: as in `box`.
+
+        Raises:
+            SceneError: as in `box`.
+        """
+        return cls(*solids.sphere(radius, mass, density), **motion)
+
+    @classmethod
+    def rod(
+        cls,
+        ends: Mapping[str, Triple],
+        *,
+        radius: Number,
+        mass: Number | None = None,
+        density: Number | None = None,
+        points: Mapping[str, Triple] | None = None,
+        **motion,
+    ) -> "Body":
+        """A round rod between two places, which become points of the body; its x axis leads to the second.
+
+            crank = sj.Body.rod({"pin": (0, 0, 0), "tip": (0.02, 0, 0)}, radius=3e-3, density=7850)
+
+        Args:
+            ends: two places by name, world axes at the start [m], each of shape (3,).
+            radius: [m]; moments are those of a cylinder, for a rod without thickness has none about its axis.
+            mass: [kg], or else
+            density: [kg/m^3].
+            points: further points, body axes from the middle of the rod [m].
+            **motion: `velocity`, `angular_velocity`.
+
+        Raises:
+            SceneError: as in `box`; for other than two ends, and for two that coincide.
+        """
+        line = solids.between(ends)
+        first, second = line.names
+        half = concretely(lambda length: 0.5 * length * jnp.array([1.0, 0.0, 0.0]), line.length)
+        solid = solids.cylinder(radius, line.length, mass, density)
+        own = {first: -half, second: half, **(points or {})}
+        return cls(*solid, position=line.position, quaternion=line.quaternion, points=own, **motion)
 
     @property
     def in_reference(self) -> "Body":
