@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Sequence
 
+import spherejax as sj
 from spherejax import runtime
 
 BAD_REQUEST, FAILED_RUN, INTERRUPTED = 2, 3, 130
@@ -39,13 +40,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 done, 2 for a request that makes no sense, 3 for a failed run, 130 when interrupted.
     """
-    import spherejax as sj
-    from spherejax.files.code import described_error, line_of
-
     try:
         options = parser().parse_args(argv)
     except SystemExit as stop:  # argparse has printed the help or the error
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
+    if runtime.is_command():
+        runtime.set_up()
+    from spherejax.files.code import described_error, line_of
+
     try:
         return options.action(options)
     except (sj.SceneError, sj.runtime.PrecisionError) as error:

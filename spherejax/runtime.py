@@ -25,8 +25,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jax
-
 _BACKEND_OPTION = "--xla_backend_extra_options="
 _LOOP_OPTIONS = (
     "xla_cpu_small_while_loop_byte_threshold=1000000000",
@@ -58,6 +56,8 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
     Raises:
         OSError: when the folder that was asked for cannot be written to. The user's own is then done without.
     """
+    import jax
+
     jax.config.update("jax_enable_x64", True)
     _keep_programs(cache)
     flags = os.environ.get("XLA_FLAGS", "")
@@ -74,6 +74,22 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
         )
         return
     os.environ["XLA_FLAGS"] = wanted
+
+
+def set_up() -> None:
+    """Configure this process, unless `SPHEREJAX_CONFIGURE=0` says that somebody else does."""
+    if os.environ.get("SPHEREJAX_CONFIGURE", "1") != "0":
+        configure()
+
+
+def is_command() -> bool:
+    """Whether this process is the command `spherejax`, which sets itself up when it has read its arguments.
+
+    JAX takes longer to load than help, or an error in an argument, may take.
+    """
+    words = sys.orig_argv
+    module = words[words.index("-m") + 1 :][:1] if "-m" in words[:-1] else []
+    return module == ["spherejax"] or Path(next(iter(sys.argv), "")).stem == "spherejax"
 
 
 LARGEST_CACHE = 2 * 2**30
@@ -110,6 +126,8 @@ def _keep_programs(asked: str | os.PathLike | None) -> None:
         raise
     _kept[:] = [folder]
     _make_room(folder)
+    import jax
+
     if jax.config.values["jax_compilation_cache_dir"] and asked is None:
         return
     jax.config.update("jax_compilation_cache_dir", os.fspath(compiled))
@@ -204,6 +222,8 @@ def interrupts_kept() -> Iterator[None]:
 
 def require_float64() -> None:
     """Raise `PrecisionError` when JAX is in 32-bit mode."""
+    import jax
+
     if not jax.config.read("jax_enable_x64"):
         raise PrecisionError(
             "JAX is in 32-bit mode (jax_enable_x64 is False), which cannot resolve a penetration of 1e-8 m beside a "

@@ -1,7 +1,7 @@
 """Laws as a user writes them, in a file of their own, for the tests of scene files."""
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,10 +12,9 @@ import spherejax as sj
 class Magnet(sj.AbstractForce):
     """Pulls a body towards a height."""
 
-    units: ClassVar = {"stiffness": "N/m", "height": "m"}
     body: str = eqx.field(static=True)
-    stiffness: float
-    height: float = 0.0
+    stiffness: Annotated[float, sj.Unit("N/m")]
+    height: Annotated[float, sj.Unit("m")] = 0.0
     is_on: bool = eqx.field(static=True, default=True)
 
     def wrenches(self, t, motions):
@@ -66,8 +65,7 @@ class Motor(sj.AbstractForce):
 class Growth(eqx.Module):
     """A function with a number in it, of any arguments."""
 
-    units: ClassVar = {"rate": "N/m"}
-    rate: float
+    rate: Annotated[float, sj.Unit("N/m")]
 
     def __call__(self, x, *others):
         return self.rate * x

@@ -6,12 +6,14 @@ import subprocess
 import sys
 import time
 
+import diffrax
 import numpy as np
 import pytest
 import xarray
 
 import spherejax as sj
 from spherejax import cli
+from spherejax.command_line import catalog
 from spherejax.command_line.catalog import FRICTION_LAWS, NORMAL_LAWS, SOLVERS
 from spherejax.command_line.models import model_from
 from spherejax.output.plot.curves import curves_of
@@ -228,6 +230,39 @@ def test_list_names_everything(capsys):
     assert "mu = 0.1 [-], v1 = 0.001 [m/s]" in out
 
 
+def test_every_scene_of_the_gallery_has_its_name():
+    scenes = {getattr(sj.gallery, name) for name in sj.gallery.__all__}
+    assert set(catalog.SCENES.values()) == scenes
+    assert set(catalog.USUAL) < set(catalog.SCENES)
+    assert set(catalog.ALIASES.values()) < set(catalog.SCENES)
+
+
+@pytest.mark.parametrize(
+    ("table", "family"),
+    [
+        ("NORMAL_LAWS", sj.AbstractNormalLaw),
+        ("FRICTION_LAWS", sj.AbstractFrictionLaw),
+        ("FILMS", sj.AbstractFilm),
+        ("BOUNDARIES", sj.AbstractFilmBoundary),
+        ("ELASTOMERS", sj.AbstractElastomer),
+        ("DRIFT_CONTROLS", sj.AbstractDriftControl),
+        ("SOLVERS", diffrax.AbstractSolver),
+    ],
+)
+def test_names_stand_for_parts(table, family):
+    parts = getattr(catalog, table)
+    assert parts
+    assert all(issubclass(part, family) for part in parts.values())
+    assert "no-such-part" not in parts
+    with pytest.raises(KeyError):
+        parts["no-such-part"]
+
+
+@pytest.mark.parametrize("name", catalog.SUBJECTS)
+def test_mechanisms_that_are_compared_have_their_names(name):
+    assert catalog.SUBJECTS[name].name == name
+
+
 def test_effects_prints_a_table(capsys, monkeypatch):
     asked = []
     monkeypatch.setattr("spherejax.studies.effects.effects", lambda scene: asked.append(scene) or "the table")
@@ -242,7 +277,7 @@ def test_compare_writes_table_files_and_figures(tmp_path, capsys, monkeypatch):
     curves = {"ideal": curves_of(run, "ideal", body="rocker", joint="coupler_rocker")}
     found = Comparison(0.01, [row], curves, {"ideal": run}, subject=FOUR_BAR)
     only = {name: draw for name, draw in figures(found).items() if name.startswith(("fig07", "fig21"))}
-    monkeypatch.setattr("spherejax.command_line.compare.compare", lambda *a, report, **k: report("done", 1.0) or found)
+    monkeypatch.setattr("spherejax.studies.compare.compare", lambda *a, report, **k: report("done", 1.0) or found)
     monkeypatch.setattr("spherejax.command_line.figures.figures_of", lambda comparison: only)
     folder = tmp_path / "results"
     assert cli.main(["compare", "four-bar", "--quick", "--out", str(folder)]) == 0

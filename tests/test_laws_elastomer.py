@@ -8,7 +8,8 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 from scipy.linalg import expm
 
-from spherejax.foundations.checks import SceneError, enforce
+from spherejax.foundations.checks import enforce
+from spherejax.foundations.errors import SceneError
 from spherejax.physics.laws import CurveElastomer, MatrixElastomer, RadialElastomer, VectorElastomer
 
 K, B = 1e6, 1e-2  # N/m, s: the paper's bushing

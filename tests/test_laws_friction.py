@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from spherejax.foundations.checks import SceneError, enforce
+from spherejax.foundations.checks import enforce
+from spherejax.foundations.errors import SceneError
 from spherejax.physics.laws import Ambrosio, BengisuAkay, BrownMcPhee, Coulomb, LuGre, Threlfall
 
 LAWS = [Threlfall(), BengisuAkay(), Ambrosio(), BrownMcPhee()]

@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from spherejax.foundations.checks import SceneError, enforce
+from spherejax.foundations.checks import enforce
+from spherejax.foundations.errors import SceneError
 from spherejax.physics.laws import (
     MINIMUM_ONSET_RATE,
     AbstractHysteresisLaw,

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -119,5 +120,47 @@ def test_plot_is_offered_and_imported_when_it_is_first_used():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.split() == ["True", "False", "True", "False"]
-    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
+    with pytest.raises(AttributeError, match="No spherejax attribute no_such_name"):
         sj.no_such_name  # noqa: B018
+
+
+def test_what_type_checkers_read_is_what_there_is():
+    tree = ast.parse((Path(sj.__file__).parent / "__init__.pyi").read_text())
+    listed = next(ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign))
+    assert sorted(sj.__all__) == sorted(listed)
+    assert all(getattr(sj, name) is not None for name in listed)
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["--help"], 0),
+        (["run", "--help"], 0),
+        (["run", "four-bar", "--clearance", "0.1 mm"], 2),
+        (["run", "four-bar", "--joint", "dri"], 2),
+        (["run", "fourbar"], 2),
+        (["sweep", "four-bar", "--out", "x.nc"], 2),
+    ],
+)
+def test_help_and_wrong_arguments_do_not_wait_for_jax(words, code):
+    program = (
+        "import sys; sys.argv[0] = 'spherejax'; from spherejax.cli import main;"
+        f"print(main({words!r}), [name for name in ('jax', 'xarray', 'matplotlib', 'rich') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.splitlines()[-1] == f"{code} []"
+
+
+@pytest.mark.parametrize("start", [["-m", "spherejax"], ["-c", "from spherejax.cli import main; main(['list'])"]])
+def test_the_command_sets_itself_up_when_it_has_read_its_arguments(start, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(
+        "import atexit, os, sys\n"
+        "@atexit.register\n"
+        "def told():\n"
+        "    print(sys.modules['jax'].config.read('jax_enable_x64'), 'multi_output' in os.environ['XLA_FLAGS'])\n"
+    )
+    words = [sys.executable, *start, *(["list"] if start[0] == "-m" else [])]
+    clean = {key: value for key, value in os.environ.items() if key not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
+    environment = {**clean, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120, env=environment)
+    assert done.stdout.splitlines()[-1] == "True True"

@@ -145,7 +145,7 @@ def test_a_text_is_read_as_it_looks_or_not_at_all():
             '"trelfall"',
             ":35: joints.elbow.model.friction.kind: unknown kind 'trelfall' of friction law; did you mean 'threlfall'?",
         ),
-        ('"threlfall"', '"hertz"', ":35: joints.elbow.model.friction.kind: 'hertz' is no friction law; there are: cou"),
+        ('"threlfall"', '"hertz"', ":35: joints.elbow.model.friction.kind: 'hertz' is no friction law; there are: amb"),
         ('kind = "dry"', "", "scene.toml:31: joints.elbow.model: has no kind; write kind = "),
         ('kind = "dry"', "kind = 3", "scene.toml:31: joints.elbow.model: has no kind"),
         (
@@ -326,7 +326,7 @@ damper = { kind = "piecewise", breaks = [0], pieces = ["my_laws.py:hat", { kind 
         (":hat", ":hut", "my_laws.py has no function or class 'hut'; did you mean 'hat'?"),
         ('"my_laws.py:hat"', '{ kind = "my_laws.py:hat", a = 1 }', "pieces[0].a: the function hat has no numbers"),
         ('"my_laws.py:hat"', '"my_laws.py:Viscous"', "pieces[0]: 'my_laws.py:Viscous' is no function"),
-        ('"my_laws.py:hat"', '"hertz"', "pieces[0]: 'hertz' is no function; there are: constant, linear"),
+        ('"my_laws.py:hat"', '"hertz"', "pieces[0]: 'hertz' is no function; there are: bump, constant, linear"),
         ('["ground.hook", "lower"]', '"lower"', "forces.shock.ends: 'lower' is not a list of two of"),
         ('"lower"]', '"lowr"]', "forces.shock.ends[1]: there is no body 'lowr'; did you mean 'lower'?"),
         ('"lower"]', '"lower.pin"]', "forces.shock.ends[1]: 'lower.pin': body 'lower' has no point 'pin'"),

@@ -43,7 +43,22 @@ def shorter(
     return tuple(text and _replaced(text) for text in (signature, returned))
 
 
+def _without_marks(text: str) -> str:
+    """`X` for each `Annotated[X, ...]`: units stand in the descriptions."""
+    while found := re.search(r"~?(?:typing\.)?Annotated\[", text):
+        depth, comma = 1, None
+        for at in range(found.end(), len(text)):
+            depth += {"[": 1, "(": 1, "]": -1, ")": -1}.get(text[at], 0)
+            if depth == 1 and text[at] == "," and comma is None:
+                comma = at
+            if depth == 0:
+                break
+        text = text[: found.start()] + text[found.end() : comma] + text[at + 1 :]
+    return text
+
+
 def _replaced(text: str) -> str:
+    text = _without_marks(text)
     for pattern, short in SHORTER:
         text = re.sub(pattern, short, text)
     return text

@@ -1,5 +1,7 @@
 """`spherejax accuracy`: what accuracy costs in time, as a table, advice, files and figures."""
 
+from __future__ import annotations
+
 import argparse
 import csv
 import math
@@ -8,7 +10,7 @@ from pathlib import Path
 
 import spherejax as sj
 from spherejax.command_line.catalog import JOINTS, SOLVERS
-from spherejax.command_line.models import add_joint_options, model_from
+from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import real, whole
 from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.scenes import add_scene, chosen, model_name
@@ -116,7 +118,7 @@ def scenes_from(options: argparse.Namespace) -> dict[str, sj.Scene]:
     if options.joint is not None:
         raise sj.SceneError("--models compares models with their defaults; leave --joint and its options out")
     plain = {name: argparse.Namespace(**{**vars(options), "joint": name}) for name in options.models}
-    return {name: found.build(model_from(one)) for name, one in plain.items()}
+    return {name: found.scene(one) for name, one in plain.items()}
 
 
 def _request(options: argparse.Namespace) -> dict:
@@ -138,7 +140,7 @@ def solvers_named(names) -> dict:
     """Solvers by their class names; those that the study knows are set up as it does."""
     from spherejax.studies.accuracy import SOLVERS as STUDIED
 
-    classes = [SOLVERS[name][0] for name in names]
+    classes = [SOLVERS[name] for name in names]
     return {one.__name__: STUDIED[one.__name__] if one.__name__ in STUDIED else one() for one in classes}
 
 

@@ -1,20 +1,42 @@
 """Names that the command line knows: scenes, joint models, laws, solvers, drift controls; and `spherejax list`."""
 
+from __future__ import annotations
+
 import argparse
-import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import spherejax as sj
-from spherejax.files.dimensions import FIELDS
-from spherejax.files.settings import SOLVERS
+from spherejax.files.solvers import SOLVERS
+from spherejax.foundations.parts import Parts
 
-SCENES: Mapping[str, Callable[..., sj.Scene]] = {
-    name.replace("_", "-"): build
-    for name, build in vars(sj.gallery).items()
-    if name in sj.gallery.__all__ and inspect.signature(build).return_annotation is sj.Scene
-}
+SCENES = Parts(
+    {
+        name.replace("_", "-"): f"spherejax.gallery:{name}"
+        for name in (
+            "andrews",
+            "bricard",
+            "car_axis",
+            "chain",
+            "four_bar",
+            "governor",
+            "hip",
+            "n_four_bar",
+            "double_pendulum",
+            "heavy_top",
+            "physical_pendulum",
+            "simple_pendulum",
+            "slider_crank",
+            "suspension",
+        )
+    }
+)
 """The scenes of the gallery: functions that can be called without arguments."""
+
+SUBJECTS = Parts(
+    {name: "spherejax.studies.subjects:" + name.replace("-", "_").upper() for name in ("four-bar", "suspension")}
+)
+"""The mechanisms whose joint models can be compared: one file for each."""
 
 ALIASES = {"a01": "simple-pendulum", "a02": "n-four-bar", "a04": "bricard", "a05": "governor"}
 """Short names of scenes: their numbers in the IFToMM library of benchmark problems."""
@@ -53,34 +75,52 @@ JOINTS = {
     "bushing": "an elastomer instead of the clearance",
 }
 
-NORMAL_LAWS = {
-    "hertz": sj.Hertz,
-    "hunt-crossley": sj.HuntCrossley,
-    "lankarani-nikravesh": sj.LankaraniNikravesh,
-    "gonthier": sj.Gonthier,
-    "flores": sj.Flores,
-    "exact": sj.ExactRestitution,
-}
+NORMAL_LAWS = Parts(
+    {
+        "hertz": "spherejax:Hertz",
+        "hunt-crossley": "spherejax:HuntCrossley",
+        "lankarani-nikravesh": "spherejax:LankaraniNikravesh",
+        "gonthier": "spherejax:Gonthier",
+        "flores": "spherejax:Flores",
+        "exact": "spherejax:ExactRestitution",
+    }
+)
 
-FRICTION_LAWS = {
-    "threlfall": sj.Threlfall,
-    "bengisu-akay": sj.BengisuAkay,
-    "ambrosio": sj.Ambrosio,
-    "brown-mcphee": sj.BrownMcPhee,
-    "lugre": sj.LuGre,
-}
+FRICTION_LAWS = Parts(
+    {
+        "threlfall": "spherejax:Threlfall",
+        "bengisu-akay": "spherejax:BengisuAkay",
+        "ambrosio": "spherejax:Ambrosio",
+        "brown-mcphee": "spherejax:BrownMcPhee",
+        "lugre": "spherejax:LuGre",
+    }
+)
 
-FILMS = {"radial": sj.RadialFilm, "full": sj.FullFilm}
-BOUNDARIES = {"guembel": sj.Guembel, "pinkus-sternlicht": sj.PinkusSternlicht, "sommerfeld": sj.Sommerfeld}
+FILMS = Parts({"radial": "spherejax:RadialFilm", "full": "spherejax:FullFilm"})
+BOUNDARIES = Parts(
+    {
+        "guembel": "spherejax:Guembel",
+        "pinkus-sternlicht": "spherejax:PinkusSternlicht",
+        "sommerfeld": "spherejax:Sommerfeld",
+    }
+)
 
-ELASTOMERS = {"radial": sj.RadialElastomer, "vector": sj.VectorElastomer}
+ELASTOMERS = Parts({"radial": "spherejax:RadialElastomer", "vector": "spherejax:VectorElastomer"})
 
-DRIFT_CONTROLS = {
-    "baumgarte": (sj.Baumgarte, "feedback of the violations in the equations, alpha = beta = 5 1/s"),
-    "projection": (sj.Projection, "every step ends on the constraints, to rounding"),
-    "post-stabilization": (sj.PostStabilization, "one Newton correction after each step"),
-    "none": (sj.NoDriftControl, "the equations as they are"),
-}
+DRIFT_CONTROLS = Parts(
+    {
+        "baumgarte": "spherejax:Baumgarte",
+        "projection": "spherejax:Projection",
+        "post-stabilization": "spherejax:PostStabilization",
+        "none": "spherejax:NoDriftControl",
+    },
+    {
+        "baumgarte": "feedback of the violations in the equations, alpha = beta = 5 1/s",
+        "projection": "every step ends on the constraints, to rounding",
+        "post-stabilization": "one Newton correction after each step",
+        "none": "the equations as they are",
+    },
+)
 
 ABOUT_FILES = """\
 A * marks a key that must be given. Numbers are in the unit in brackets, or texts with another unit: "0.1 mm".
@@ -134,9 +174,8 @@ def list_names(options: argparse.Namespace) -> int:
     boundaries = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in BOUNDARIES.items()]
     print_table("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
     print_table("Elastomers (--elastomer)", ("name", "parameters and defaults"), _with_parameters(ELASTOMERS))
-    print_table("Solvers (--solver)", ("name", "what"), [(name, what) for name, (_, what) in SOLVERS.items()])
-    controls = [(name, what) for name, (_, what) in DRIFT_CONTROLS.items()]
-    print_table("Drift control (--drift)", ("name", "what"), controls)
+    print_table("Solvers (--solver)", ("name", "what"), list(SOLVERS.words.items()))
+    print_table("Drift control (--drift)", ("name", "what"), list(DRIFT_CONTROLS.words.items()))
     print(
         "A mechanism of your own is a scene file: `spherejax write four-bar --out my.toml` writes one to start from,\n"
         "`spherejax run my.toml` runs it, `spherejax list --kinds` names what can stand in it."
@@ -150,21 +189,21 @@ def list_kinds() -> None:
     from spherejax.files.kinds import family_names, keys_of, kinds_of
     from spherejax.files.settings import FIELDS as SETTINGS
 
-    print_table("[bodies.NAME]", ("key", "what"), keys_of(sj.Body))
+    print_table("[bodies.NAME]", ("key", "what", "meaning"), keys_of(sj.Body))
     for title, family in family_names():
         rows = [
-            (kind if first else "", key, what)
+            (kind if first else "", *row)
             for kind, cls in kinds_of(family).items()
-            for first, (key, what) in _marked(keys_of(cls))
+            for first, row in _marked(keys_of(cls))
         ]
-        print_table(title, ("kind", "key", "what"), rows)
+        print_table(title, ("kind", "key", "what", "meaning"), rows)
     print_table("[simulation]", ("key", "what"), [(key, field.what) for key, field in SETTINGS.items()])
     print(ABOUT_FILES)
 
 
 def _marked(rows):
     """Rows with a mark at the first; one empty row where there is none."""
-    rows = rows or [("", "")]
+    rows = rows or [("", "", "")]
     return [(position == 0, row) for position, row in enumerate(rows)]
 
 
@@ -175,6 +214,8 @@ def _with_parameters(laws: Mapping[str, type]) -> list[tuple[str, str]]:
 def parameters_of(law: type) -> str:
     """Parameters of a law with defaults and units, as one line."""
     import dataclasses
+
+    from spherejax.files.dimensions import FIELDS
 
     words = []
     for parameter in dataclasses.fields(law):

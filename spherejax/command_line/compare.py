@@ -1,15 +1,19 @@
 """`spherejax compare`: the joint models against each other, as a table, files and figures."""
 
+from __future__ import annotations
+
 import argparse
 import csv
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import spherejax as sj
+from spherejax.command_line.catalog import SUBJECTS
 from spherejax.command_line.printing import print_table, progress
-from spherejax.studies.compare import compare
-from spherejax.studies.subject import Comparison, Row
-from spherejax.studies.subjects import SUBJECTS
+
+if TYPE_CHECKING:
+    from spherejax.studies.subject import Comparison, Row
 
 SAVED_SAMPLES = 2000
 """Samples of the netCDF files, about; the study itself uses a hundred times more."""
@@ -51,6 +55,7 @@ def add_compare(commands) -> None:
 def compare_models(options: argparse.Namespace) -> int:
     """Simulate, print the table, write everything."""
     from spherejax.output.io import make_folder, require_free
+    from spherejax.studies.compare import compare
 
     folder = Path(options.out).expanduser()
     require_free(folder / "table.csv", overwrite=options.overwrite)

@@ -1,9 +1,10 @@
 """`spherejax draw`: a mechanism as a picture, or its motion as a film."""
 
+from __future__ import annotations
+
 import argparse
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 import spherejax as sj
@@ -143,13 +144,13 @@ def _write_film(options: argparse.Namespace, found: Chosen, scene: sj.Scene, pat
 def _simulated(scene: sj.Scene, t1: float, found: Chosen) -> sj.Trajectory:
     said = found.settings
     solver = None if said.solver is None else _solver(said.solver)
-    return sj.simulate(scene, jnp.linspace(0.0, t1, SAMPLES), rtol=said.rtol or 1e-8, solver=solver, throw=True)
+    return sj.simulate(scene, np.linspace(0.0, t1, SAMPLES), rtol=said.rtol or 1e-8, solver=solver, throw=True)
 
 
 def _solver(name: str):
-    from spherejax.files.settings import SOLVERS
+    from spherejax.files.solvers import SOLVERS
 
-    return SOLVERS[name][0]()
+    return SOLVERS[name]()
 
 
 def _wishes(options: argparse.Namespace) -> dict:

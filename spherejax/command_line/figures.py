@@ -1,8 +1,12 @@
 """The figures of a comparison."""
 
-from collections.abc import Callable
+from __future__ import annotations
 
-from spherejax.studies.subject import Comparison
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from spherejax.studies.subject import Comparison
 
 
 def figures_of(comparison: Comparison) -> dict[str, Callable]:

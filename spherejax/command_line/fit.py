@@ -1,5 +1,7 @@
 """`spherejax fit`: parameters of a mechanism from measurements of its motion."""
 
+from __future__ import annotations
+
 import argparse
 import csv
 from pathlib import Path
@@ -93,7 +95,7 @@ def fit_scene(options: argparse.Namespace) -> int:
         require_free(folder / FILES[0], overwrite=options.overwrite)
     start = _starts(options)
     found = chosen(_with_starts(options, start))
-    start = _filled(found.scene(_with_starts(options, start)), start)
+    start = _filled(found, found.scene(_with_starts(options, start)), start)
     measured = [_measured(path, options) for path in options.measured]
     if folder is not None:
         make_folder(folder)
@@ -106,7 +108,7 @@ def fit_scene(options: argparse.Namespace) -> int:
         starts=options.starts,
         horizon=Whole() if options.whole else None,
         rtol=options.rtol,
-        solver=SOLVERS[options.solver][0]() if options.solver else None,
+        solver=SOLVERS[options.solver]() if options.solver else None,
         level=options.level,
     )
     _print(fitted)
@@ -154,14 +156,14 @@ def _with_starts(options: argparse.Namespace, start: dict[str, Any]) -> argparse
     return argparse.Namespace(**{**vars(options), **of_joint})
 
 
-def _filled(scene: sj.Scene, start: dict[str, Any]) -> dict[str, Any]:
+def _filled(found: Chosen, scene: sj.Scene, start: dict[str, Any]) -> dict[str, Any]:
     """Starts with the scene's own numbers where none is given; a wrong path is refused."""
     filled = {}
     for name, parameter in start.items():
         if name.replace("-", "_") in USED_BY:
             filled[name] = parameter
             continue
-        own = number_at(scene, name)
+        own = number_at(scene, name, found.studied)
         filled[name] = sj.Parameter(own) if parameter is None else parameter
         if parameter is not None and own.ndim:
             raise sj.SceneError(f"--start {name}: it is an array of shape {own.shape}; give the name alone")
@@ -176,7 +178,7 @@ def _builder(found: Chosen, options: argparse.Namespace):
         scene = found.scene(argparse.Namespace(**{**vars(options), **of_joint}))
         for name, value in values.items():
             if name.replace("-", "_") not in of_joint:
-                scene = with_number(scene, name, value)
+                scene = with_number(scene, name, value, found.studied)
         return scene
 
     return build

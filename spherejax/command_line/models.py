@@ -1,5 +1,7 @@
 """From the options of a command to a joint model."""
 
+from __future__ import annotations
+
 import argparse
 import dataclasses
 from collections.abc import Mapping
@@ -26,6 +28,14 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         "--joint",
         choices=JOINTS,
         help="model of the studied joint (default: the one that the scene or the file describes)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="any other number, with or without a unit: rocker.mass=25g, friction.v1=1e-4 of the studied joint, "
+        "joints.NAME.model.normal.stiffness=..., forces.NAME.damping=..., gravity=0,0,-1.62; may be repeated",
     )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
     gap.add_argument("--clearance", type=real, metavar="M", help="radial clearance [m] (default: 1e-4)")

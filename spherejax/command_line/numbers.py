@@ -1,5 +1,7 @@
 """Numbers on the command line: plain ones in SI units, as strict as those in files."""
 
+from __future__ import annotations
+
 import argparse
 
 import spherejax as sj

@@ -1,13 +1,14 @@
 """Tables and progress on the terminal; plain lines where there is none."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Report = Callable[[str, float], None]
 
@@ -17,6 +18,8 @@ WIDTH_WITHOUT_TERMINAL = 150
 
 def console(*, errors: bool = False) -> Console:
     """The terminal, as wide as it is."""
+    from rich.console import Console
+
     stream = sys.stderr if errors else sys.stdout
     width = None if stream.isatty() else WIDTH_WITHOUT_TERMINAL
     return Console(file=stream, width=width, highlight=False)
@@ -24,6 +27,9 @@ def console(*, errors: bool = False) -> Console:
 
 def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: bool = False) -> None:
     """A titled table; with `numeric`, all columns but the first are aligned to the right."""
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=Text(title), title_justify="left", title_style="bold")
     for position, head in enumerate(heads):
         table.add_column(Text(head), justify="right" if numeric and position else "left", overflow="fold")
@@ -40,6 +46,8 @@ def progress(title: str) -> Iterator[Report]:
     if not out.is_terminal:
         yield lambda what, share: print(f"[{100 * share:3.0f} %] {what}", file=sys.stderr, flush=True)
         return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

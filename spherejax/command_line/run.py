@@ -1,10 +1,10 @@
 """`spherejax run`: one scene, one joint model, one file."""
 
+from __future__ import annotations
+
 import argparse
 import time
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import spherejax as sj
@@ -13,7 +13,6 @@ from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
-from spherejax.files.settings import SimulationSettings
 
 DESCRIPTION = """\
 Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
@@ -64,17 +63,19 @@ def add_run(commands) -> None:
 
 def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
+    import jax
+
     from spherejax.output.io import save, writable
 
     found = chosen(options)
     scene = found.scene(options)
     if options.drift is not None:
-        scene = changed_scene(scene, drift=DRIFT_CONTROLS[options.drift][0]())
+        scene = changed_scene(scene, drift=DRIFT_CONTROLS[options.drift]())
     options = with_defaults(options, found.settings)
     ts = sample_times(options)
     if options.out is not None:
         writable(options.out, overwrite=options.overwrite)
-    solver = SOLVERS[options.solver][0]() if options.solver else None
+    solver = SOLVERS[options.solver]() if options.solver else None
     start = time.perf_counter()
     run = sj.simulate(
         scene,
@@ -97,9 +98,9 @@ def run_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def with_defaults(options: argparse.Namespace, settings: SimulationSettings) -> argparse.Namespace:
+def with_defaults(options: argparse.Namespace, settings: sj.SimulationSettings) -> argparse.Namespace:
     """What the options leave open, as the scene's file says, or as the help does."""
-    said = {name: getattr(options, name) for name in SimulationSettings._fields}
+    said = {name: getattr(options, name) for name in sj.SimulationSettings._fields}
     if said["samples"] is not None or said["dt"] is not None:
         settings = settings._replace(samples=None, dt=None)
     last = {"t1": 2.0, "rtol": 1e-8, "max_steps": 20_000_000}
@@ -128,7 +129,7 @@ def sample_times(options: argparse.Namespace):
         n_samples = round(options.t1 / options.dt) + 1
     else:
         n_samples = 2001 if options.samples is None else options.samples
-    return jnp.linspace(0.0, options.t1, number_of_samples(n_samples))
+    return np.linspace(0.0, options.t1, number_of_samples(n_samples))
 
 
 def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:

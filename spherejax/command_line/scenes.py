@@ -1,5 +1,7 @@
 """Which mechanism a command is about: a scene of the gallery, or a file."""
 
+from __future__ import annotations
+
 import argparse
 import inspect
 from collections.abc import Callable, Mapping
@@ -9,9 +11,8 @@ from typing import NamedTuple
 import spherejax as sj
 from spherejax.command_line.catalog import ALIASES, JOINTS, SCENES, USUAL, Usual
 from spherejax.command_line.models import USED_BY, model_from
-from spherejax.files.objects import arguments_of
-from spherejax.files.place import one_of
-from spherejax.files.settings import SimulationSettings
+from spherejax.command_line.scene_numbers import with_text
+from spherejax.foundations.errors import one_of
 
 SUFFIXES = {".toml": "a scene file", ".urdf": "a robot description"}
 """Files that describe a mechanism."""
@@ -35,11 +36,14 @@ class Chosen(NamedTuple):
     title: str
     build: Callable[[sj.AbstractSphericalModel | None], sj.Scene]
     studied: str | None
-    settings: SimulationSettings
+    settings: sj.SimulationSettings
 
     def scene(self, options: argparse.Namespace) -> sj.Scene:
-        """The scene with the model that the options ask for."""
-        return self.build(None if options.joint is None else model_from(options))
+        """The scene with the model and the numbers that the options ask for."""
+        scene = self.build(None if options.joint is None else model_from(options))
+        for text in options.set:
+            scene = with_text(scene, text, self.studied)
+        return scene
 
 
 def add_scene(parser: argparse.ArgumentParser, joint: str = "--of") -> None:
@@ -129,7 +133,7 @@ def _from_gallery(name: str) -> Chosen:
         return build(model) if takes_model else build()
 
     usual = USUAL.get(name, Usual())
-    settings = SimulationSettings(t1=usual.t1, samples=usual.samples)
+    settings = sj.SimulationSettings(t1=usual.t1, samples=usual.samples)
     return Chosen(name, "", with_model, studied_in(build), settings)
 
 
@@ -167,6 +171,8 @@ def _studying(found: Chosen, joint: str) -> Chosen:
 
 def with_joint_model(scene: sj.Scene, joint: str, model: sj.AbstractSphericalModel) -> sj.Scene:
     """The scene with another model of one joint."""
+    from spherejax.files.objects import arguments_of
+
     given = scene.joints[joint]
     changed = type(given)(**{**arguments_of(given), "model": model})
     return changed_scene(scene, joints={**scene.joints, joint: changed})

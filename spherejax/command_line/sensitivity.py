@@ -1,16 +1,18 @@
 """`spherejax sensitivity`: which parameter of a scene matters when, as table and pictures."""
 
+from __future__ import annotations
+
 import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-import jax
 import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import number_of, number_of_samples, real, whole
+from spherejax.command_line.scene_numbers import number_at
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.sweep import builder
 
@@ -49,7 +51,7 @@ def add_sensitivity(commands) -> None:
         action="append",
         required=True,
         metavar="NAME[=VALUE]",
-        help="a parameter, e.g. stiffness, mu=0.2, rocker.mass; may be repeated",
+        help="a parameter, e.g. stiffness, mu=0.2, rocker.mass, friction.v1; may be repeated",
     )
     what.add_argument(
         "--of",
@@ -90,7 +92,7 @@ def find_sensitivities(options: argparse.Namespace) -> int:
         np.linspace(0.0, options.t1, number_of_samples(options.samples)),
         observables=options.observables,
         rtol=options.rtol,
-        solver=SOLVERS[options.solver][0]() if options.solver else None,
+        solver=SOLVERS[options.solver]() if options.solver else None,
     )
     print(result)
     if folder is not None:
@@ -122,10 +124,16 @@ def _value(found: Chosen, options: argparse.Namespace, build: Callable, names, k
     if own is not None:
         return float(own)
     scene = found.scene(options)
-    body, dot, number = name.partition(".")
-    if dot:
-        scene.require_body(body, f"--by {name}")
-        return float(getattr(scene.bodies[body], number))
+    if "." in name:
+        try:
+            own = number_at(scene, name, found.studied)
+        except sj.SceneError as error:
+            raise sj.SceneError(f"--by {error}") from None
+        if own.ndim:
+            raise sj.SceneError(f"--by {name}: it is numbers of shape {own.shape}; name one")
+        return float(own)
+    import jax
+
     numbers = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(scene)])
     for marker in MARKERS:
         try:

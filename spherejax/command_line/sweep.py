@@ -1,10 +1,11 @@
 """`spherejax sweep`: many runs of one scene, stored as they come, and pictures of the result."""
 
+from __future__ import annotations
+
 import argparse
 import time
 from pathlib import Path
 
-import equinox as eqx
 import numpy as np
 
 import spherejax as sj
@@ -12,16 +13,16 @@ from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
+from spherejax.command_line.scene_numbers import with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
-from spherejax.files.place import one_of
-from spherejax.motion.status import REMEDIES, Status
+from spherejax.foundations.errors import one_of
 
 DESCRIPTION = """\
 Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied
-joint (clearance, mu, restitution, stiffness, ...) or a number of a body (rocker.mass). Every
-combination is run, or samples of the ranges with --draws. Results go to a Zarr store chunk by
-chunk: a sweep that was stopped goes on when the same command is given again. Pictures (maps, curves,
-fan charts) are written beside the store.
+joint (clearance, mu, restitution, stiffness, ...) or a number of the scene by its path (rocker.mass,
+friction.v1, forces.shock.damping, as with --set). Every combination is run, or samples of the
+ranges with --draws. Results go to a Zarr store chunk by chunk: a sweep that was stopped goes on when
+the same command is given again. Pictures (maps, curves, fan charts) are written beside the store.
 """
 
 EPILOG = """examples:
@@ -29,9 +30,6 @@ EPILOG = """examples:
   spherejax sweep four-bar --joint bushing --vary stiffness=1e5:1e7:9:log --record position.rocker --out k.nc
   spherejax sweep four-bar --vary rocker.mass=0.02:0.04 --vary coupler.mass=0.1:0.2 --draws 256 --out m.zarr
 """
-
-OF_BODIES = ("mass",)
-"""Numbers of a body that can be varied."""
 
 
 def add_sweep(commands) -> None:
@@ -99,7 +97,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         record=record,
         rtol=options.rtol,
         max_steps=options.max_steps,
-        solver=SOLVERS[options.solver][0]() if options.solver else None,
+        solver=SOLVERS[options.solver]() if options.solver else None,
         workers=options.workers,
         chunk=options.chunk,
         store=path if path.suffix == ".zarr" else None,
@@ -169,20 +167,20 @@ def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid:
 def builder(found: Chosen, options: argparse.Namespace, names: dict[str, str], flag: str = "--vary"):
     """A function from the grid's parameters to the scene."""
     for name in names.values():
-        _, dot, number = name.partition(".")
-        if name not in USED_BY and not (dot and number in OF_BODIES):
-            known = [*USED_BY, *(f"BODY.{number}" for number in OF_BODIES)]
-            raise sj.SceneError(f"{flag} {name}: no such number; {one_of(known, name)}")
+        if name not in USED_BY and "." not in name:
+            known = [*USED_BY, "BODY.mass", "friction.v1", "joints.NAME.model.clearance", "forces.NAME.damping"]
+            raise sj.SceneError(f"{flag} {name}: no such number; {one_of(known, name)}, and other paths like these")
 
     def build(**values) -> sj.Scene:
         of_joint = {key: value for key, value in values.items() if names[key] in USED_BY}
         scene = found.scene(argparse.Namespace(**{**vars(options), **of_joint}))
         for key, value in values.items():
-            body, dot, number = names[key].partition(".")
-            if not dot:
+            if key in of_joint:
                 continue
-            scene.require_body(body, f"{flag} {names[key]}")
-            scene = eqx.tree_at(lambda s, body=body, number=number: getattr(s.bodies[body], number), scene, value)
+            try:
+                scene = with_number(scene, names[key], value, found.studied)
+            except sj.SceneError as error:
+                raise sj.SceneError(f"{flag} {error}") from None
         return scene
 
     return build
@@ -222,6 +220,8 @@ def _print(found: Chosen, options: argparse.Namespace, names: dict[str, str], re
 
 def _print_failures(result) -> None:
     """Why runs failed, for which values, and what to do."""
+    from spherejax.motion.status import REMEDIES, Status
+
     status = result["status"]
     rows, remedies = [], []
     for kind in Status:

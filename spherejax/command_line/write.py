@@ -1,5 +1,7 @@
 """`spherejax write`: a scene as a file that can be edited and run."""
 
+from __future__ import annotations
+
 import argparse
 
 import spherejax as sj
@@ -18,7 +20,7 @@ EPILOG = """examples:
   spherejax write robot.urdf --out robot.toml
 """
 
-GALLERY_SETTINGS = sj.SimulationSettings(t1=2.0, samples=2001, rtol=1e-8)
+GALLERY_SETTINGS = {"t1": 2.0, "samples": 2001, "rtol": 1e-8}
 """The table [simulation] for scenes that come from no file: the defaults of `spherejax run`."""
 
 
@@ -42,7 +44,11 @@ def add_write(commands) -> None:
 def write_scene(options: argparse.Namespace) -> int:
     """Write the file."""
     found = chosen(options)
-    settings = found.settings if any(value is not None for value in found.settings) else GALLERY_SETTINGS
+    settings = (
+        found.settings
+        if any(value is not None for value in found.settings)
+        else sj.SimulationSettings(**GALLERY_SETTINGS)
+    )
     path = sj.save_scene(
         found.scene(options),
         options.out,

@@ -1,8 +1,6 @@
 """Scene files: mechanisms described in TOML or URDF, read with their units checked, and written back."""
 
-from spherejax.files.reading import SceneFile, load_scene, read_scene_file
-from spherejax.files.settings import SimulationSettings
-from spherejax.files.urdf import load_urdf
-from spherejax.files.writing import save_scene
+import lazy_loader
 
-__all__ = ["SceneFile", "SimulationSettings", "load_scene", "load_urdf", "read_scene_file", "save_scene"]
+# Loaded when it is asked for: the command line reads numbers and units with what stands here, without JAX.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

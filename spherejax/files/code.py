@@ -19,8 +19,8 @@ from zlib import crc32
 
 from spherejax.files.fields import Context, words_of
 from spherejax.files.parts import OwnFunction
-from spherejax.files.place import Place, one_of
-from spherejax.foundations.checks import SceneError
+from spherejax.files.place import Place
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions import AbstractFunction
 
 TAKE_CALLABLES = (AbstractFunction, OwnFunction)

@@ -1,269 +1,114 @@
-"""What each argument of each class holds, with its unit: the one table by which files are read, checked and written.
+"""What each argument of each class holds, with its unit, as the annotations of its constructor say it.
 
-An argument that is missing here cannot be written in a file; a test compares the table with every public class.
+A class describes itself: `v1: Annotated[Number, Unit("m/s")]` beside its formula is all that files, lists and the
+command line know of a number. See the marks in `foundations.types`.
 """
 
-from collections.abc import Mapping
+import inspect
+import types
+from collections.abc import Mapping, Sequence
+from typing import Any, Union, get_args, get_origin
+
+import equinox as eqx
 
 from spherejax.files.fields import Field, Plain
 from spherejax.files.names import BodyName, BodyNames, End, Ends, PointName, PointOrPlace
 from spherejax.files.parts import Either, OwnFunction, Part, Parts
-from spherejax.files.quantities import Coefficients, Points, Quantity, listed, matrix, number, vector
-from spherejax.model.drift import Baumgarte, NoDriftControl, PostStabilization, Projection
+from spherejax.files.quantities import Coefficients, Points, Quantity
+from spherejax.foundations.types import COEFFICIENTS, OWN, Function, Named, Shaped, Unit
+from spherejax.model import drift
 from spherejax.physics import forces, functions, joints, laws
 from spherejax.physics.bodies import Body
 
 Fields = Mapping[str, Field]
 
-BODY: Fields = {
-    "mass": number("kg"),
-    "inertia": Quantity("kg m^2", ((3,), (3, 3))),
-    "position": vector("m"),
-    "quaternion": Quantity("1", ((4,),)),
-    "velocity": vector("m/s"),
-    "angular_velocity": vector("rad/s"),
-    "points": Points(),
-    "reference_position": vector("m"),
-    "reference_quaternion": Quantity("1", ((4,),)),
-}
-
-_CONTACT: Fields = {
-    "clearance": number("m"),
-    "socket_radius": number("m"),
-    "ball_radius": number("m"),
-    "normal": Part(laws.AbstractNormalLaw),
-    "friction": Part(laws.AbstractFrictionLaw),
-    "socket_material": Part(laws.Material),
-    "ball_material": Part(laws.Material),
-}
-
-_NORMAL: Fields = {"stiffness": number("N/m^{exponent}"), "exponent": number("1")}
-
-_HYSTERESIS: Fields = {"restitution": number("1"), **_NORMAL}
-
-_MODEL = Part(joints.AbstractSphericalModel)
-
-_AXIAL: Fields = {
-    "bodies": BodyNames(),
-    "point": PointOrPlace(),
-    "axis": vector("1"),
-    "model": _MODEL,
-    "starts_concentric": Plain(bool),
+NAMES: Mapping[Named, Field] = {
+    Named.BODY: BodyName(),
+    Named.BODIES: BodyNames(),
+    Named.POINT: PointName(),
+    Named.END: End(),
+    Named.ENDS: Ends(),
+    Named.PLACE: PointOrPlace(),
 }
 
 
-def _function(argument: str, value: str) -> Part:
-    """A function of one number, with the units of its argument and its value."""
-    return Part(functions.AbstractFunction, argument, value)
+def parameters_of(cls: type) -> dict[str, inspect.Parameter]:
+    """The arguments of a class's constructor."""
+    return {
+        name: parameter
+        for name, parameter in inspect.signature(cls).parameters.items()
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+    }
 
 
-JOINTS: Mapping[type, Fields] = {
-    joints.Spherical: {
-        "socket": PointName(),
-        "ball": PointName(),
-        "model": _MODEL,
-        "starts_concentric": Plain(bool),
-    },
-    joints.Revolute: _AXIAL,
-    joints.Cylindrical: _AXIAL,
-    joints.Prismatic: _AXIAL,
-    joints.Universal: {
-        "bodies": BodyNames(),
-        "point": PointOrPlace(),
-        "first_axis": vector("1"),
-        "second_axis": vector("1"),
-        "model": _MODEL,
-        "starts_concentric": Plain(bool),
-    },
-    joints.Fixed: {
-        "bodies": BodyNames(),
-        "point": PointOrPlace(),
-        "model": _MODEL,
-        "starts_concentric": Plain(bool),
-    },
-    joints.PointOnPlane: {
-        "point": PointName(),
-        "through": PointOrPlace(),
-        "normal": vector("1"),
-        "body": BodyName(),
-    },
-    joints.PointOnCurve: {"point": PointName(), "curve": Part(joints.AbstractCurve), "body": BodyName()},
-    joints.Distance: {"first": PointName(), "second": PointName(), "length": number("m")},
-    joints.DistanceDriver: {"first": PointName(), "second": PointName(), "length": _function("s", "m")},
-    joints.RotationDriver: {"bodies": BodyNames(), "axis": vector("1"), "angle": _function("s", "rad")},
-    joints.TranslationDriver: {
-        "bodies": BodyNames(),
-        "point": PointOrPlace(),
-        "axis": vector("1"),
-        "travel": _function("s", "m"),
-    },
-    joints.PositionDriver: {"point": PointName(), "position": Part(OwnFunction), "body": BodyName()},
-}
+def described_field(parameter: inspect.Parameter) -> Field | None:
+    """What an argument holds, as its annotation says; None where that says nothing that files know."""
+    marks = getattr(parameter.annotation, "__metadata__", ())
+    kind = _without_none(get_args(parameter.annotation)[0] if marks else parameter.annotation)
+    marks = (*marks, *getattr(kind, "__metadata__", ()))
+    unit = next((mark.si for mark in marks if isinstance(mark, Unit)), None)
+    function = next((mark for mark in marks if isinstance(mark, Function)), None)
+    if function is not None:
+        is_many = parameter.kind is inspect.Parameter.VAR_POSITIONAL or (get_origin(kind) or kind) is Sequence
+        family = functions.AbstractFunction
+        return Parts(family) if is_many else Part(family, function.argument, function.value)
+    if unit is not None:
+        if (get_origin(kind) or kind) is Mapping:
+            return Points()
+        shapes = next((mark.shapes for mark in marks if isinstance(mark, Shaped)), _shapes_of(kind))
+        quantity = Quantity(unit, ((3,),) if OWN in marks else shapes)
+        return Either(quantity, Part(OwnFunction)) if OWN in marks else quantity
+    if OWN in marks:
+        return Part(OwnFunction)
+    if COEFFICIENTS in marks:
+        return Coefficients()
+    named = next((NAMES[mark] for mark in marks if isinstance(mark, Named)), None)
+    if named is not None or kind in (bool, str, int):
+        return named or Plain(kind)
+    is_family = inspect.isclass(kind) and eqx.Module in kind.__mro__
+    return Part(kind) if is_family else None
 
-CURVES: Mapping[type, Fields] = {
-    joints.Circle: {"center": vector("m"), "axis": vector("1"), "radius": number("m")},
-    joints.Line: {"through": vector("m"), "direction": vector("1")},
-    joints.ImplicitCurve: {"function": Part(OwnFunction)},
-}
 
-MODELS: Mapping[type, Fields] = {
-    joints.Ideal: {},
-    joints.Dry: _CONTACT,
-    joints.Lubricated: {
-        **_CONTACT,
-        "viscosity": number("Pa s"),
-        "e_h0": number("m"),
-        "e_h1": number("m"),
-        "boundary": Part(laws.AbstractFilmBoundary),
-        "film": Part(laws.AbstractFilm),
-    },
-    joints.Bushing: {"stiffness": number("N/m"), "damping": number("s"), "law": Part(laws.AbstractElastomer)},
-}
+def _without_none(annotation: Any) -> Any:
+    """The class in `X | None`."""
+    if get_origin(annotation) not in (Union, types.UnionType):
+        return annotation
+    options = [option for option in get_args(annotation) if option is not types.NoneType]
+    return options[0] if len(options) == 1 else annotation
 
-_TRANSLATION: Fields = {"stiffness": matrix("N/m"), "damping": matrix("N s/m")}
 
-LAWS: Mapping[type, Fields] = {
-    laws.Hertz: _NORMAL,
-    laws.HuntCrossley: _HYSTERESIS,
-    laws.LankaraniNikravesh: _HYSTERESIS,
-    laws.Gonthier: _HYSTERESIS,
-    laws.Flores: _HYSTERESIS,
-    laws.ExactRestitution: _HYSTERESIS,
-    laws.Coulomb: {"mu": number("1")},
-    laws.Threlfall: {"mu": number("1"), "v1": number("m/s")},
-    laws.BengisuAkay: {
-        "mu_kinetic": number("1"),
-        "mu_static": number("1"),
-        "v0": number("m/s"),
-        "kappa": number("s/m"),
-    },
-    laws.Ambrosio: {"mu": number("1"), "v0": number("m/s"), "v1": number("m/s")},
-    laws.BrownMcPhee: {"mu_kinetic": number("1"), "mu_static": number("1"), "stribeck_velocity": number("m/s")},
-    laws.LuGre: {
-        "mu_kinetic": number("1"),
-        "mu_static": number("1"),
-        "stribeck_velocity": number("m/s"),
-        "bristle_stiffness": number("1/m"),
-        "bristle_damping": number("s/m"),
-        "viscous": number("s/m"),
-    },
-    laws.RadialFilm: {},
-    laws.FullFilm: {},
-    laws.Guembel: {},
-    laws.PinkusSternlicht: {},
-    laws.Sommerfeld: {},
-    laws.Material: {"youngs_modulus": number("Pa"), "poissons_ratio": number("1")},
-    laws.RadialElastomer: {"stiffness": number("N/m"), "damping": number("s")},
-    laws.VectorElastomer: {"stiffness": number("N/m"), "damping": number("s")},
-    laws.MatrixElastomer: {
-        **_TRANSLATION,
-        "rotational_stiffness": matrix("N m/rad"),
-        "rotational_damping": matrix("N m s/rad"),
-    },
-    laws.HingeElastomer: {
-        **_TRANSLATION,
-        "conical_stiffness": number("N m/rad"),
-        "conical_damping": number("N m s/rad"),
-        "torsional_damping": number("N m s/rad"),
-    },
-    laws.CrossElastomer: {
-        **_TRANSLATION,
-        "torsional_stiffness": number("N m/rad"),
-        "torsional_damping": number("N m s/rad"),
-    },
-    laws.CurveElastomer: {"deflections": listed("m"), "forces": listed("N"), "damping": number("s")},
-}
+def _shapes_of(kind: Any) -> tuple[tuple[int, ...], ...] | None:
+    """Of what no mark says the shape of: an array by its annotation, or one number; None for anything."""
+    if kind is Any:
+        return None
+    sizes = getattr(kind, "dim_str", "").split()
+    return (tuple(int(size) if size.isdigit() else -1 for size in sizes),)
 
-_LINE: Fields = {"ends": Ends(), "direction": vector("1")}
 
-_ONE_SIDED: Fields = {
-    "stiffness": number("N/m"),
-    "damping": number("N s/m"),
-    "onset": number("m"),
-    "spring": _function("m", "N"),
-    "damper": _function("m/s", "N"),
-}
+def _described(cls: type) -> Fields:
+    found = {name: described_field(parameter) for name, parameter in parameters_of(cls).items()}
+    dumb = [name for name, field in found.items() if field is None]
+    assert not dumb, f"{cls.__name__}: nothing says what {', '.join(dumb)} holds; annotate its unit or its kind"
+    return {name: field for name, field in found.items() if field is not None}
 
-FORCES: Mapping[type, Fields] = {
-    forces.AppliedWrench: {
-        "body": End(),
-        "force": Either(vector("N"), Part(OwnFunction)),
-        "moment": Either(vector("N m"), Part(OwnFunction)),
-        "place": vector("m"),
-        "in_body_axes": Plain(bool),
-    },
-    forces.SpringDamper: {
-        **_LINE,
-        "stiffness": number("N/m"),
-        "damping": number("N s/m"),
-        "free_length": number("m"),
-        "spring": _function("m", "N"),
-        "damper": _function("m/s", "N"),
-        "law": Part(OwnFunction),
-    },
-    forces.ShockAbsorber: {
-        **_LINE,
-        "compression": _function("m/s", "N"),
-        "extension": _function("m/s", "N"),
-        "spring": _function("m", "N"),
-        "free_length": number("m"),
-        "transition": number("m/s"),
-    },
-    forces.BumpStop: {**_LINE, "shortest": number("m"), "longest": number("m"), **_ONE_SIDED},
-    forces.TorsionalSpring: {
-        "bodies": BodyNames(),
-        "axis": vector("1"),
-        "stiffness": number("N m/rad"),
-        "damping": number("N m s/rad"),
-        "free_angle": number("rad"),
-        "spring": _function("rad", "N m"),
-        "damper": _function("rad/s", "N m"),
-    },
-    forces.Tyre: {
-        "center": End(),
-        "radius": number("m"),
-        **_ONE_SIDED,
-        "road": _function("m", "m"),
-        "speed": number("m/s"),
-        "normal_to_road": Plain(bool),
-    },
-}
 
-DRIFT_CONTROLS: Mapping[type, Fields] = {
-    Baumgarte: {"alpha": number("1/s"), "beta": number("1/s")},
-    NoDriftControl: {},
-    PostStabilization: {},
-    Projection: {},
-}
+def _kinds() -> list[type]:
+    """The classes that a file can name: all of the package that are no helpers and can be made."""
+    bases: Mapping[Any, tuple[type, ...]] = {
+        joints: (joints.AbstractJoint, joints.AbstractCurve, joints.AbstractSphericalModel),
+        laws: (laws.AbstractLaw, laws.Material),
+        forces: (forces.AbstractForce,),
+        functions: (functions.AbstractFunction,),
+        drift: (drift.AbstractDriftControl,),
+    }
+    found: list[type] = [Body]
+    for module, families in bases.items():
+        for thing in vars(module).values():
+            is_kind = inspect.isclass(thing) and issubclass(thing, families) and thing is not functions.UserFunction
+            if is_kind and not thing.__name__.startswith("Abstract"):
+                found.append(thing)
+    return found
 
-_ARGUMENT, _VALUE = number("{of_argument}"), number("{of_value}")
 
-FUNCTIONS: Mapping[type, Fields] = {
-    functions.Constant: {"value": _VALUE},
-    functions.Linear: {"slope": number("({of_value})/({of_argument})"), "offset": _VALUE},
-    functions.Polynomial: {"coefficients": Coefficients(), "center": _ARGUMENT},
-    functions.Sine: {
-        "amplitude": _VALUE,
-        "frequency": number("1/({of_argument})"),
-        "phase": number("rad"),
-        "offset": _VALUE,
-    },
-    functions.Step: {"at": _ARGUMENT, "before": _VALUE, "after": _VALUE},
-    functions.SmoothStep: {"start": _ARGUMENT, "end": _ARGUMENT, "before": _VALUE, "after": _VALUE},
-    functions.Bump: {"height": _VALUE, "start": _ARGUMENT, "length": _ARGUMENT},
-    functions.Table: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
-    functions.SmoothTable: {"x": listed("{of_argument}"), "y": listed("{of_value}")},
-    functions.Piecewise: {"breaks": listed("{of_argument}"), "pieces": Parts(functions.AbstractFunction)},
-    functions.Sum: {"terms": Parts(functions.AbstractFunction)},
-}
-
-FIELDS: Mapping[type, Fields] = {
-    Body: BODY,
-    **JOINTS,
-    **CURVES,
-    **MODELS,
-    **LAWS,
-    **FORCES,
-    **FUNCTIONS,
-    **DRIFT_CONTROLS,
-}
+FIELDS: Mapping[type, Fields] = {cls: _described(cls) for cls in _kinds()}
+"""The arguments of every class that a file can name."""

@@ -7,18 +7,18 @@ in the scene file's folder, see `code`.
 import inspect
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from spherejax.files.code import named_by, users_own
-from spherejax.files.dimensions import FIELDS, Fields
+from spherejax.files.dimensions import FIELDS, Fields, described_field, parameters_of
 from spherejax.files.fields import Context, Plain, words_of
 from spherejax.files.parts import OwnFunction, Part
-from spherejax.files.place import Place, one_of
+from spherejax.files.place import Place
 from spherejax.files.quantities import Quantity
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.functions import AbstractFunction
@@ -47,7 +47,7 @@ def class_named(kind: str, family: type, context: Context, place: Place) -> Any:
     if _letters(kind) in plain:
         return plain[_letters(kind)]
     elsewhere = [cls for cls in FIELDS if _letters(cls.__name__) == _letters(kind)]
-    known = one_of(kinds_of(family), kind)
+    known = one_of(sorted(kinds_of(family)), kind)
     what = words_of(family)
     if elsewhere:
         place.fail(f"{kind!r} is no {what}; {known}")
@@ -71,40 +71,45 @@ def kind_of(cls: Any, folder: Path) -> str:
 
 
 def fields_of(cls: type) -> Fields:
-    """What the arguments of a class hold; of a user's class by its annotations, and its `units`.
-
-    A user's class says what its numbers are by a class variable, `units: ClassVar = {"stiffness": "N/m"}`; numbers
-    without an entry are taken in any unit.
-    """
+    """What the arguments of a class hold, as their annotations say; a user's numbers without a unit are in any."""
     if cls in FIELDS:
         return FIELDS[cls]
-    units: Mapping[str, str] = getattr(cls, "units", {})
-    return {
-        name: _field_of(_class_in(parameter.annotation), units.get(name))
-        for name, parameter in parameters_of(cls).items()
-    }
+    try:
+        told = inspect.signature(cls, eval_str=True).parameters
+    except (NameError, SyntaxError):  # annotations that are texts, of names that are there for type checkers only
+        told = parameters_of(cls)
+    return {name: _field_of(told[name]) for name in parameters_of(cls)}
 
 
-def parameters_of(cls: type) -> dict[str, inspect.Parameter]:
-    """The arguments of a class's constructor."""
-    return {
-        name: parameter
-        for name, parameter in inspect.signature(cls).parameters.items()
-        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
-    }
-
-
-def keys_of(cls: type) -> list[tuple[str, str]]:
-    """The keys of a class in a file, those that must be given with a star, and what they hold."""
+def keys_of(cls: type) -> list[tuple[str, str, str]]:
+    """The keys of a class in a file, those that must be given with a star, what they hold, and what they are."""
     needed = {name for name, parameter in parameters_of(cls).items() if is_needed(parameter)}
     defaults = {name: p.default for name, p in parameters_of(cls).items() if type(p.default) in (int, float, bool, str)}
+    told = attributes_told(cls)
     return [
         (
             f"{name} *" if name in needed else name,
             field.what + (f", {_plain(defaults[name])} by default" if name in defaults else ""),
+            told.get(name, ""),
         )
         for name, field in fields_of(cls).items()
     ]
+
+
+def attributes_told(cls: type) -> dict[str, str]:
+    """What the docstring of a class, or of one that it is derived from, says of its attributes, without the unit."""
+    found: dict[str, str] = {}
+    for one in reversed(cls.__mro__):
+        section = re.split(r"\n\s*(?:Args|Attributes):\n", inspect.cleandoc(one.__doc__ or ""), maxsplit=1)[1:]
+        for entry in _ENTRY.finditer(section[0] if section else ""):
+            text = " ".join(entry["text"].replace("`", "").split())
+            words = re.split(r"[;.:](?:\s|$)| \[|, shape ", text, maxsplit=1)[0].rstrip(",")
+            found |= dict.fromkeys(entry["names"].split(", "), words)
+    return found
+
+
+_ENTRY = re.compile(r"^    (?P<names>\w+(?:, \w+)*): (?P<text>.*(?:\n {5,}\S.*)*)", re.MULTILINE)
+"""Names and what is said of them, in as many lines as it takes."""
 
 
 def _plain(value: Any) -> str:
@@ -132,14 +137,17 @@ def is_needed(parameter: inspect.Parameter) -> bool:
     return parameter.default is inspect.Parameter.empty and parameter.kind is not inspect.Parameter.VAR_POSITIONAL
 
 
-def _field_of(annotation: Any, unit: str | None):
+def _field_of(parameter: inspect.Parameter):
+    if hasattr(parameter.annotation, "__metadata__"):
+        return described_field(parameter) or Quantity(None, None)
+    annotation = _class_in(parameter.annotation)
     if annotation in (bool, str, int):
         return Plain(annotation)
     if (get_origin(annotation) or annotation) is Callable:
         return Part(AbstractFunction)
     if isinstance(annotation, type) and annotation in _families():
         return Part(annotation)
-    return Quantity(unit, None)
+    return Quantity(None, None)
 
 
 def _class_in(annotation: Any) -> Any:

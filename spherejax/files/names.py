@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from spherejax.files.fields import Context, Field, shown
-from spherejax.files.place import one_of
 from spherejax.files.quantities import vector
+from spherejax.foundations.errors import one_of
 from spherejax.physics.bodies import GROUND
 
 

@@ -8,7 +8,7 @@ mechanism goes wrong in silence, so nothing is guessed here: guesses stand in th
 import re
 from collections.abc import Callable
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """The one form of a number: digits 0 to 9, a point for decimals, e for powers of ten."""

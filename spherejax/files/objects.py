@@ -12,9 +12,10 @@ from spherejax.files.code import reported
 from spherejax.files.dimensions import FIELDS
 from spherejax.files.fields import Context
 from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
-from spherejax.files.place import Place, one_of
+from spherejax.files.place import Place
 from spherejax.files.units import PURE, UnitError, in_si
-from spherejax.foundations.checks import Requirement, SceneError, enforce, is_concrete
+from spherejax.foundations.checks import Requirement, enforce, is_concrete
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions import UserFunction
 from spherejax.physics.functions.base import Given
 from spherejax.physics.joints import Dry, Lubricated
@@ -191,6 +192,13 @@ def _numbers_of(parameters: Mapping[str, inspect.Parameter], table: Mapping[str,
     """
     values = {name: table.get(name, parameter.default) for name, parameter in parameters.items()}
     return {name: text for name, value in values.items() if (text := _power_in_unit(value)) is not None}
+
+
+def numbers_in_units(made: Any) -> dict[str, Any]:
+    """Numbers of an object that the units of its other numbers may refer to, e.g. its exponent."""
+    return _numbers_of(
+        parameters_of(type(made)), {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
+    )
 
 
 def _power_in_unit(value: Any) -> str | None:

@@ -32,17 +32,21 @@ class Part(Field):
     def what(self) -> str:
         """The family."""
         units = "" if self.argument is None else f", [{self.value}] by [{self.argument}]"
-        return f"a {words_of(self.family)}{units}"
+        family = words_of(self.family)
+        if self.family is OwnFunction:
+            return "a function of your own"
+        return f"{'an' if family[0] in 'aeiou' else 'a'} {family}{units}"
 
     def read(self, value, place, context):
         """The object."""
-        return context.build(self.family, value, place, self._inside(context))
+        return context.build(self.family, value, place, self.inside(context))
 
     def write(self, value, context):
         """A table with the kind."""
-        return context.describe(value, self.family, self._inside(context))
+        return context.describe(value, self.family, self.inside(context))
 
-    def _inside(self, context: Context) -> Context:
+    def inside(self, context: Context) -> Context:
+        """What the units of the object's own numbers may refer to."""
         units = {"of_argument": context.unit(self.argument), "of_value": context.unit(self.value)}
         return context._replace(words={name: unit for name, unit in units.items() if unit is not None})
 

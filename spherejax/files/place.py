@@ -1,14 +1,13 @@
 """Where a value stands in a scene file, and errors that say so."""
 
-import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from spherejax.files.key_lines import KeyPath, key_lines, line_too_deep
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 DEEPEST = 50
 """How deep values may stand in values: a table in a function in a spring in a force is six."""
@@ -96,11 +95,3 @@ def _check_depth(tables: dict[str, Any], top: Place) -> None:
             waiting += [(entry, place / key) for key, entry in value.items()]
         elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
             waiting += [(entry, place / i) for i, entry in enumerate(value)]
-
-
-def one_of(names: Iterable[str], given: str) -> str:
-    """For an error message: the nearest name to a wrong one, and all that there are."""
-    names = list(names)
-    near = difflib.get_close_matches(given[:100].lower(), names, n=1)
-    listed = ", ".join(names) or "none"
-    return f"did you mean {near[0]!r}? There are: {listed}" if near else f"there are: {listed}"

@@ -8,7 +8,8 @@ import numpy as np
 from spherejax.files.fields import Field, shown
 from spherejax.files.place import Place
 from spherejax.files.units import PURE, UnitError, factor_of, in_si, measured
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
 
 _WITHOUT_BRACKETS = str.maketrans("", "", "(){}")
 """For units that refer to others, e.g. `"({of_value})/({of_argument})"`, in lists."""

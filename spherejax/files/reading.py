@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 from spherejax.files.fields import Context
 from spherejax.files.objects import build, built, describe
-from spherejax.files.place import Place, one_of, read_toml
+from spherejax.files.place import Place, read_toml
 from spherejax.files.quantities import Points, vector
 from spherejax.files.rotations import read_rotation
 from spherejax.files.settings import SimulationSettings, read_settings
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import GROUND, Body

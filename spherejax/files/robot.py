@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spherejax.files.number_texts import NumberError, number_in
-from spherejax.files.place import one_of
 from spherejax.files.rotations import UNTURNED, product, turn_about, turned
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 
 TURNING, SLIDING, FREE = ("revolute", "continuous"), ("prismatic",), ("floating", "planar")
 """Types of joints by how they move; a fixed joint does not."""

@@ -1,25 +1,13 @@
 """How a mechanism is simulated, as its file says: the table [simulation]."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import diffrax
-
 from spherejax.files.fields import Choice, Context, Field, Plain
-from spherejax.files.place import Place, one_of
+from spherejax.files.place import Place
 from spherejax.files.quantities import number
-from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
-
-SOLVERS: Mapping[str, tuple[Callable[[], Any], str]] = {
-    "tsit5": (diffrax.Tsit5, "explicit, order 5"),
-    "dopri5": (diffrax.Dopri5, "explicit, order 5"),
-    "dopri8": (diffrax.Dopri8, "explicit, order 8: the choice for scenes that are not stiff"),
-    "kvaerno5": (diffrax.Kvaerno5, "implicit, order 5, chord iterations that converge below the step's tolerance"),
-    "rodas4p": (Rodas4P, "linearly implicit, order 4, no iterations"),
-    "rodas5p": (Rodas5P, "linearly implicit, order 5: the choice for stiff scenes"),
-    "ros34pw2": (Ros34PW2, "linearly implicit, order 3: fastest on stiff scenes at low accuracy"),
-}
-"""Solvers by the names that files and the command line use, and what they are."""
+from spherejax.files.solvers import SOLVERS
+from spherejax.foundations.errors import one_of
 
 
 class SimulationSettings(NamedTuple):

@@ -14,7 +14,7 @@ from spherejax.files.quantities import Points, vector
 from spherejax.files.reading import STUDIED, SceneFile
 from spherejax.files.settings import FIELDS as SETTINGS
 from spherejax.files.units import PURE
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractJoint

@@ -18,7 +18,7 @@ from spherejax.files.number_texts import (
     shortened,
     suggestion,
 )
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 PURE = "1"
 """The unit of a pure number."""

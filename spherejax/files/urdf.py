@@ -7,10 +7,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from spherejax.files.place import one_of
 from spherejax.files.robot import FREE, SLIDING, TURNING, Edge, Pose, Robot, in_other_axes, poses, read_robot
 from spherejax.files.rotations import UNTURNED, product, turn_about, turned
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import GROUND, Body

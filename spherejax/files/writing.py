@@ -6,7 +6,7 @@ from pathlib import Path
 from spherejax.files.objects import same
 from spherejax.files.reading import SceneFile, read_scene_file
 from spherejax.files.settings import SimulationSettings
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene, check_scene
 
 

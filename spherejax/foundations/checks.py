@@ -16,9 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-
-class SceneError(ValueError):
-    """A scene, a model or a request that cannot be simulated; the message says what, where and what to do."""
+from spherejax.foundations.errors import SceneError
 
 
 @contextmanager

@@ -20,7 +20,8 @@ import jax
 import jax.core
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError, shown
+from spherejax.foundations.checks import Requirement, shown
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Matrix3, Scalar, Shaped
 
 WORDS = {(): "one number", (3,): "three numbers", (4,): "four numbers", (3, 3): "three rows of three numbers"}
@@ -60,7 +61,10 @@ def misformed(part: Any, path: str = "") -> Iterator[Requirement]:
 
 def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
     """A violated requirement for a value that has not the form that an annotation says."""
-    options = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+    marks = getattr(annotation, "__metadata__", ())
+    if marks and not any(isinstance(mark, Shaped) for mark in marks):
+        annotation = get_args(annotation)[0]  # a unit, or what a name names: nothing of the form
+    options = _options_of(annotation)
     if value is None and types.NoneType in options:
         return
     # By its bases: `issubclass` asks all modules that there are, which takes a tenth of a second.
@@ -90,7 +94,12 @@ def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
 
 def is_numeric(value: Any) -> bool:
     """Whether a value is real numbers: a number, an array, lists of them in rows; not texts, truth values, times."""
-    return _given(value).shape is not None
+    return shape_of(value) is not None
+
+
+def shape_of(value: Any) -> tuple[int, ...] | None:
+    """The shape of real numbers, traced ones in lists too; None for what is none."""
+    return _given(value).shape
 
 
 def whole_number(name: str, value: Any, remedy: str, least: int = 1) -> int:
@@ -148,8 +157,15 @@ def _shapes_in(options: tuple) -> tuple[tuple[int, ...], ...]:
         elif isinstance(option, Shaped):
             found = (*found, *option.shapes)
         else:
-            found = (*found, *(s for mark in getattr(option, "__metadata__", ()) for s in mark.shapes))
+            marks = getattr(option, "__metadata__", ())
+            shaped = [mark.shapes for mark in marks if isinstance(mark, Shaped)]
+            found = (*found, *(shaped[0] if shaped else _shapes_in(_options_of(get_args(option)[0])) if marks else ()))
     return found
+
+
+def _options_of(annotation: Any) -> tuple:
+    """What an annotation leaves the choice of."""
+    return get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
 
 
 def _given(value: Any) -> _Given:

@@ -1,5 +1,6 @@
 """Names for arrays, with shapes, used in signatures. All floating-point numbers are 64-bit."""
 
+from enum import Enum
 from typing import Annotated, Any, NamedTuple
 
 from jaxtyping import Array, Bool, Float
@@ -34,3 +35,45 @@ Quadruple = Annotated[Numeric, Shaped(((4,),))]
 
 Moments = Annotated[Numeric, Shaped(((3,), (3, 3)))]
 """Three principal moments, or a matrix, as the user gave them."""
+
+Listed = Annotated[Numeric, Shaped(((-1,),))]
+"""Numbers in a row, any number of them, as the user gave them."""
+
+
+class Unit(NamedTuple):
+    """A mark on an annotation: the SI unit of a number, a vector or a table of them.
+
+    Attributes:
+        si: e.g. `"N s/m"`; `"1"` for pure numbers. In braces: a number of the same object, `"N/m^{exponent}"`, or what
+            the place says where a function stands, `{of_argument}` and `{of_value}`.
+    """
+
+    si: str
+
+
+class Function(NamedTuple):
+    """A mark on an annotation: a function of one number, with the SI units of its argument and its value."""
+
+    argument: str
+    value: str
+
+
+class Named(Enum):
+    """Marks on annotations: names of bodies and points."""
+
+    BODY = "a body"
+    BODIES = "two bodies"
+    POINT = '"body.point"'
+    END = '"body.point" or "body"'
+    ENDS = "two ends"
+    PLACE = "a point, or three numbers in world axes at the start"
+
+
+class Mark(Enum):
+    """Further marks on annotations."""
+
+    OWN = "a function that only a user can write: of several arguments, or with several values"
+    COEFFICIENTS = "of a polynomial, the lowest power first"
+
+
+OWN, COEFFICIENTS = Mark.OWN, Mark.COEFFICIENTS

@@ -1,6 +1,6 @@
 """An open chain of rods: the pendulum of n links."""
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number
 from spherejax.gallery.rods import rod_inertia
 from spherejax.model.drift import AbstractDriftControl, PostStabilization

@@ -1,6 +1,6 @@
 """The N-four-bar mechanism of the IFToMM library of benchmark problems (A02)."""
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number
 from spherejax.gallery.rods import rod_inertia
 from spherejax.model.drift import AbstractDriftControl, PostStabilization

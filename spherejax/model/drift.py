@@ -5,14 +5,14 @@ constraints that grows with time, and a violation of the position constraints th
 leave the unit sphere in the same way.
 """
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number
+from spherejax.foundations.types import Number, Unit
 
 
 class AbstractDriftControl(eqx.Module):
@@ -67,8 +67,8 @@ class Baumgarte(AbstractDriftControl):
     Source: Baumgarte (1972), Comput. Methods Appl. Mech. Eng. 1:1-16.
     """
 
-    alpha: Number = 5.0
-    beta: Number = 5.0
+    alpha: Annotated[Number, Unit("1/s")] = 5.0
+    beta: Annotated[Number, Unit("1/s")] = 5.0
 
     def requirements(self) -> list[Requirement]:
         """Non-negative rates."""

@@ -6,7 +6,8 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError, called, enforce, shown
+from spherejax.foundations.checks import Requirement, called, enforce, shown
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import mapping_of, misformed, of_form
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, Baumgarte

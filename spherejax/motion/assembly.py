@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, called, is_concrete
+from spherejax.foundations.checks import called, is_concrete
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Quaternion, Scalar, Vector3
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system

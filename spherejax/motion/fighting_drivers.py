@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.assembly import CLOSING_TOLERANCE, UNMET_TOLERANCE, Assembly, described_state

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import compile_scene
@@ -58,7 +59,7 @@ class Runs(NamedTuple):
 def simulate_many(
     build: Build,
     parameters: Any,
-    ts: Float[Array, " n"],
+    ts: Float[Array | np.ndarray, " n"],
     *,
     rtol: float = 1e-8,
     atol: float | None = None,

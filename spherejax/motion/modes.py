@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, inverse_masses, solve_augmented

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import System

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError, is_concrete, shown
+from spherejax.foundations.checks import is_concrete, shown
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
@@ -39,7 +40,7 @@ ENOUGH_STEPS = "Leave it out for 20,000,000."
 
 def simulate(
     scene: Scene,
-    ts: Float[Array, " n"],
+    ts: Float[Array | np.ndarray, " n"],
     *,
     rtol: float = 1e-8,
     atol: float | None = None,

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError, shown
+from spherejax.foundations.checks import shown
+from spherejax.foundations.errors import SceneError
 
 
 def seconds_of(ts: Any, name: str = "ts") -> np.ndarray:

@@ -12,7 +12,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.assembly import Assembly

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.motion.solvers import rosenbrock
 from spherejax.motion.trajectory import Trajectory

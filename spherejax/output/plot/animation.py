@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.output.io import make_folder, require_free
 from spherejax.output.plot.mechanism import Mechanism
 from spherejax.output.plot.sheet import Sheet, Wishes

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.trajectory import Trajectory
 
 

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.curves import Curves, thinned
 from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, new_figure
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, letter, new_figure, note, repeated
 from spherejax.physics.joints import Lubricated
 from spherejax.physics.joints.contact import stiffness_of

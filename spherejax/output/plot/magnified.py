@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, PathPatch
 from matplotlib.path import Path
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.camera import Camera, world_directions
 from spherejax.output.plot.elements import FORCE_COLOR
 from spherejax.output.plot.mechanism import Mechanism, Pose

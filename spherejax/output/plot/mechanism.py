@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.bodies import GROUND
 

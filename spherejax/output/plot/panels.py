@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.curves import thinned
 from spherejax.output.plot.style import LABELS, MODEL_COLORS, legend_below, letter, new_figure, note
 

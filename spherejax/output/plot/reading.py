@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError, is_concrete
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.assembly import assemble_now

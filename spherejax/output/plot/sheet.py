@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.output.plot import key
 from spherejax.output.plot.camera import Camera, best_camera, camera_from, three_projections
 from spherejax.output.plot.labels import Label, place_labels

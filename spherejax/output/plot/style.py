@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 RESOLUTION = 150
 """Dots per inch of the figures."""

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Self
+from typing import Annotated, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Numeric, Triple, Vector3
+from spherejax.foundations.types import OWN, Named, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
 from spherejax.physics.functions import Given
@@ -39,10 +39,10 @@ class AppliedWrench(AbstractForce):
 
     def __init__(
         self,
-        body: str,
-        force=(0.0, 0.0, 0.0),
-        moment=(0.0, 0.0, 0.0),
-        place=(0.0, 0.0, 0.0),
+        body: Annotated[str, Named.END],
+        force: Annotated[Numeric, Unit("N"), OWN] = (0.0, 0.0, 0.0),
+        moment: Annotated[Numeric, Unit("N m"), OWN] = (0.0, 0.0, 0.0),
+        place: Annotated[Triple, Unit("m")] = (0.0, 0.0, 0.0),
         in_body_axes: bool = False,
     ):
         self.body = body

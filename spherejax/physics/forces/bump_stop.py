@@ -1,13 +1,15 @@
 """Stops: springs that act beyond a travel only."""
 
 from collections.abc import Callable
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError
-from spherejax.foundations.types import Number, Scalar, Triple
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import Touch
 from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, stores_all, two_ends
@@ -50,16 +52,16 @@ class BumpStop(AbstractLineForce):
 
     def __init__(
         self,
-        ends: tuple[str, str],
-        shortest: Number | None = None,
-        longest: Number | None = None,
-        stiffness: Number = 0.0,
-        damping: Number = 0.0,
-        onset: Number = 0.0,
+        ends: Annotated[tuple[str, str], Named.ENDS],
+        shortest: Annotated[Number | None, Unit("m")] = None,
+        longest: Annotated[Number | None, Unit("m")] = None,
+        stiffness: Annotated[Number, Unit("N/m")] = 0.0,
+        damping: Annotated[Number, Unit("N s/m")] = 0.0,
+        onset: Annotated[Number, Unit("m")] = 0.0,
         *,
-        spring: Callable | None = None,
-        damper: Callable | None = None,
-        direction=None,
+        spring: Annotated[Callable | None, Function("m", "N")] = None,
+        damper: Annotated[Callable | None, Function("m/s", "N")] = None,
+        direction: Annotated[Triple, Unit("1")] = None,
     ):
         if shortest is None and longest is None:
             raise TypeError("a bump stop needs shortest= or longest=: the length at which it begins to act")

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.foundations.checks import Requirement, SceneError, concretely
+from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import CONCENTRIC_RADIUS
 from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3

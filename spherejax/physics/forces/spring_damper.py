@@ -1,12 +1,13 @@
 """Springs and dampers between two points."""
 
 from collections.abc import Callable
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number, Scalar, Triple
+from spherejax.foundations.types import OWN, Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.line import (
     AbstractLineForce,
@@ -61,15 +62,15 @@ class SpringDamper(AbstractLineForce):
 
     def __init__(
         self,
-        ends: tuple[str, str],
-        stiffness: Number = 0.0,
-        damping: Number = 0.0,
-        free_length: Number = 0.0,
+        ends: Annotated[tuple[str, str], Named.ENDS],
+        stiffness: Annotated[Number, Unit("N/m")] = 0.0,
+        damping: Annotated[Number, Unit("N s/m")] = 0.0,
+        free_length: Annotated[Number, Unit("m")] = 0.0,
         *,
-        spring: Callable | None = None,
-        damper: Callable | None = None,
-        law: Callable | None = None,
-        direction=None,
+        spring: Annotated[Callable | None, Function("m", "N")] = None,
+        damper: Annotated[Callable | None, Function("m/s", "N")] = None,
+        law: Annotated[Callable | None, OWN] = None,
+        direction: Annotated[Triple, Unit("1")] = None,
     ):
         self.ends = two_ends(ends)
         self.stiffness = stiffness
@@ -142,14 +143,14 @@ class ShockAbsorber(AbstractLineForce):
 
     def __init__(
         self,
-        ends: tuple[str, str],
-        compression: Callable,
-        extension: Callable,
-        spring: Callable | None = None,
-        free_length: Number = 0.0,
-        transition: Number = 1e-2,
+        ends: Annotated[tuple[str, str], Named.ENDS],
+        compression: Annotated[Callable, Function("m/s", "N")],
+        extension: Annotated[Callable, Function("m/s", "N")],
+        spring: Annotated[Callable | None, Function("m", "N")] = None,
+        free_length: Annotated[Number, Unit("m")] = 0.0,
+        transition: Annotated[Number, Unit("m/s")] = 1e-2,
         *,
-        direction=None,
+        direction: Annotated[Triple, Unit("1")] = None,
     ):
         compressing, extending = as_function(compression), as_function(extension)
         if compressing is None or extending is None:

@@ -11,16 +11,17 @@ the energy however the axes tilt.
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from spherejax.foundations.checks import Requirement, SceneError, concretely
+from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import two_names
 from spherejax.foundations.rotation import conjugate, normalized, quaternion_product
-from spherejax.foundations.types import Number, Numeric, Scalar, Triple, Vector3
+from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar, Triple, Unit, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench
 from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
@@ -91,14 +92,14 @@ class TorsionalSpring(AbstractForce):
 
     def __init__(
         self,
-        bodies: tuple[str, str],
-        axis,
-        stiffness: Number = 0.0,
-        damping: Number = 0.0,
-        free_angle: Number = 0.0,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        axis: Annotated[Triple, Unit("1")],
+        stiffness: Annotated[Number, Unit("N m/rad")] = 0.0,
+        damping: Annotated[Number, Unit("N m s/rad")] = 0.0,
+        free_angle: Annotated[Number, Unit("rad")] = 0.0,
         *,
-        spring: Callable | None = None,
-        damper: Callable | None = None,
+        spring: Annotated[Callable | None, Function("rad", "N m")] = None,
+        damper: Annotated[Callable | None, Function("rad/s", "N m")] = None,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.axis = numbers(axis)

@@ -8,7 +8,7 @@ with x forward and z up.
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.foundations.checks import Requirement, SceneError
-from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar, Unit, Vector3
 from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Touch, Wrench, body_of, place_of
 from spherejax.physics.forces.line import stores_all
@@ -90,16 +91,16 @@ class Tyre(AbstractForce):
 
     def __init__(
         self,
-        center: str,
-        radius: Number,
-        stiffness: Number = 0.0,
-        damping: Number = 0.0,
-        onset: Number = 0.0,
+        center: Annotated[str, Named.END],
+        radius: Annotated[Number, Unit("m")],
+        stiffness: Annotated[Number, Unit("N/m")] = 0.0,
+        damping: Annotated[Number, Unit("N s/m")] = 0.0,
+        onset: Annotated[Number, Unit("m")] = 0.0,
         *,
-        spring: Callable | None = None,
-        damper: Callable | None = None,
-        road: Callable | None = None,
-        speed: Number = 0.0,
+        spring: Annotated[Callable | None, Function("m", "N")] = None,
+        damper: Annotated[Callable | None, Function("m/s", "N")] = None,
+        road: Annotated[Callable | None, Function("m", "m")] = None,
+        speed: Annotated[Number, Unit("m/s")] = 0.0,
         normal_to_road: bool = False,
     ):
         self.center = center

@@ -13,7 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from spherejax.foundations.checks import Requirement, SceneError
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
 
 

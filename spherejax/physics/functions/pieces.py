@@ -1,12 +1,13 @@
 """Functions made of functions: one after the other along x, or added up."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.foundations.types import Function, Listed, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import (
     AbstractFunction,
@@ -34,7 +35,11 @@ class Piecewise(AbstractFunction):
     breaks: Numeric
     pieces: tuple[AbstractFunction, ...]
 
-    def __init__(self, breaks, pieces: Sequence):
+    def __init__(
+        self,
+        breaks: Annotated[Listed, Unit("{of_argument}")],
+        pieces: Annotated[Sequence, Function("{of_argument}", "{of_value}")],
+    ):
         self.breaks = numbers(breaks)
         functions = [as_function(piece) for piece in pieces]
         self.pieces = tuple(function for function in functions if function is not None)
@@ -100,7 +105,7 @@ class Sum(AbstractFunction):
 
     terms: tuple[AbstractFunction, ...]
 
-    def __init__(self, *terms):
+    def __init__(self, *terms: Annotated[AbstractFunction, Function("{of_argument}", "{of_value}")]):
         functions = [as_function(term) for term in terms]
         self.terms = tuple(function for function in functions if function is not None)
 

@@ -1,11 +1,13 @@
 """Functions by formula: constants, lines, polynomials, sines, steps and bumps."""
 
+from typing import Annotated
+
 import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import horner
-from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.foundations.types import COEFFICIENTS, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import AbstractFunction, room_between
 from spherejax.physics.laws.base import above, numeric, positive
@@ -27,7 +29,7 @@ class Constant(_KnowsPrimitive):
         value: the value.
     """
 
-    value: Number
+    value: Annotated[Number, Unit("{of_value}")]
 
     def __call__(self, x: Number) -> Scalar:
         """The value."""
@@ -51,8 +53,8 @@ class Linear(_KnowsPrimitive):
         offset: f(0).
     """
 
-    slope: Number
-    offset: Number = 0.0
+    slope: Annotated[Number, Unit("({of_value})/({of_argument})")]
+    offset: Annotated[Number, Unit("{of_value}")] = 0.0
 
     def __call__(self, x: Number) -> Scalar:
         """f(x) = offset + slope x."""
@@ -78,7 +80,9 @@ class Polynomial(_KnowsPrimitive):
     coefficients: Numeric
     center: Number
 
-    def __init__(self, coefficients, center: Number = 0.0):
+    def __init__(
+        self, coefficients: Annotated[Numeric, COEFFICIENTS], center: Annotated[Number, Unit("{of_argument}")] = 0.0
+    ):
         self.coefficients = numbers(coefficients)
         self.center = center
 
@@ -111,10 +115,10 @@ class Sine(_KnowsPrimitive):
         offset: mean.
     """
 
-    amplitude: Number
-    frequency: Number
-    phase: Number = 0.0
-    offset: Number = 0.0
+    amplitude: Annotated[Number, Unit("{of_value}")]
+    frequency: Annotated[Number, Unit("1/({of_argument})")]
+    phase: Annotated[Number, Unit("rad")] = 0.0
+    offset: Annotated[Number, Unit("{of_value}")] = 0.0
 
     def __call__(self, x: Number) -> Scalar:
         """f(x) = offset + amplitude sin(2 pi frequency x + phase)."""
@@ -153,9 +157,9 @@ class Step(_KnowsPrimitive):
     motion that does not meet the jump.
     """
 
-    at: Number
-    before: Number = 0.0
-    after: Number = 1.0
+    at: Annotated[Number, Unit("{of_argument}")]
+    before: Annotated[Number, Unit("{of_value}")] = 0.0
+    after: Annotated[Number, Unit("{of_value}")] = 1.0
 
     def __call__(self, x: Number) -> Scalar:
         """before or after."""
@@ -189,10 +193,10 @@ class SmoothStep(_KnowsPrimitive):
     Limits: constant outside; at `start` and `end` the first two derivatives are 0.
     """
 
-    start: Number
-    end: Number
-    before: Number = 0.0
-    after: Number = 1.0
+    start: Annotated[Number, Unit("{of_argument}")]
+    end: Annotated[Number, Unit("{of_argument}")]
+    before: Annotated[Number, Unit("{of_value}")] = 0.0
+    after: Annotated[Number, Unit("{of_value}")] = 1.0
 
     def __call__(self, x: Number) -> Scalar:
         """f(x)."""
@@ -238,9 +242,9 @@ class Bump(_KnowsPrimitive):
     Source: Rodrigues da Silva et al. (2022), Eq. 44: `Bump(height=0.2, start=15.0, length=5.0)`.
     """
 
-    height: Number
-    start: Number
-    length: Number
+    height: Annotated[Number, Unit("{of_value}")]
+    start: Annotated[Number, Unit("{of_argument}")]
+    length: Annotated[Number, Unit("{of_argument}")]
 
     def __call__(self, x: Number) -> Scalar:
         """f(x)."""

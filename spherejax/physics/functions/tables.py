@@ -1,14 +1,14 @@
 """Functions by a table of points: straight lines or smooth cubics between them."""
 
 import abc
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.foundations.types import Listed, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import AbstractFunction, room_between
 from spherejax.physics.laws.base import numeric
@@ -60,7 +60,7 @@ class Table(_AbstractTable):
     over such kinks; `SmoothTable` has none.
     """
 
-    def __init__(self, x, y):
+    def __init__(self, x: Annotated[Listed, Unit("{of_argument}")], y: Annotated[Listed, Unit("{of_value}")]):
         super().__init__(x, y)
 
     def _cubics(self) -> "_Cubics":
@@ -86,7 +86,7 @@ class SmoothTable(_AbstractTable):
     the ends, chosen for what follows beyond them, keep to their condition for monotony.
     """
 
-    def __init__(self, x, y):
+    def __init__(self, x: Annotated[Listed, Unit("{of_argument}")], y: Annotated[Listed, Unit("{of_value}")]):
         super().__init__(x, y)
 
     def _cubics(self) -> "_Cubics":

@@ -4,13 +4,13 @@ Point and axis are given in world axes at the start. On the first body the equat
 """
 
 import abc
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import two_names
-from spherejax.foundations.types import Triple
+from spherejax.foundations.types import Named, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.elastic import model_requirements, with_model
@@ -118,9 +118,9 @@ class Revolute(AbstractAxialJoint):
 
     def __init__(
         self,
-        bodies: tuple[str, str],
-        point,
-        axis,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
+        axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
@@ -146,9 +146,9 @@ class Cylindrical(AbstractAxialJoint):
 
     def __init__(
         self,
-        bodies: tuple[str, str],
-        point,
-        axis,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
+        axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
@@ -175,9 +175,9 @@ class Prismatic(AbstractAxialJoint):
 
     def __init__(
         self,
-        bodies: tuple[str, str],
-        point,
-        axis,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
+        axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):

@@ -1,10 +1,12 @@
 """The bushing: ball and socket joined by an elastomer, without clearance (sections 3.4 and 4.4)."""
 
+from typing import Annotated
+
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.rotation import rotation_vector
-from spherejax.foundations.types import Number
+from spherejax.foundations.types import Number, Unit
 from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Response
 from spherejax.physics.laws import AbstractElastomer, RadialElastomer
 
@@ -18,6 +20,10 @@ class Bushing(AbstractSphericalModel):
     Attributes:
         law: how the elastomer resists.
 
+    Args:
+        stiffness: k of the paper's law, instead of `law` [N/m].
+        damping: b of the paper's law, stiffness-proportional [s].
+
     The force acts on both bodies at the ball's center; rotations are counted from the start of the motion.
     """
 
@@ -30,8 +36,8 @@ class Bushing(AbstractSphericalModel):
 
     def __init__(
         self,
-        stiffness: Number | None = None,
-        damping: Number | None = None,
+        stiffness: Annotated[Number | None, Unit("N/m")] = None,
+        damping: Annotated[Number | None, Unit("s")] = None,
         *,
         law: AbstractElastomer | None = None,
     ):

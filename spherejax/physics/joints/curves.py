@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Callable
+from typing import Annotated
 
 import equinox as eqx
 import jax
@@ -9,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import Requirement, SceneError
-from spherejax.foundations.types import Number, Numeric, Triple, Vector3
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import OWN, Named, Number, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint
 from spherejax.physics.joints.placing import (
@@ -61,7 +63,12 @@ class Circle(AbstractCurve):
     axis: Triple
     radius: Number
 
-    def __init__(self, center, axis, radius):
+    def __init__(
+        self,
+        center: Annotated[Triple, Unit("m")],
+        axis: Annotated[Triple, Unit("1")],
+        radius: Annotated[Number, Unit("m")],
+    ):
         self.center = numbers(center)
         self.axis = numbers(axis)
         self.radius = radius
@@ -93,7 +100,7 @@ class Line(AbstractCurve):
     through: Triple
     direction: Triple
 
-    def __init__(self, through, direction):
+    def __init__(self, through: Annotated[Triple, Unit("m")], direction: Annotated[Triple, Unit("1")]):
         self.through = numbers(through)
         self.direction = numbers(direction)
 
@@ -117,7 +124,7 @@ class ImplicitCurve(AbstractCurve):
             swept is a class of one's own from `AbstractCurve`).
     """
 
-    function: Callable = eqx.field(static=True)
+    function: Annotated[Callable, OWN] = eqx.field(static=True)
 
     def residual(self, place):
         """The function's value."""
@@ -137,7 +144,9 @@ class PointOnCurve(AbstractJoint):
     curve: AbstractCurve
     body: str = eqx.field(static=True)
 
-    def __init__(self, point: str, curve: AbstractCurve, body: str = "ground"):
+    def __init__(
+        self, point: Annotated[str, Named.POINT], curve: AbstractCurve, body: Annotated[str, Named.BODY] = "ground"
+    ):
         self.point = point
         self.curve = curve
         self.body = body

@@ -1,13 +1,15 @@
 """Two points at a given distance: a massless link with spherical ends, or a prescribed length."""
 
 from collections.abc import Callable, Mapping
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError, is_concrete
-from spherejax.foundations.types import Numeric, Single
+from spherejax.foundations.checks import Requirement, is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Function, Named, Number, Numeric, Single, Unit
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedAtPoints
@@ -36,7 +38,12 @@ class Distance(AbstractJoint):
     second: str = eqx.field(static=True)
     length: Single | None
 
-    def __init__(self, first: str, second: str, length=None):
+    def __init__(
+        self,
+        first: Annotated[str, Named.POINT],
+        second: Annotated[str, Named.POINT],
+        length: Annotated[Number | None, Unit("m")] = None,
+    ):
         self.first = first
         self.second = second
         self.length = None if length is None else numbers(length)
@@ -115,7 +122,12 @@ class DistanceDriver(AbstractJoint):
     second: str = eqx.field(static=True)
     length: AbstractFunction
 
-    def __init__(self, first: str, second: str, length: Callable):
+    def __init__(
+        self,
+        first: Annotated[str, Named.POINT],
+        second: Annotated[str, Named.POINT],
+        length: Annotated[Callable, Function("s", "m")],
+    ):
         self.first = first
         self.second = second
         self.length = prescribed(length, "length")

@@ -10,6 +10,7 @@ or any callable in jnp. Numbers that are to be swept or differentiated are field
 """
 
 from collections.abc import Callable
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import two_names
-from spherejax.foundations.types import Numeric, Triple
+from spherejax.foundations.types import OWN, Function, Named, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints.places import (
@@ -61,7 +62,12 @@ class RotationDriver(AbstractPairJoint):
     axis: Triple
     angle: AbstractFunction
 
-    def __init__(self, bodies: tuple[str, str], axis, angle: Callable):
+    def __init__(
+        self,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        axis: Annotated[Triple, Unit("1")],
+        angle: Annotated[Callable, Function("s", "rad")],
+    ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.axis = numbers(axis)
         self.angle = prescribed(angle, "angle")
@@ -156,7 +162,13 @@ class TranslationDriver(AbstractPairJoint):
     point: Triple | None
     point_name: str | None = eqx.field(static=True)
 
-    def __init__(self, bodies: tuple[str, str], point, axis, travel: Callable):
+    def __init__(
+        self,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
+        axis: Annotated[Triple, Unit("1")],
+        travel: Annotated[Callable, Function("s", "m")],
+    ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
@@ -231,7 +243,12 @@ class PositionDriver(AbstractJoint):
     position: AbstractFunction
     body: str = eqx.field(static=True)
 
-    def __init__(self, point: str, position: Callable, body: str = "ground"):
+    def __init__(
+        self,
+        point: Annotated[str, Named.POINT],
+        position: Annotated[Callable, OWN],
+        body: Annotated[str, Named.BODY] = "ground",
+    ):
         self.point = point
         self.position = prescribed(position, "position")
         self.body = body

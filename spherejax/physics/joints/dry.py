@@ -1,10 +1,12 @@
 """The dry joint with clearance: normal contact and friction (sections 3.2, 4.1 and 4.2 of the paper)."""
 
+from typing import Annotated
+
 import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number
+from spherejax.foundations.types import Number, Unit
 from spherejax.physics.joints.base import Response
 from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
@@ -22,11 +24,14 @@ class Dry(AbstractClearanceModel):
 
     Attributes:
         clearance: radial clearance c = R_i - R_j [m].
-        socket_radius: R_i [m].
+        socket_radius: R_i, inner radius of the socket [m].
         normal: law of the normal force.
         friction: law of the friction force, or None.
         socket_material: material of the socket.
         ball_material: material of the ball.
+
+    Args:
+        ball_radius: R_j, instead of the clearance [m].
 
     Source: the paper, sections 3.2, 4.1, 4.2; defaults from its Table 3.
     """
@@ -41,10 +46,10 @@ class Dry(AbstractClearanceModel):
 
     def __init__(
         self,
-        clearance: Number | None = None,
+        clearance: Annotated[Number | None, Unit("m")] = None,
         *,
-        socket_radius: Number = 0.010,
-        ball_radius: Number | None = None,
+        socket_radius: Annotated[Number, Unit("m")] = 0.010,
+        ball_radius: Annotated[Number | None, Unit("m")] = None,
         normal: AbstractNormalLaw | None = None,
         friction: AbstractFrictionLaw | None = None,
         socket_material: Material | None = None,

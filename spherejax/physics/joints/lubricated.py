@@ -1,11 +1,14 @@
 """The hydrodynamically lubricated joint: a film that hands over to dry contact (sections 3.3 and 4.3)."""
 
+from typing import Annotated
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from spherejax.foundations.checks import Requirement, SceneError
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
-from spherejax.foundations.types import Number, Scalar
+from spherejax.foundations.types import Number, Scalar, Unit
 from spherejax.physics.joints.base import Response
 from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
@@ -48,7 +51,7 @@ class Lubricated(AbstractClearanceModel):
 
     Attributes:
         clearance: radial clearance c = R_i - R_j [m].
-        socket_radius: R_i [m].
+        socket_radius: R_i, inner radius of the socket [m].
         viscosity: dynamic viscosity of the lubricant [Pa s].
         normal: law of the normal force in dry contact.
         friction: law of the friction force in dry contact, or None.
@@ -58,6 +61,9 @@ class Lubricated(AbstractClearanceModel):
         film: in which directions it resists: `RadialFilm()`, the paper's, or `FullFilm()`.
         socket_material: material of the socket.
         ball_material: material of the ball.
+
+    Args:
+        ball_radius: R_j, instead of the clearance [m].
 
     Source: the paper, Eqs 37 to 40, with the eccentricity rate in m/s and, on separation, the pressure of the other
     half film (`Guembel`); defaults from its Table 3.
@@ -78,15 +84,15 @@ class Lubricated(AbstractClearanceModel):
 
     def __init__(
         self,
-        clearance: Number | None = None,
-        viscosity: Number = 0.4,
+        clearance: Annotated[Number | None, Unit("m")] = None,
+        viscosity: Annotated[Number, Unit("Pa s")] = 0.4,
         *,
-        socket_radius: Number = 0.010,
-        ball_radius: Number | None = None,
+        socket_radius: Annotated[Number, Unit("m")] = 0.010,
+        ball_radius: Annotated[Number | None, Unit("m")] = None,
         normal: AbstractNormalLaw | None = None,
         friction: AbstractFrictionLaw | None = None,
-        e_h0: Number = 1e-6,
-        e_h1: Number = 2e-6,
+        e_h0: Annotated[Number, Unit("m")] = 1e-6,
+        e_h1: Annotated[Number, Unit("m")] = 2e-6,
         boundary: AbstractFilmBoundary | None = None,
         film: AbstractFilm | None = None,
         socket_material: Material | None = None,

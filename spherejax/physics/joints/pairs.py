@@ -3,11 +3,13 @@
 Points and axes are given in world axes at the start.
 """
 
+from typing import Annotated
+
 import equinox as eqx
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import two_names
-from spherejax.foundations.types import Triple
+from spherejax.foundations.types import Named, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.elastic import model_requirements, with_model
@@ -48,10 +50,10 @@ class Universal(AbstractPairJoint):
 
     def __init__(
         self,
-        bodies: tuple[str, str],
-        point,
-        first_axis,
-        second_axis,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
+        first_axis: Annotated[Triple, Unit("1")],
+        second_axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
@@ -122,8 +124,8 @@ class Fixed(AbstractPairJoint):
 
     def __init__(
         self,
-        bodies: tuple[str, str],
-        point,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
     ):
@@ -165,7 +167,13 @@ class PointOnPlane(AbstractJoint):
     through_name: str | None = eqx.field(static=True)
     normal: Triple
 
-    def __init__(self, point: str, through, normal, body: str = "ground"):
+    def __init__(
+        self,
+        point: Annotated[str, Named.POINT],
+        through: Annotated[Numeric, Named.PLACE],
+        normal: Annotated[Triple, Unit("1")],
+        body: Annotated[str, Named.BODY] = "ground",
+    ):
         self.point = point
         self.body = body
         self.through_name, self.through = split_point(through)

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, SceneError
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.errors import SceneError
 from spherejax.physics.functions import AbstractFunction, UserFunction, function_requirements
 
 

@@ -1,12 +1,14 @@
 """The spherical joint: a ball in a socket, ideal or with a model of how they resist."""
 
+from typing import Annotated
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, called
 from spherejax.foundations.rotation import conjugate, quaternion_product
-from spherejax.foundations.types import Numeric
+from spherejax.foundations.types import Named, Numeric
 from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
@@ -26,8 +28,8 @@ class Spherical(AbstractJoint):
             the joint were ideal; False leaves the ball where the bodies' initial positions put it.
     """
 
-    socket: str = eqx.field(static=True)
-    ball: str = eqx.field(static=True)
+    socket: Annotated[str, Named.POINT] = eqx.field(static=True)
+    ball: Annotated[str, Named.POINT] = eqx.field(static=True)
     model: AbstractSphericalModel = eqx.field(default_factory=Ideal)
     starts_concentric: bool = eqx.field(static=True, default=True)
 

@@ -6,7 +6,7 @@ energy balance closes. Here: the family, and those with a pivot that turns freel
 """
 
 import abc
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import radial_projection
 from spherejax.foundations.rotation import rotation_vector
-from spherejax.foundations.types import Number, Quaternion, Scalar, Vector3
+from spherejax.foundations.types import Number, Quaternion, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import AbstractLaw, non_negative
 
 
@@ -98,8 +98,8 @@ class RadialElastomer(AbstractPivotElastomer):
 
     never_adds_energy: ClassVar[bool] = True
 
-    stiffness: Number
-    damping: Number
+    stiffness: Annotated[Number, Unit("N/m")]
+    damping: Annotated[Number, Unit("s")]
     isotropic: ClassVar[bool] = True
 
     def force(self, deflection: Vector3, deflection_rate: Vector3) -> Vector3:
@@ -131,8 +131,8 @@ class VectorElastomer(AbstractPivotElastomer):
 
     never_adds_energy: ClassVar[bool] = True
 
-    stiffness: Number
-    damping: Number
+    stiffness: Annotated[Number, Unit("N/m")]
+    damping: Annotated[Number, Unit("s")]
     isotropic: ClassVar[bool] = True
 
     def force(self, deflection: Vector3, deflection_rate: Vector3) -> Vector3:

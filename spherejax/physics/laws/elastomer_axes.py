@@ -1,12 +1,12 @@
 """Elastomers of joints that turn freely: moments depend on how axes tilt, never on how far the joint has turned."""
 
 import abc
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Vector3
+from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import non_negative
 from spherejax.physics.laws.elastomer import AbstractElastomer
 from spherejax.physics.laws.elastomer_matrix import symmetric_requirement
@@ -74,11 +74,11 @@ class HingeElastomer(AbstractAxisElastomer):
 
     never_adds_energy: ClassVar[bool] = True
 
-    stiffness: Matrix3
-    damping: Matrix3
-    conical_stiffness: Number
-    conical_damping: Number = 0.0
-    torsional_damping: Number = 0.0
+    stiffness: Annotated[Matrix3, Unit("N/m")]
+    damping: Annotated[Matrix3, Unit("N s/m")]
+    conical_stiffness: Annotated[Number, Unit("N m/rad")]
+    conical_damping: Annotated[Number, Unit("N m s/rad")] = 0.0
+    torsional_damping: Annotated[Number, Unit("N m s/rad")] = 0.0
 
     @classmethod
     def symmetric(
@@ -159,10 +159,10 @@ class CrossElastomer(AbstractAxisElastomer):
 
     never_adds_energy: ClassVar[bool] = True
 
-    stiffness: Matrix3
-    damping: Matrix3
-    torsional_stiffness: Number
-    torsional_damping: Number = 0.0
+    stiffness: Annotated[Matrix3, Unit("N/m")]
+    damping: Annotated[Matrix3, Unit("N s/m")]
+    torsional_stiffness: Annotated[Number, Unit("N m/rad")]
+    torsional_damping: Annotated[Number, Unit("N m s/rad")] = 0.0
 
     @property
     def matrices(self) -> tuple[Matrix3, Matrix3]:

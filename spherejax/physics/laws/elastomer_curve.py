@@ -1,6 +1,6 @@
 """An elastomer given by points of its force-deflection curve."""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import radial_projection
-from spherejax.foundations.types import Number, Scalar, Vector3
+from spherejax.foundations.types import Number, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import non_negative, numeric
 from spherejax.physics.laws.elastomer import AbstractPivotElastomer
 
@@ -38,9 +38,9 @@ class CurveElastomer(AbstractPivotElastomer):
 
     never_adds_energy: ClassVar[bool] = True
 
-    deflections: Float[np.ndarray, " n"]
-    forces: Float[np.ndarray, " n"]
-    damping: Number
+    deflections: Annotated[Float[np.ndarray, " n"], Unit("m")]
+    forces: Annotated[Float[np.ndarray, " n"], Unit("N")]
+    damping: Annotated[Number, Unit("s")]
     isotropic: ClassVar[bool] = True
 
     def force(self, deflection: Vector3, deflection_rate: Vector3) -> Vector3:

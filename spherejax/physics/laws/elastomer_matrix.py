@@ -1,13 +1,13 @@
 """Elastomers that resist rotation as well: six components, for joints that hold a direction or an orientation."""
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import BERNOULLI, horner
-from spherejax.foundations.types import Matrix3, Number, Scalar, Vector3
+from spherejax.foundations.types import Matrix3, Number, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import numeric
 from spherejax.physics.laws.elastomer import AbstractElastomer
 
@@ -49,10 +49,10 @@ class MatrixElastomer(AbstractElastomer):
 
     never_adds_energy: ClassVar[bool] = True
 
-    stiffness: Matrix3
-    damping: Matrix3
-    rotational_stiffness: Matrix3 | None = None
-    rotational_damping: Matrix3 | None = None
+    stiffness: Annotated[Matrix3, Unit("N/m")]
+    damping: Annotated[Matrix3, Unit("N s/m")]
+    rotational_stiffness: Annotated[Matrix3 | None, Unit("N m/rad")] = None
+    rotational_damping: Annotated[Matrix3 | None, Unit("N m s/rad")] = None
     isotropic: ClassVar[bool] = False
 
     @classmethod

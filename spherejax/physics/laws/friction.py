@@ -11,7 +11,7 @@ LuGre's law adds a memory, the mean deflection of the bristles between the surfa
 """
 
 import abc
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm, tanhc
-from spherejax.foundations.types import Number, Scalar, Vector3
+from spherejax.foundations.types import Number, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import AbstractLaw, above, at_least, non_negative, numeric, positive
 
 _PASSIVITY_SPEEDS = np.linspace(0.02, 4.0, 200)
@@ -95,7 +95,7 @@ class Coulomb(AbstractStaticFriction):
 
     never_adds_energy: ClassVar[bool] = True
 
-    mu: Number = 0.1
+    mu: Annotated[Number, Unit("1")] = 0.1
     simulable: ClassVar[bool] = False
 
     def secant(self, speed: Number) -> Scalar:
@@ -136,8 +136,8 @@ class Threlfall(AbstractStaticFriction):
 
     never_adds_energy: ClassVar[bool] = True
 
-    mu: Number = 0.1
-    v1: Number = 1e-3
+    mu: Annotated[Number, Unit("1")] = 0.1
+    v1: Annotated[Number, Unit("m/s")] = 1e-3
     simulable: ClassVar[bool] = True
 
     def secant(self, speed: Number) -> Scalar:
@@ -166,10 +166,10 @@ class BengisuAkay(AbstractStaticFriction):
 
     never_adds_energy: ClassVar[bool] = True
 
-    mu_kinetic: Number = 0.1
-    mu_static: Number = 0.15
-    v0: Number = 1e-4
-    kappa: Number = 1000.0
+    mu_kinetic: Annotated[Number, Unit("1")] = 0.1
+    mu_static: Annotated[Number, Unit("1")] = 0.15
+    v0: Annotated[Number, Unit("m/s")] = 1e-4
+    kappa: Annotated[Number, Unit("s/m")] = 1000.0
     simulable: ClassVar[bool] = True
 
     def secant(self, speed: Number) -> Scalar:
@@ -207,9 +207,9 @@ class Ambrosio(AbstractStaticFriction):
 
     never_adds_energy: ClassVar[bool] = True
 
-    mu: Number = 0.1
-    v0: Number = 1e-4
-    v1: Number = 1e-3
+    mu: Annotated[Number, Unit("1")] = 0.1
+    v0: Annotated[Number, Unit("m/s")] = 1e-4
+    v1: Annotated[Number, Unit("m/s")] = 1e-3
     simulable: ClassVar[bool] = True
 
     def secant(self, speed: Number) -> Scalar:
@@ -245,9 +245,9 @@ class BrownMcPhee(AbstractStaticFriction):
 
     never_adds_energy: ClassVar[bool] = True
 
-    mu_kinetic: Number = 0.1
-    mu_static: Number = 0.15
-    stribeck_velocity: Number = 1e-3
+    mu_kinetic: Annotated[Number, Unit("1")] = 0.1
+    mu_static: Annotated[Number, Unit("1")] = 0.15
+    stribeck_velocity: Annotated[Number, Unit("m/s")] = 1e-3
     simulable: ClassVar[bool] = True
 
     def secant(self, speed: Number) -> Scalar:
@@ -313,12 +313,12 @@ class LuGre(AbstractFrictionLaw):
     # A rising normal force stiffens deflected bristles and so adds energy; see above.
     never_adds_energy: ClassVar[bool] = False
 
-    mu_kinetic: Number = 0.1
-    mu_static: Number = 0.15
-    stribeck_velocity: Number = 1e-3
-    bristle_stiffness: Number = 1e5
-    bristle_damping: Number = 316.0
-    viscous: Number = 0.0
+    mu_kinetic: Annotated[Number, Unit("1")] = 0.1
+    mu_static: Annotated[Number, Unit("1")] = 0.15
+    stribeck_velocity: Annotated[Number, Unit("m/s")] = 1e-3
+    bristle_stiffness: Annotated[Number, Unit("1/m")] = 1e5
+    bristle_damping: Annotated[Number, Unit("s/m")] = 316.0
+    viscous: Annotated[Number, Unit("s/m")] = 0.0
     bristle_size: ClassVar[int] = 3
     simulable: ClassVar[bool] = True
 

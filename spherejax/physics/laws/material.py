@@ -1,10 +1,12 @@
 """Elastic material of ball and socket, and the contact stiffness that follows from it."""
 
+from typing import Annotated
+
 import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number, Scalar
+from spherejax.foundations.types import Number, Scalar, Unit
 from spherejax.physics.laws.base import AbstractLaw, numeric, positive
 
 
@@ -16,8 +18,8 @@ class Material(AbstractLaw):
         poissons_ratio: nu [-].
     """
 
-    youngs_modulus: Number = 207e9
-    poissons_ratio: Number = 0.3
+    youngs_modulus: Annotated[Number, Unit("Pa")] = 207e9
+    poissons_ratio: Annotated[Number, Unit("1")] = 0.3
 
     def contact_compliance(self) -> Number:
         """sigma = (1 - nu**2)/E [1/Pa].

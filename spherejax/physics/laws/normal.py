@@ -8,14 +8,14 @@ needs it.
 """
 
 import abc
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import positive_power
-from spherejax.foundations.types import Number, Scalar
+from spherejax.foundations.types import Number, Scalar, Unit
 from spherejax.physics.laws.base import AbstractLaw, numeric, positive
 from spherejax.physics.laws.impact import exact_hysteresis_factor
 
@@ -143,8 +143,8 @@ class Hertz(AbstractNormalLaw):
     Source: Rodrigues da Silva et al. (2022), Eq. 23, after Hertz (1881).
     """
 
-    stiffness: Number | None = None
-    exponent: Number = 1.5
+    stiffness: Annotated[Number | None, Unit("N/m^{exponent}")] = None
+    exponent: Annotated[Number, Unit("1")] = 1.5
     remembers_onset: ClassVar[bool] = False
     never_adds_energy: ClassVar[bool] = True
 
@@ -177,9 +177,9 @@ class HuntCrossley(AbstractHysteresisLaw):
     Source: Hunt and Crossley (1975) as in Rodrigues da Silva et al. (2022), Eq. 26.
     """
 
-    restitution: Number
-    stiffness: Number | None = None
-    exponent: Number = 1.5
+    restitution: Annotated[Number, Unit("1")]
+    stiffness: Annotated[Number | None, Unit("N/m^{exponent}")] = None
+    exponent: Annotated[Number, Unit("1")] = 1.5
 
     def hysteresis_factor(self) -> Number:
         """3 (1 - c_r)/2."""
@@ -199,9 +199,9 @@ class LankaraniNikravesh(AbstractHysteresisLaw):
     Source: Lankarani and Nikravesh (1990) as in Rodrigues da Silva et al. (2022), Eq. 27.
     """
 
-    restitution: Number
-    stiffness: Number | None = None
-    exponent: Number = 1.5
+    restitution: Annotated[Number, Unit("1")]
+    stiffness: Annotated[Number | None, Unit("N/m^{exponent}")] = None
+    exponent: Annotated[Number, Unit("1")] = 1.5
 
     def hysteresis_factor(self) -> Number:
         """3 (1 - c_r**2)/4."""
@@ -221,9 +221,9 @@ class Gonthier(AbstractHysteresisLaw):
     Source: Gonthier et al. (2004) as in Rodrigues da Silva et al. (2022), Eq. 28.
     """
 
-    restitution: Number
-    stiffness: Number | None = None
-    exponent: Number = 1.5
+    restitution: Annotated[Number, Unit("1")]
+    stiffness: Annotated[Number | None, Unit("N/m^{exponent}")] = None
+    exponent: Annotated[Number, Unit("1")] = 1.5
 
     def hysteresis_factor(self) -> Number:
         """(1 - c_r**2)/c_r."""
@@ -243,9 +243,9 @@ class Flores(AbstractHysteresisLaw):
     Source: Flores et al. (2011) as in Rodrigues da Silva et al. (2022), Eq. 29.
     """
 
-    restitution: Number
-    stiffness: Number | None = None
-    exponent: Number = 1.5
+    restitution: Annotated[Number, Unit("1")]
+    stiffness: Annotated[Number | None, Unit("N/m^{exponent}")] = None
+    exponent: Annotated[Number, Unit("1")] = 1.5
 
     def hysteresis_factor(self) -> Number:
         """8 (1 - c_r)/(5 c_r)."""
@@ -268,9 +268,9 @@ class ExactRestitution(AbstractHysteresisLaw):
     Source: `exact_hysteresis_factor`.
     """
 
-    restitution: Number
-    stiffness: Number | None = None
-    exponent: Number = 1.5
+    restitution: Annotated[Number, Unit("1")]
+    stiffness: Annotated[Number | None, Unit("N/m^{exponent}")] = None
+    exponent: Annotated[Number, Unit("1")] = 1.5
 
     def hysteresis_factor(self) -> Scalar:
         """The root chi of the impact equation."""

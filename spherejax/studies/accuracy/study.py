@@ -6,7 +6,7 @@ from dataclasses import replace
 import diffrax
 import jax.numpy as jnp
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.solvers.automatic import choose_solver

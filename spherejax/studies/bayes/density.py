@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Scalar
 from spherejax.studies.bayes.priors import LogUniform, Prior, Uniform
 from spherejax.studies.fit.parameters import Unknown, Unknowns

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.terminals import console, is_watched
 from spherejax.studies.bayes.density import log_density_of, priors_for
 from spherejax.studies.bayes.priors import Prior

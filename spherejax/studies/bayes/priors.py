@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 Prior = Callable[[Array], Any]
 """From a parameter to the logarithm of its density."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.system import System

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.design.constrained import Constrained, Interrupted, Search, search
 from spherejax.studies.design.measures import Function
 from spherejax.studies.design.problem import Build, DesignProblem, checked_limits

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.fit.levenberg_marquardt import is_converged
 from spherejax.studies.fit.methods import Course, Ending, Residuals, cost_of
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.adjoint import KeptRun, gradients, kept_run

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.fit.columns import columns_of, units_of
 
 if TYPE_CHECKING:

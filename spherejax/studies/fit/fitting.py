@@ -8,7 +8,7 @@ from typing import Any
 import diffrax
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.many import Build
 from spherejax.runtime import interrupts_kept
 from spherejax.studies.fit.columns import tables_of, widths_of

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.fit.methods import Course, Ending, Method
 from spherejax.studies.fit.problem import Problem
 from spherejax.studies.fit.record import Held, Watching, of_the_whole

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.many import Build
 from spherejax.motion.times import seconds_of
 

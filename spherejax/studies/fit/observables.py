@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System
 from spherejax.motion.quantities import AXIS, COMPONENT, OF_BODIES, OF_JOINTS, OF_THE_WHOLE, Quantity, quantity
 from spherejax.motion.trajectory import Trajectory

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 FARTHEST = 30.0
 """A number with bounds stays this far from them: exp(-30) of the interval."""

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Scalar
 from spherejax.motion.many import Build

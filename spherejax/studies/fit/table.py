@@ -14,7 +14,7 @@ import numpy as np
 
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, factor_of
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 
 MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.assembly import Assembly

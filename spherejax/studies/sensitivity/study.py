@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.many import Build, built
 from spherejax.motion.simulate import checked_times

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from spherejax.files.code import modules_in, run_again
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.known_builds import Build
 from spherejax.motion.many import many
 from spherejax.motion.one_of_many import Method

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult, compiled_for, packed, run_chunk, run_packed_chunk
 from spherejax.studies.sweep.devices import compiled_for_all, run_side_by_side
 from spherejax.studies.sweep.failures import SweepError, explained

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 
 Range = tuple[float, float]
 """Least and largest value."""

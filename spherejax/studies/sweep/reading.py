@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.dataset import RUN, Account, Column, dataset_of
 from spherejax.studies.sweep.failures import StoreWarning
 from spherejax.studies.sweep.store import Store, opened

@@ -10,7 +10,7 @@ import diffrax
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import compile_scene
 from spherejax.motion.known_builds import Build, known_build

@@ -21,7 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from spherejax.foundations.checks import SceneError
+from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult
 from spherejax.studies.sweep.dataset import RUN, Account, Column
 from spherejax.studies.sweep.failures import StoreWarning, writing
