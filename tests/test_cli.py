@@ -66,6 +66,20 @@ def test_run_writes_what_simulate_gives(tmp_path, capsys):
     assert "contact onsets of coupler_rocker" in out
 
 
+def test_run_tells_contacts_and_peaks(tmp_path, capsys):
+    path = tmp_path / "impacts.csv"
+    command = ["run", "four-bar", "--joint", "dry", "--t1", "0.02", "--samples", "3", "--impacts", str(path)]
+    assert cli.main([*command, "--peak", "reaction.coupler_rocker"]) == 0
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    said = capsys.readouterr().out
+    assert f"{len(rows)} contacts" in said
+    assert [row["contact"] for row in rows] == [str(i) for i in range(len(rows))]
+    largest = max(float(row["peak_force [N]"]) for row in rows)
+    assert largest > 50
+    assert f"{largest:.5g}"[:4] in said.split("largest reaction.coupler_rocker [N]")[1]
+    assert float(rows[0]["release [s]"]) > float(rows[0]["onset [s]"]) > 0
+
+
 def test_run_refuses_to_replace_a_file_before_it_simulates(tmp_path, capsys, monkeypatch):
     path = tmp_path / "run.nc"
     path.write_text("precious")
@@ -97,6 +111,8 @@ def test_run_refuses_to_replace_a_file_before_it_simulates(tmp_path, capsys, mon
         (("--samples", "1000000000000"), "1e+12 samples of every quantity do not fit in memory; ask for at most"),
         (("--dt", "1e-12"), "samples of every quantity do not fit in memory"),
         (("--rtol", "1e-17"), "float64 does not carry"),
+        (("--impacts", "impacts.csv"), "--impacts: the studied joint, 'coupler_rocker', has no clearance"),
+        (("--peak", "reaction.coupler_roker"), "write 'reaction.NAME' with one of"),
         (("--out", "run.xlsx"), "'.xlsx' names no format"),
     ],
 )
@@ -201,8 +217,8 @@ def test_joint_words_become_models():
     lubricated = model_from(parsed("--joint", "lubricated", "--boundary", "sommerfeld"))
     assert isinstance(lubricated.boundary, sj.Sommerfeld)
     assert lubricated.viscosity == 0.4
-    assert isinstance(lubricated.film, sj.RadialFilm)
-    assert isinstance(model_from(parsed("--joint", "lubricated", "--film", "full")).film, sj.FullFilm)
+    assert isinstance(lubricated.film, sj.FullFilm)
+    assert isinstance(model_from(parsed("--joint", "lubricated", "--film", "radial")).film, sj.RadialFilm)
     with pytest.raises(sj.SceneError, match="PinkusSternlicht"):
         model_from(parsed("--joint", "lubricated", "--film", "full", "--boundary", "pinkus-sternlicht"))
     bushing = model_from(parsed("--joint", "bushing", "--elastomer", "vector", "--stiffness", "2e5"))

@@ -31,6 +31,7 @@ EPILOG = """examples:
   spherejax run robot.urdf --t1 1
   spherejax run a04
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
+  spherejax run four-bar --joint dry --t1 0.2 --impacts impacts.csv --peak reaction.coupler_rocker
 """
 
 
@@ -53,10 +54,15 @@ def add_run(commands) -> None:
     times.add_argument("--rtol", type=real, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=real, help="absolute tolerance of a step, one number (default: by the scene)")
     times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")
+    times.add_argument(
+        "--peak", action="append", default=[], metavar="NAME",
+        help="largest magnitude of a quantity over all steps, as reaction.NAME or acceleration.NAME; may be repeated",
+    )  # fmt: skip
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
+    files.add_argument("--impacts", metavar="FILE", help="write each contact of the studied joint: .csv or .nc")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.set_defaults(action=run_scene)
 
@@ -65,6 +71,7 @@ def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
     import jax
 
+    from spherejax.motion.quantities import quantity
     from spherejax.output.io import save, writable
 
     found = chosen(options)
@@ -73,8 +80,12 @@ def run_scene(options: argparse.Namespace) -> int:
         scene = changed_scene(scene, drift=DRIFT_CONTROLS[options.drift]())
     options = with_defaults(options, found.settings)
     ts = sample_times(options)
-    if options.out is not None:
-        writable(options.out, overwrite=options.overwrite)
+    for path in filter(None, (options.out, options.impacts)):
+        writable(path, overwrite=options.overwrite)
+    system = sj.compile_scene(scene).system
+    for name in options.peak:
+        quantity(name, system)
+    joint = found.studied if options.impacts is None else _with_contact(found.studied, system.contact_joints)
     solver = SOLVERS[options.solver]() if options.solver else None
     start = time.perf_counter()
     run = sj.simulate(
@@ -91,8 +102,11 @@ def run_scene(options: argparse.Namespace) -> int:
     print_table(
         f"{found.title or found.name}, {_joint_words(options)}, {options.t1:g} s",
         ("quantity", "value"),
-        _summary(run, seconds),
+        [*_summary(run, seconds), *_peaks(run, options.peak)],
     )
+    if options.impacts is not None:
+        table = run.impacts(str(joint))
+        print(f"wrote {save(table, options.impacts, overwrite=options.overwrite)}: {table.sizes['contact']} contacts")
     if options.out is not None:
         print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
     return 0
@@ -130,6 +144,29 @@ def sample_times(options: argparse.Namespace):
     else:
         n_samples = 2001 if options.samples is None else options.samples
     return np.linspace(0.0, options.t1, number_of_samples(n_samples))
+
+
+def _with_contact(studied: str | None, contacts: tuple[str, ...]) -> str:
+    """The joint whose contacts are told: the studied one, or the only one that has any."""
+    if studied in contacts:
+        return studied
+    if studied is None and len(contacts) == 1:
+        return contacts[0]
+    known = ", ".join(map(repr, contacts)) or "none"
+    raise sj.SceneError(
+        f"--impacts: the studied joint, {studied!r}, has no clearance; joints with contact: {known}. Choose its model "
+        "by --joint dry, friction or lubricated, or another joint by --of"
+    )
+
+
+def _peaks(run: sj.Trajectory, names: list[str]) -> list[tuple[str, str]]:
+    from spherejax.motion.quantities import quantity
+
+    system, found = run.system, []
+    for name in names:
+        peak = run.peak(name)
+        found.append((f"largest {name} [{quantity(name, system).unit}]", f"{peak.value:.6g} at {peak.time:.6g} s"))
+    return found
 
 
 def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
+from spherejax.motion.impacts import COLUMNS
 from spherejax.motion.status import Status
 from spherejax.physics.forces import UNITS
+from spherejax.physics.joints import PART_UNITS
 
 if TYPE_CHECKING:
     import xarray
@@ -25,7 +27,8 @@ def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
     Dimensions: `time`; `body` (all moving bodies); `joint` (all joints); `spherical_joint` (those with an
     eccentricity); `clearance_joint` (those with a clearance); `force_joint` (those that answer with a force);
     `contact_joint`; `axis` (x, y, z of the world); `component` (w, x, y, z of a quaternion); `memory`. The results of a
-    force element are variables of their own: `shock.length`, `shock.force`, `tyre.load`, ...
+    force element and the parts of a joint's answer are variables of their own: `shock.length`, `tyre.load`,
+    `elbow.normal_force`, `elbow.film_pressure`, ...
 
     Args:
         run: a `Trajectory`, a single run; of a batch, take a lane first.
@@ -144,6 +147,9 @@ def _of_joints(run: Any) -> dict[str, Column]:
         columns["clearance"] = (
             gap[1:], [float(run.clearance(name)) for name in names], "m", "radial clearance of the joint"
         )  # fmt: skip
+    for name in seen.parts:
+        own = {part: values for part, values in run.parts(name).items() if part not in columns}
+        columns |= _named_parts(name, own, "joint")
     if seen.elastic_energy:
         columns["elastic_energy"] = (
             ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.force_joints), "J",
@@ -172,11 +178,30 @@ def _of_joints(run: Any) -> dict[str, Column]:
 def _of_forces(run: Any) -> dict[str, Column]:
     columns: dict[str, Column] = {}
     for name in run.system.forces:
-        for part, values in run.force(name).items():
-            vector = np.ndim(values) == 2 and np.shape(values)[1] == len(AXES)
-            if np.ndim(values) == 1 or vector:
-                dims = ("time", "axis") if vector else ("time",)
-                columns[f"{name}.{part}"] = dims, values, UNITS.get(part, ""), f"{part} of force element {name}"
+        columns |= _named_parts(name, run.force(name), "force element")
+    return columns
+
+
+def table_of(columns: dict[str, Any], joint: str) -> "xarray.Dataset":
+    """The contacts of a joint, `impacts.COLUMNS`, as a data set with the dimension `contact`."""
+    xarray = importlib.import_module("xarray")
+    found = {}
+    for name, (unit, what) in COLUMNS.items():
+        values = np.asarray(columns[name])
+        found[name] = (("contact", "axis")[: values.ndim], values, {"units": unit, "long_name": what})
+    n = len(np.asarray(columns["onset"]))
+    return xarray.Dataset(found, {"contact": np.arange(n), "axis": list(AXES)}, {"joint": joint})
+
+
+def _named_parts(name: str, parts: dict[str, Any], what: str) -> dict[str, Column]:
+    """Numbers and vectors over time, as `name.part`."""
+    units = PART_UNITS | UNITS
+    columns: dict[str, Column] = {}
+    for part, values in parts.items():
+        vector = np.ndim(values) == 2 and np.shape(values)[1] == len(AXES)
+        if np.ndim(values) == 1 or vector:
+            dims = ("time", "axis") if vector else ("time",)
+            columns[f"{name}.{part}"] = dims, values, units.get(part, ""), f"{part} of {what} {name}"
     return columns
 
 

@@ -35,8 +35,8 @@ from spherejax.motion.solvers.landing import (
     without_memory,
 )
 from spherejax.motion.solvers.wrapping import StepBudget
+from spherejax.motion.statistics import Statistics
 from spherejax.motion.status import Status, status_of
-from spherejax.motion.trajectory import Statistics
 
 
 @dataclass(frozen=True)

@@ -51,9 +51,9 @@ from spherejax.motion.sensitivity_rows import (
     with_rows,
 )
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.statistics import Statistics
 from spherejax.motion.status import Status
 from spherejax.motion.tolerances import controller_for
-from spherejax.motion.trajectory import Statistics
 from spherejax.motion.widths import block_for
 
 

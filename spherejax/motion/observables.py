@@ -10,13 +10,14 @@ from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System
-from spherejax.motion.body_motions import BodyMotions, between
+from spherejax.motion.body_motions import BodyMotions, between, body_motions
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce, power_on_bodies
 from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.kinematics import BodyMotion, RelativeMotion, point_motion
+from spherejax.physics.state import unpack
 
 
 class Reaction(NamedTuple):
@@ -105,6 +106,20 @@ def _relative_motions(system: System, evaluation: Evaluation) -> dict[str, Relat
 
 def _relative_motion(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion) -> RelativeMotion:
     return joint.relative_motion(between(first, second))
+
+
+def looked_up(system: System, y: Float[Array, " size"]) -> dict[str, dict[str, Array]]:
+    """Named parts of the spherical joints that are found only where someone looks, by joint; see `observed`."""
+    motions = body_motions(system, unpack(system.layout, y))
+    found = {}
+    for group in stacks_of(system).joints:
+        if group.joint.answers_with_force:
+            found |= _by_name(group, over_lanes(_looked_up, group.joint, *motions.of_ends(group)))
+    return dict(sorted(found.items()))
+
+
+def _looked_up(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion) -> dict[str, Array]:
+    return joint.model.observed(joint.relative_motion(between(first, second)))
 
 
 def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, example_of, flatten_system
+from spherejax.motion.asked import Asked
 from spherejax.motion.integrate import Plan, stages_of
 from spherejax.motion.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.known_scenes import split
@@ -117,4 +118,13 @@ class Prepared:
             assembly=start.assembly,
             choice=self.method.choice.reason,
             scalar=plan.scalar,
+            asked=self._asked,
         )
+
+    @property
+    def _asked(self) -> Asked | None:
+        method = self.method
+        rtol, atol = method.rtol, method.atol
+        if not (is_concrete(rtol) and is_concrete(atol)):
+            return None
+        return Asked(method.choice.solver, float(rtol), None if atol is None else float(atol), method.max_steps)

@@ -5,6 +5,7 @@ A name is a kind, and for most kinds a body or joint behind a dot. The kinds are
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -14,7 +15,6 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import System
 from spherejax.motion.observables import Observation, observe
-from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.state import unpack
 
 AXIS, COMPONENT = ("axis",), ("component",)
@@ -74,8 +74,8 @@ class Quantity:
         """As it was asked for."""
         return self.kind if self.owner is None else f"{self.kind}.{self.owner}"
 
-    def of(self, run: Trajectory) -> Array:
-        """The quantity at the samples, shape (n, ...)."""
+    def of(self, run: Any) -> Array:
+        """The quantity at the samples of a `Trajectory`, shape (n, ...)."""
         found = getattr(run, self.kind)
         return found if self.owner is None else found(self.owner)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,6 +16,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
+from spherejax.motion.asked import Asked
 from spherejax.motion.integrate import Options, Plan, integrate
 from spherejax.motion.jobs import is_made_in_a_lane
 from spherejax.motion.known_scenes import PreparedScene, prepared
@@ -150,8 +152,15 @@ def simulate(
         assembly=outcome.assembly if assembly is None else assembly,
         choice=choice.reason,
         scalar=path.scalar,
+        asked=_asked(choice.solver, rtol, atol, max_steps) if stepsize_controller is None and budget is None else None,
     )
     return _reported(run, throw)
+
+
+def _asked(solver: diffrax.AbstractSolver, rtol, atol, max_steps: int) -> Asked | None:
+    if not all(is_concrete(each) for each in jax.tree.leaves((solver, rtol, atol)) if eqx.is_array(each)):
+        return None
+    return Asked(solver, float(rtol), None if atol is None else float(atol), max_steps)
 
 
 def choice_for(

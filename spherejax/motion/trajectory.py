@@ -1,6 +1,5 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
-from dataclasses import fields
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -16,51 +15,23 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
+from spherejax.motion.asked import Asked
 from spherejax.motion.assembly import Assembly
 from spherejax.motion.audit import CHECKS, NOT_MADE, findings, suspects
-from spherejax.motion.dataset import to_dataset
+from spherejax.motion.dataset import table_of, to_dataset
+from spherejax.motion.impacts import Peak, impacts, peak
 from spherejax.motion.modes import modes
-from spherejax.motion.observables import Observation, observe
+from spherejax.motion.observables import Observation, looked_up, observe
 from spherejax.motion.programs import program_for
+from spherejax.motion.quantities import quantity
 from spherejax.motion.redundancy import ConstraintReport, report_at, singular_joints
+from spherejax.motion.statistics import Statistics
 from spherejax.motion.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
+from spherejax.motion.steps import Steps, steps_of
 from spherejax.physics.state import Layout, State, unpack
 
 if TYPE_CHECKING:
     import xarray
-
-
-class Statistics(eqx.Module):
-    """What a run cost.
-
-    Attributes:
-        n_steps: steps tried.
-        n_accepted: steps kept.
-        n_rejected: steps repeated, for their error or to land on a contact onset or release.
-        n_evaluations: evaluations of the right-hand side; for an implicit method without its Newton iterations.
-        n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
-        audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, shape (4,): above 1
-            the run has failed. `run.audit` says it in words.
-        explanation: which method and which tolerances were used, and why (static).
-    """
-
-    n_steps: Int[Array, ""]
-    n_accepted: Int[Array, ""]
-    n_rejected: Int[Array, ""]
-    n_evaluations: Int[Array, ""]
-    n_onsets: Int[Array, " n_contacts"]
-    audit: Float[Array, "4"]
-    explanation: str = eqx.field(static=True, default="")
-
-    def __repr__(self) -> str:
-        """The numbers, where they are known."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        if not all(is_concrete(value) for value in values.values()):
-            return super().__repr__()
-        said = {name: repr(np.asarray(x).tolist()) for name, x in values.items() if not isinstance(x, str)}
-        said["audit"] = "[" + ", ".join(f"{x:.2g}" for x in np.ravel(self.audit)) + "]"
-        words = [*(f"{name}={value}" for name, value in said.items()), f"explanation={self.explanation!r}"]
-        return f"Statistics({', '.join(words)})"
 
 
 class Trajectory(eqx.Module):
@@ -80,6 +51,7 @@ class Trajectory(eqx.Module):
         assembly: how the start was made consistent.
         choice: which method was used, and why.
         scalar: whether scalar programs are used; None: those that are not too large.
+        asked: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
     """
 
     ts: Float[Array, " n"]
@@ -92,6 +64,7 @@ class Trajectory(eqx.Module):
     assembly: Assembly
     choice: str = eqx.field(static=True)
     scalar: bool | None = eqx.field(static=True)
+    asked: Asked | None = eqx.field(static=True, default=None)
 
     def __repr__(self) -> str:
         if not is_concrete(self.status):
@@ -239,10 +212,26 @@ class Trajectory(eqx.Module):
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
         """A named contribution of a joint that answers with a force, e.g. `"normal_force"`, `"film_force"` [N]."""
-        parts = self.observation.parts.get(self._joint(joint), {})
+        parts = self.parts(joint)
         if name not in parts:
             raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
         return parts[name]
+
+    def parts(self, joint: str) -> dict[str, Float[Array, "n ..."]]:
+        """All named contributions of a joint that answers with a force; of other joints none.
+
+        Every contact has `penetration` [m], `normal_force` (a number), `friction_force` and `sliding_velocity` [m/s];
+        films have `film_force` on the ball, `film_moment` [N m] about its center, `film_power` and `shear_power`
+        that they absorb [W], `film_thickness` at the thinnest [m], `film_pressure`, the largest [Pa], and
+        `film_pressure_place`, the unit vector from the socket's center to it; bushings have `deflection` [m] and
+        `rotation` [rad]; a user's own model what it returns. Vectors in world axes.
+        """
+        return self.observation.parts.get(self._joint(joint), {}) | self._looked_up.get(joint, {})
+
+    @cached_property
+    def _looked_up(self) -> dict[str, dict[str, Array]]:
+        structure, theta = flatten_system(self.system)
+        return _looked_up(structure, jnp.asarray(theta), self.ys)
 
     def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:
         """Named results of a force element, e.g. `run.force("shock")["length"]` [m].
@@ -262,6 +251,47 @@ class Trajectory(eqx.Module):
         For a concrete run whose samples are finer than a contact lasts.
         """
         return modes(self.system, self.ts, self.ys, self.penetration(joint), joint)
+
+    # Between the samples -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def _steps(self) -> Steps:
+        n = np.asarray(self.stats.n_accepted) if is_concrete(self.stats.n_accepted) else 0
+        reached = float(self.t_reached) if is_concrete(self.t_reached) and not np.ndim(self.t_reached) else np.nan
+        return steps_of(self.system, self.asked, self.ts, self.ys, int(np.max(n)), reached, self.scalar)
+
+    def impacts(self, joint: str) -> "xarray.Dataset":
+        """Each contact of a joint: onset, release, approach speed, peaks, impulse, energy lost, place.
+
+        A table with the dimension `contact`, in the order of the onsets; `.to_dataframe()` prints it, `.to_csv()` of
+        that writes it. The vectors have the dimension `axis`. Units and words are in the attributes.
+
+        | column | |
+        |---|---|
+        | `onset`, `release` [s] | a ball that touches at the start has its onset there; NaN where the run ends first |
+        | `approach_speed`, `sliding_speed` [m/s] | normal and tangential velocity at the onset |
+        | `peak_force` [N], `peak_penetration` [m] | the largest between onset and release |
+        | `impulse` [N s] | of the force on the ball, world axes |
+        | `energy_lost` [J] | what the joint absorbed, less what it stores |
+        | `place` | unit vector to the contact at the onset, in the axes of the socket's body |
+
+        The run is made once more to see its steps, so its samples need not be fine; where the motion is chaotic and the
+        repeated run parts from this one, a `PartingWarning` says when. Peaks are good to about 1e-4, integrals to
+        the tolerance of the run.
+
+        Raises:
+            SceneError: for a joint without contact, a batched or traced run, or a run that cannot be repeated.
+        """
+        steps = self._steps
+        return table_of(impacts(self.system, steps, joint, self.scalar), joint)
+
+    def peak(self, name: str) -> Peak:
+        """Largest magnitude of a quantity over the whole run and when, e.g. `run.peak("reaction.elbow").value` [N].
+
+        Seen at five instants of each step, so that no impact is missed, however coarse the samples are; the names are
+        those of `sj.sweep`. The run is made once more, see `impacts`.
+        """
+        return peak(self.system, self._steps, quantity(name, self.system).name, self.scalar)
 
     @property
     def kinetic_energy(self) -> Float[Array, " n"]:
@@ -376,6 +406,12 @@ def _unpacked(layout: Layout, ys) -> State:
 @bounded_jit(what="the state of a body")
 def _of_body(quantity, body: int):
     return quantity[..., body, :]
+
+
+@bounded_jit(what="what is looked up of a run")
+def _looked_up(structure, theta, ys) -> dict[str, dict[str, Array]]:
+    """As array code: what is looked up may search and loop, which scalar programs do not."""
+    return jax.vmap(lambda y: looked_up(structure.system(theta), y))(ys)
 
 
 @bounded_jit(what="the quantities of a run")

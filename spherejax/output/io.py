@@ -21,8 +21,9 @@ SUFFIXES = (".nc", ".csv")
 def save(result: "Trajectory | xarray.Dataset", path: str | os.PathLike, *, overwrite: bool = False) -> Path:
     """Write a run or a data set; the suffix of the path decides the format.
 
-    `.nc` is netCDF 4 with all attributes. `.csv` is a table with one row for each sample and one column for
-    each number, named with its unit, e.g. `position rocker z [m]`. Missing folders are made.
+    `.nc` is netCDF 4 with all attributes. `.csv` is a table with one row for each sample (of `run.impacts`, each
+    contact) and one column for each number, named with its unit, e.g. `position rocker z [m]`. Missing folders are
+    made.
 
     Args:
         result: a run, or a data set.
@@ -108,9 +109,10 @@ def make_folder(folder: Path) -> None:
 
 
 def _write_csv(dataset: "xarray.Dataset", path: Path) -> None:
-    names, columns = ["time [s]"], [np.asarray(dataset["time"])]
+    along = "time" if "time" in dataset.dims else str(next(iter(dataset.dims)))
+    names, columns = ["time [s]" if along == "time" else along], [np.asarray(dataset[along])]
     for name, variable in dataset.data_vars.items():
-        if not variable.dims or variable.dims[0] != "time":
+        if not variable.dims or variable.dims[0] != along:
             continue
         labels = [[str(label) for label in np.asarray(dataset[dim])] for dim in variable.dims[1:]]
         flat = np.asarray(variable).reshape(variable.shape[0], -1)
@@ -122,4 +124,5 @@ def _write_csv(dataset: "xarray.Dataset", path: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(names)
         # repr of a float64 is the shortest text that reads back as the same number.
-        writer.writerows([repr(float(value)) for value in row] for row in np.stack(columns, axis=1))
+        texts = [[repr(value.item()) for value in column] for column in columns]
+        writer.writerows(zip(*texts, strict=True))

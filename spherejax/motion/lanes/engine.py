@@ -20,7 +20,7 @@ from spherejax.motion.audit import CHECKS, Watch
 from spherejax.motion.lanes.control import Repeating, Step
 from spherejax.motion.lanes.first_step import N_LOOKS, Looks
 from spherejax.motion.lanes.landing import Landing
-from spherejax.motion.lanes.lane import Block, Lane, LaneOutcome, LaneProblem
+from spherejax.motion.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, StepLog
 from spherejax.motion.lanes.stages import ExplicitStages, Trial, own_time, steps_of
 from spherejax.motion.status import Status, status_of
 
@@ -45,14 +45,42 @@ def run_in_lanes(
         status: what a run that is not to be made reports.
         block: how wide.
     """
-    return _Queue(problem, parameters, y0, ts, may_run, status, block).worked_off()
+    return _Queue(problem, parameters, y0, ts, may_run, status, block).worked_off()[0]
+
+
+def steps_in_lanes(
+    problem: LaneProblem,
+    parameters: Any,
+    y0: Float[Array, "n_jobs ..."],
+    ts: Float[Array, " n"],
+    may_run: Array,
+    status: Int[Array, " n_jobs"],
+    block: Block,
+    capacity: int,
+    shares: tuple[float, ...],
+) -> tuple[LaneOutcome, StepLog]:
+    """As `run_in_lanes`, with a row for each step that was kept.
+
+    Args:
+        problem, parameters, y0, ts, may_run, status, block: as there; at least three sample times, for states inside a
+            step come of what samples come of.
+        capacity: rows of each run; of a run with more steps the rest is not written.
+        shares: where inside each step the state is wanted, in (0, 1).
+    """
+    queue = _Queue(problem, parameters, y0, ts, may_run, status, block, capacity, shares)
+    outcome, log = queue.worked_off()
+    assert log is not None
+    return outcome, log
 
 
 class _Queue:
     """The functions of one lane and of a block, with the queue at hand; lives while a program is traced."""
 
-    def __init__(self, problem: LaneProblem, parameters, y0, ts, may_run, status, block: Block):
+    def __init__(
+        self, problem: LaneProblem, parameters, y0, ts, may_run, status, block: Block, capacity: int = 0, shares=()
+    ):
         self.problem = problem
+        self.capacity, self.shares = capacity, tuple(shares)
         self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
         self.n_jobs = y0.shape[0]
         self.width = min(block.width, max(1, self.n_jobs))
@@ -193,7 +221,7 @@ class _Queue:
 
     # A block -----------------------------------------------------------------------------------------------------
 
-    def worked_off(self) -> LaneOutcome:
+    def worked_off(self) -> tuple[LaneOutcome, StepLog | None]:
         """Run all jobs."""
         width, narrow = self.width, self.narrow
         jobs = jnp.arange(width)
@@ -207,7 +235,11 @@ class _Queue:
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
         account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
         looks = Looks(jnp.zeros((), jnp.int64), jnp.zeros_like(lanes.y)) if self.looks else None
-        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), looks
+        log = None
+        if self.capacity:
+            rows = self.n_jobs * self.capacity, len(self.shares) + 1
+            log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan))
+        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), log, looks
 
         def busy(carry):
             lanes, waiting, *_, looks = carry
@@ -226,7 +258,10 @@ class _Queue:
                 return jnp.any(_is_busy(carry[0], self.n_jobs))
 
             carry = jax.lax.while_loop(still_busy, self.turn, (lanes, *rest, None))
-        return self._outcome(carry[3], carry[2], carry[4])
+        log = carry[5]
+        if log is not None:
+            log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
+        return self._outcome(carry[3], carry[2], carry[4]), log
 
     def block_of(self, jobs) -> Lane:
         """Lanes at the start of jobs."""
@@ -234,7 +269,7 @@ class _Queue:
 
     def turn(self, carry):
         """One step of every lane; then lanes that have ended take new jobs."""
-        lanes, waiting, account, ys, n_lane_steps, looks = carry
+        lanes, waiting, account, ys, n_lane_steps, log, looks = carry
         before = lanes
         is_look = jnp.array(False) if looks is None else looks.is_looking
         steps: Any = self.steps
@@ -252,11 +287,13 @@ class _Queue:
             lanes = lanes._replace(t_next=t_next)
         if self.ts.shape[0] > 1:
             lanes, ys = self._with_samples(before, lanes, bend, trial.dense_info, ys)
+        if log is not None:
+            log = self._with_step(before, lanes, bend, trial.dense_info, log)
         has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
         refilled = jax.lax.cond(
             jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
         )
-        return *refilled, ys, n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1]), looks
+        return *refilled, ys, n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1]), log, looks
 
     def _looked(self, before: Lane, _, looks: Looks, k) -> tuple[Array, Looks]:
         """Where the next look or the first step ends, after a look."""
@@ -294,6 +331,20 @@ class _Queue:
         n_samples, rows = jax.lax.while_loop(any_due, write, (jnp.maximum(lanes.n_samples, 1), rows))
         ys = rows.reshape(ys.shape)
         return lanes._replace(n_samples=n_samples), ys
+
+    def _with_step(self, before: Lane, lanes: Lane, bend, dense_info, log: StepLog) -> StepLog:
+        """Write a row for each step just kept."""
+        was_kept = lanes.n_accepted > before.n_accepted
+        is_there = was_kept & (before.n_accepted < self.capacity)
+        row = jnp.where(is_there, lanes.job * self.capacity + before.n_accepted, self.n_jobs * self.capacity)
+        times = [before.t + share * (lanes.t - before.t) for share in self.shares]
+        inside = [
+            in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at) for at in times
+        ]
+        states = jnp.moveaxis(jnp.stack([*inside, lanes.y]), -1, 0)
+        return StepLog(
+            with_rows_at(log.times, row, jnp.stack([*times, lanes.t], axis=-1)), with_rows_at(log.states, row, states)
+        )
 
     def _refilled(self, has_ended, lanes: Lane, waiting, account):
         """Write results of the lanes that have ended, and give them the next jobs."""

@@ -53,6 +53,19 @@ class LaneProblem(NamedTuple):
     n_judged: int | None = None
 
 
+class StepLog(NamedTuple):
+    """The steps of all runs of a queue, one row each.
+
+    Attributes:
+        times: of the shares of each step that were asked for, and of its end [s], shape (n_jobs, capacity, k + 1).
+        states: there; at the end with what its events changed, shape (n_jobs, capacity, k + 1, ...). Rows of steps that
+            were not made are NaN.
+    """
+
+    times: Float[Array, "n_jobs capacity k+1"]
+    states: Float[Array, "n_jobs capacity k+1 ..."]
+
+
 class Lane(NamedTuple):
     """A run under way (of all lanes: the last axis).
 

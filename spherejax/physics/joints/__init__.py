@@ -1,7 +1,7 @@
 """Joints: where two bodies meet, and the models of how they resist."""
 
 from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
-from spherejax.physics.joints.base import AbstractSphericalModel, Crossing, Response
+from spherejax.physics.joints.base import PART_UNITS, AbstractSphericalModel, Crossing, Response
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.curves import AbstractCurve, Circle, ImplicitCurve, Line, PointOnCurve
 from spherejax.physics.joints.distance import Distance, DistanceDriver
@@ -16,6 +16,7 @@ from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
 
 __all__ = [
+    "PART_UNITS",
     "AbstractCurve",
     "AbstractJoint",
     "AbstractPlacedJoint",

@@ -33,6 +33,24 @@ class Response(NamedTuple):
     parts: dict[str, Array]
 
 
+PART_UNITS = {
+    "penetration": "m",
+    "normal_force": "N",
+    "friction_force": "N",
+    "film_force": "N",
+    "film_moment": "N m",
+    "film_power": "W",
+    "shear_power": "W",
+    "film_thickness": "m",
+    "film_pressure": "Pa",
+    "film_pressure_place": "1",
+    "sliding_velocity": "m/s",
+    "deflection": "m",
+    "rotation": "rad",
+}
+"""Units of the named parts of a response; a part of a user's own model has none."""
+
+
 class Crossing(NamedTuple):
     """A smooth function of time that changes sign when contact begins or ends.
 
@@ -100,6 +118,10 @@ class AbstractSphericalModel(eqx.Module):
     def respond(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Response:
         """Force and moment that answer a relative motion."""
         raise TypeError(f"{type(self).__name__} answers with constraints, not with a force")
+
+    def observed(self, motion: RelativeMotion) -> dict[str, Array]:
+        """More named parts beside those of the response: evaluated where someone looks, not at every step."""
+        return {}
 
     def penetration(self, motion: RelativeMotion) -> Scalar | None:
         """Penetration |e| - c [m], negative without contact; None for a model without a socket surface."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.simulate import NO_LIMIT, simulate
-from spherejax.motion.trajectory import Statistics
+from spherejax.motion.statistics import Statistics
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
 PROBE_STEPS = 400

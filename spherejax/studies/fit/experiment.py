@@ -31,9 +31,10 @@ from spherejax.motion.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now
+from spherejax.motion.statistics import Statistics
 from spherejax.motion.status import Status, diagnosis
 from spherejax.motion.tolerances import controller_for
-from spherejax.motion.trajectory import Statistics, Trajectory
+from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
 from spherejax.studies.fit.parameters import Unknowns

@@ -25,8 +25,9 @@ from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import start_now
+from spherejax.motion.statistics import Statistics
 from spherejax.motion.tolerances import controller_for
-from spherejax.motion.trajectory import Statistics, Trajectory
+from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
 
