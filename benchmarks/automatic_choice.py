@@ -33,6 +33,10 @@ FAMILIES = {
         lambda c, viscosity: sj.Lubricated(c, viscosity=viscosity),
         [(1e-4, 0.4), (1e-4, 0.04), (1e-4, 4.0), (5e-5, 0.4), (2e-4, 0.4)],
     ),
+    "paper's film c={} viscosity={}": (
+        lambda c, viscosity: sj.Lubricated(c, viscosity=viscosity, film=sj.RadialFilm()),
+        [(1e-4, 0.4), (1e-4, 0.04), (1e-4, 4.0), (5e-5, 0.4), (2e-4, 0.4)],
+    ),
     "friction c={} mu={}": (
         lambda c, mu: sj.Dry(c, friction=sj.Threlfall(mu=mu)),
         [(1e-4, 0.1), (2e-5, 0.1), (5e-4, 0.3)],

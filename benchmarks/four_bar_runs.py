@@ -22,7 +22,8 @@ CASES = {
     "bushing k 1e6 b 1e-2, 2 s": (sj.Bushing(1e6, 1e-2), 2.0, 1e-11),
     "dry with friction, 0.2 s": (sj.Dry(1e-4, friction=sj.Threlfall()), 0.2, 1e-13),
     "dry with friction, 2 s": (sj.Dry(1e-4, friction=sj.Threlfall()), 2.0, 1e-13),
-    "lubricated c 0.10 mm, 2 s": (sj.Lubricated(1e-4), 2.0, 1e-10),
+    "lubricated c 0.10 mm, 2 s": (sj.Lubricated(1e-4), 2.0, 1e-11),
+    "paper's film c 0.10 mm, 2 s": (sj.Lubricated(1e-4, film=sj.RadialFilm()), 2.0, 1e-10),
 }
 
 

@@ -11,6 +11,7 @@ from .model.scene import Scene
 from .model.system import System, compile_scene
 from .motion.assembly import Assembly
 from .motion.equilibrium import Equilibrium, equilibrium
+from .motion.impacts import Peak
 from .motion.lanes import Block
 from .motion.lanes.operation import SerialRunsWarning
 from .motion.many import Runs, simulate_many
@@ -21,6 +22,7 @@ from .motion.simulate import simulate
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from .motion.start import StartWarning
 from .motion.status import SimulationError, SimulationWarning, Status
+from .motion.steps import PartingWarning
 from .motion.trajectory import Trajectory
 from .output.citations import cite
 from .output.drawing import animate, draw, view
@@ -109,6 +111,7 @@ from .physics.laws import (
     Material,
     MatrixElastomer,
     PinkusSternlicht,
+    PressurePeak,
     RadialElastomer,
     RadialFilm,
     ShearFactors,
@@ -122,6 +125,7 @@ from .physics.laws import (
     half_sphere_load,
     hybrid_weight,
     maximum_penetration,
+    pressure_peak,
     realized_restitution,
     shear_factors,
     squeeze_coefficient,
@@ -218,6 +222,8 @@ __all__ = [
     "NoDriftControl",
     "NotScalarizable",
     "Parameter",
+    "PartingWarning",
+    "Peak",
     "Piecewise",
     "PinkusSternlicht",
     "PointOnCurve",
@@ -226,6 +232,7 @@ __all__ = [
     "PositionDriver",
     "PostStabilization",
     "Posterior",
+    "PressurePeak",
     "Prismatic",
     "Projection",
     "RadialElastomer",
@@ -299,6 +306,7 @@ __all__ = [
     "optimize",
     "plot",
     "posterior",
+    "pressure_peak",
     "priors",
     "product",
     "random_samples",

@@ -60,7 +60,10 @@ MODELS = {
     **{f"dry_{name}": sj.Dry(clearance=C, normal=law) for name, law in NORMAL_LAWS.items()},
     **{f"dry_{name}": sj.Dry(clearance=C, friction=law) for name, law in FRICTION_LAWS.items()},
     "dry_hertz_threlfall": sj.Dry(clearance=C, normal=sj.Hertz(), friction=sj.Threlfall()),
-    **{f"lubricated_{name}": sj.Lubricated(clearance=C, boundary=law) for name, law in BOUNDARIES.items()},
+    **{
+        f"lubricated_radial_{name}": sj.Lubricated(clearance=C, boundary=law, film=sj.RadialFilm())
+        for name, law in BOUNDARIES.items()
+    },
     **{
         f"lubricated_full_{name}": sj.Lubricated(clearance=C, boundary=BOUNDARIES[name], film=sj.FullFilm())
         for name in SWEPT

@@ -15,6 +15,7 @@ from spherejax.physics.laws import (
     FilmMotion,
     full_sphere_load,
     half_sphere_load,
+    pressure_peak,
     shear_factors,
     squeeze_factor,
 )
@@ -72,6 +73,72 @@ def test_the_load_is_that_of_reynolds_equation(kind, eps, degrees):
     expected = solved(eps, velocity, kind == "half")
     load = LOADS[kind](eps * UP, velocity)
     np.testing.assert_allclose(load, expected, atol=2e-5 * np.linalg.norm(expected), rtol=0)
+
+
+@pytest.mark.parametrize("eps", [0.05, 0.3, 0.6, 0.8])
+@pytest.mark.parametrize("degrees", [0, 30, 60, 90, 120, 180])
+def test_the_largest_pressure_and_its_place_are_those_of_reynolds_equation(eps, degrees):
+    angle = np.radians(degrees)
+    velocity = np.sin(angle) * ACROSS + np.cos(angle) * UP
+    along, across = pressures(eps)
+    theta = np.linspace(-np.pi, np.pi, 20001)  # the half plane of n and V, and the one opposite: x = sin(theta)
+    zeta = np.cos(theta)
+    p = (along(zeta) - along(0.0)) * velocity[2] + across(zeta) * np.sign(np.sin(theta)) * velocity[0]
+    found = pressure_peak(eps * UP, velocity)
+    assert float(found.height) == pytest.approx(p.max(), rel=2e-4)
+    at = theta[p.argmax()]
+    np.testing.assert_allclose(found.place, np.sin(at) * ACROSS + np.cos(at) * UP, atol=2e-2)
+
+
+def test_the_largest_pressure_is_found_where_it_is_a_needle():
+    """No point of the film has more, for balls that all but touch and move in any direction."""
+    for eps in (0.9, 0.99, 0.9999, 1 - 1e-6):
+        for degrees in (0.0, 20.0, 60.0, 89.0, 89.99, 90.0, 91.0, 150.0, 180.0):
+            angle = np.radians(degrees)
+            velocity = np.sin(angle) * ACROSS + np.cos(angle) * UP
+            w = velocity * np.array([1 / (4 + eps**2), 0.0, 0.25])
+            theta = np.concatenate(
+                [np.linspace(-np.pi, np.pi, 20001), 5 * np.sqrt(1 - eps) * np.linspace(-1, 1, 20001)]
+            )
+            q = eps * np.cos(theta)
+            p = (2 - q) / (1 - q) ** 2 * (np.sin(theta) * w[0] + np.cos(theta) * w[2])
+            found = float(pressure_peak(eps * UP, velocity).height)
+            assert found >= p.max() * (1 - 1e-9), (eps, degrees)
+            assert found <= p.max() * (1 + 1e-4), (eps, degrees)
+
+
+def test_the_largest_pressure_along_the_line_of_centers():
+    for eps in (1e-12, 0.1, 0.7, 0.999):
+        closing, opening = (pressure_peak(eps * UP, sign * UP) for sign in (1.0, -1.0))
+        assert float(closing.height) == pytest.approx((2 - eps) / (1 - eps) ** 2 / 4, rel=1e-9)
+        assert float(opening.height) == pytest.approx((2 + eps) / (1 + eps) ** 2 / 4, rel=1e-9)
+        np.testing.assert_allclose(closing.place, UP, atol=1e-7)
+        np.testing.assert_allclose(opening.place, -UP, atol=1e-7)
+    concentric = pressure_peak(0 * UP, ACROSS)
+    assert float(concentric.height) == pytest.approx(0.5)
+    np.testing.assert_allclose(concentric.place, ACROSS)
+    assert [*map(float, jax.tree.leaves(pressure_peak(0.3 * UP, 0 * UP))[:1])] == [0.0]
+
+
+def test_the_largest_pressure_has_right_derivatives():
+    r, v = np.array([0.3, 0.2, -0.5]), np.array([0.1, 0.7, 0.2])
+
+    def flat(r, v):
+        peak = pressure_peak(r, v)
+        return jnp.append(peak.place, peak.height)
+
+    forward, backward = jax.jacfwd(flat, (0, 1))(r, v), jax.jacrev(flat, (0, 1))(r, v)
+    h = 1e-6
+    numbers = (
+        np.stack([(flat(r + h * e, v) - flat(r - h * e, v)) / (2 * h) for e in np.eye(3)], -1),
+        np.stack([(flat(r, v + h * e) - flat(r, v - h * e)) / (2 * h) for e in np.eye(3)], -1),
+    )
+    for one, two, three in zip(forward, backward, numbers, strict=True):
+        np.testing.assert_allclose(one, two, atol=1e-13)
+        np.testing.assert_allclose(one, three, atol=1e-8)
+    for motion in ((0 * r, 0 * r), (r, 0 * r), (0 * r, v), (r, r), (r, -r)):
+        for each in jax.tree.leaves((jax.jacfwd(flat, (0, 1))(*motion), jax.jacrev(flat, (0, 1))(*motion))):
+            assert np.all(np.isfinite(each))
 
 
 # Numbers, limits -------------------------------------------------------------------------------------------------
@@ -257,15 +324,29 @@ def test_a_free_pair_keeps_its_momenta_and_loses_what_the_film_absorbs():
     absorbed = np.sum((power[1:] + power[:-1]) / 2 * np.diff(times))
     lost = float(run.kinetic_energy[0] - run.kinetic_energy[-1])
     assert lost == pytest.approx(absorbed, rel=1e-3)
+    e = np.asarray(run.eccentricity("joint"))[0]
+    assert float(np.linalg.norm(e)) < 1e-12  # so that the largest pressure is half of 12 nu R^2/c^3 V, before V
+    v = np.asarray(run.eccentricity_rate("joint"))[0]
+    peak = 6 * 0.05 * R**2 / C**3 * np.linalg.norm(v)
+    assert float(run.part("joint", "film_pressure")[0]) == pytest.approx(peak, rel=1e-9)
+    np.testing.assert_allclose(run.part("joint", "film_pressure_place")[0], v / np.linalg.norm(v), atol=1e-9)
+    kept = run.to_xarray()
+    assert kept["joint.film_pressure"].attrs["units"] == "Pa"
+    assert kept["joint.film_pressure_place"].dims == ("time", "axis")
     assert lost > 1e-4
 
 
-def test_the_papers_film_has_no_moments_and_is_the_default():
-    assert isinstance(sj.Lubricated(clearance=C).film, sj.RadialFilm)
+def test_the_papers_film_has_no_moments():
     action = sj.RadialFilm().action(FilmMotion(0.5 * C * UP, ACROSS + UP, UP, ACROSS), gap(sj.Guembel()))
     assert float(jnp.linalg.norm(action.ball_moment) + jnp.linalg.norm(action.socket_moment)) == 0
     assert float(action.shear_power) == 0
     assert float(action.pressure_power) > 0
+
+
+def test_the_full_film_is_the_default_where_its_condition_has_one():
+    assert isinstance(sj.Lubricated(clearance=C).film, sj.FullFilm)
+    assert isinstance(sj.Lubricated(clearance=C, boundary=sj.Sommerfeld()).film, sj.FullFilm)
+    assert isinstance(sj.Lubricated(clearance=C, boundary=sj.PinkusSternlicht()).film, sj.RadialFilm)
 
 
 def test_a_condition_of_squeezing_alone_is_refused():

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import spherejax as sj
-from spherejax.command_line.catalog import SUBJECTS
+from spherejax.command_line.catalog import FILMS, SUBJECTS
 from spherejax.command_line.printing import print_table, progress
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ EPILOG = """examples:
   spherejax compare four-bar --out results/
   spherejax compare suspension --out results/
   spherejax compare four-bar --quick --out results/
+  spherejax compare four-bar --film radial --out paper/
 """
 
 
@@ -47,6 +48,9 @@ def add_compare(commands) -> None:
     parser.add_argument(
         "--quick", action="store_true", help="a short version: 0.2 s and one parameter study; 4.2 s and one method"
     )
+    parser.add_argument(
+        "--film", choices=FILMS, default="full", help="of the lubricated joint; radial is the paper's (default: full)"
+    )
     parser.add_argument("--out", default="results", metavar="FOLDER", help="folder for all files (default: results)")
     parser.add_argument("--overwrite", action="store_true", help="replace the files of an earlier comparison")
     parser.set_defaults(action=compare_models)
@@ -61,10 +65,10 @@ def compare_models(options: argparse.Namespace) -> int:
     require_free(folder / "table.csv", overwrite=options.overwrite)
     make_folder(folder)
     start = time.perf_counter()
+    subject = SUBJECTS[options.scene]
+    subject = subject if options.film == "full" else subject.with_film(FILMS[options.film]())
     with progress("comparing") as report:
-        comparison = compare(
-            SUBJECTS[options.scene], quick=options.quick, report=lambda what, share: report(what, 0.9 * share)
-        )
+        comparison = compare(subject, quick=options.quick, report=lambda what, share: report(what, 0.9 * share))
         names = _write(comparison, folder, report)
     print_comparison(comparison)
     seconds = time.perf_counter() - start
@@ -79,7 +83,8 @@ def print_comparison(comparison: Comparison) -> None:
     subject = comparison.subject
     heads = ("model", *(column.head for column in subject.columns))
     rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]
-    print_table(f"Joint models, {comparison.t_end:g} s of motion", heads, rows, numeric=True)
+    title = f"Joint models, {comparison.t_end:g} s of motion: {subject.parameters}"
+    print_table(title, heads, rows, numeric=True)
     for table in subject.summaries(comparison):
         print_table(table.title, table.heads, table.rows, numeric=True)
     for result in comparison.studies:

@@ -54,7 +54,7 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     )
     film = parser.add_argument_group("film (lubricated)")
     film.add_argument("--viscosity", type=real, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
-    film.add_argument("--film", choices=FILMS, help="directions in which it resists (default: radial, the paper's)")
+    film.add_argument("--film", choices=FILMS, help="full, or the paper's radial one (default: full)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
     bushing.add_argument("--stiffness", type=real, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
@@ -96,7 +96,7 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     clearance = _or(options.clearance, 1e-4)
     if options.joint == "lubricated":
         boundary = BOUNDARIES[options.boundary or "guembel"]()
-        viscosity, film = _or(options.viscosity, 0.4), FILMS[options.film or "radial"]()
+        viscosity, film = _or(options.viscosity, 0.4), FILMS[options.film]() if options.film else None
         return sj.Lubricated(clearance, viscosity=viscosity, boundary=boundary, film=film, **contact)
     return sj.Dry(clearance, **contact)
 

@@ -103,7 +103,7 @@ def hip(
     Magnitudes: ISO 14242-1 (3 kN peak, 300 N in swing, 1 Hz; flexion from -18 to 25 degrees, here a sine of 20); Jin
     and Dowson (1999), Proc. Inst. Mech. Eng. C 213:355-370, for film lubrication of hard heads of 28 mm (clearances of
     tens of micrometers, 2.5 mPa s, 210 GPa). The leg swings as a body of 3 kg and 0.1 kg m^2 about the hip; the film
-    is the squeeze film of the library, without what the rotation would draw into it.
+    is the library's, squeeze and wedge, of a rigid and unpierced sphere: a loaded hip deforms.
     """
     inertia = 0.1
     frequency = 2 * math.pi / period

@@ -2,7 +2,8 @@
 
 Parameters as printed in the paper (Tables 3 and 4) where they are legible. Chosen here: restitution 0.9, the
 largest clearance 0.20 mm, the clearance 0.10 mm of the law studies, and the bushings (k = 1e6 N/m with b =
-1e-2 s; k = 1e5 and 1e7 N/m; b = 1e-4 and 1e-3 s).
+1e-2 s; k = 1e5 and 1e7 N/m; b = 1e-4 and 1e-3 s). The film is the full one unless the paper's, the radial one, is asked
+for; one figure shows both.
 """
 
 from collections.abc import Callable
@@ -10,15 +11,18 @@ from dataclasses import dataclass
 
 from spherejax.physics.joints import AbstractSphericalModel, Bushing, Dry, Ideal, Lubricated
 from spherejax.physics.laws import (
+    AbstractFilm,
     AbstractFrictionLaw,
     AbstractNormalLaw,
     Ambrosio,
     BengisuAkay,
     BrownMcPhee,
     Flores,
+    FullFilm,
     Gonthier,
     HuntCrossley,
     LankaraniNikravesh,
+    RadialFilm,
     Threlfall,
 )
 
@@ -130,9 +134,15 @@ def friction_case(
     return Case(label, "friction", (("clearance", clearance), ("normal", law), ("friction", rubbing)), Dry)
 
 
-def lubricated_case(label: str, clearance: float = CLEARANCE) -> Case:
-    """Lubricated joint."""
-    return Case(label, "lubricated", (("clearance", clearance), ("viscosity", VISCOSITY)), Lubricated)
+def lubricated_case(label: str, clearance: float = CLEARANCE, film: AbstractFilm | None = None) -> Case:
+    """Lubricated joint, with the full film unless another is given."""
+    parameters = (("clearance", clearance), ("viscosity", VISCOSITY), ("film", film or FullFilm()))
+    return Case(label, "lubricated", parameters, Lubricated)
+
+
+def film_name(film: AbstractFilm | None) -> str:
+    """For titles."""
+    return "radial film, the paper's" if isinstance(film, RadialFilm) else "full film"
 
 
 def bushing_case(label: str, stiffness: float = STIFFNESS, damping: float = DAMPING) -> Case:
@@ -140,13 +150,15 @@ def bushing_case(label: str, stiffness: float = STIFFNESS, damping: float = DAMP
     return Case(label, "bushing", (("stiffness", stiffness), ("damping", damping)), Bushing)
 
 
-def five_models(stiffness: float = STIFFNESS, damping: float = DAMPING) -> dict[str, Case]:
-    """The five models of Figs 18 to 25 by short name, with this bushing [N/m, s]."""
+def five_models(
+    stiffness: float = STIFFNESS, damping: float = DAMPING, film: AbstractFilm | None = None
+) -> dict[str, Case]:
+    """The five models of Figs 18 to 25 by short name, with this bushing [N/m, s] and film."""
     return {
         "ideal": Case("ideal", "ideal", (), Ideal),
         "dry": dry_case("dry"),
         "friction": friction_case("dry with friction"),
-        "lubricated": lubricated_case("lubricated"),
+        "lubricated": lubricated_case("lubricated", film=film),
         "bushing": bushing_case("bushing", stiffness, damping),
     }
 
@@ -174,8 +186,8 @@ def _gap(clearance: float) -> str:
     return f"c = {1e3 * clearance:.2f} mm"
 
 
-def parameter_studies() -> list[Study]:
-    """Figs 10 to 17."""
+def parameter_studies(film: AbstractFilm | None = None) -> list[Study]:
+    """Figs 10 to 17; with this film those of the lubricated joint, which one more shows with both films."""
     friction = "Threlfall friction (mu = 0.1, v1 = 1 mm/s)"
     law = "Lankarani-Nikravesh, restitution 0.9"
     return [
@@ -190,8 +202,11 @@ def parameter_studies() -> list[Study]:
         Study("fig14", f"Dry joint with friction: friction law (c = 0.10 mm; {law})",
               tuple(friction_case(name, friction=one) for name, one in _friction_laws().items()),
               close_up=True),
-        Study("fig15", "Lubricated joint: clearance (0.4 Pa s, Guembel's condition)",
-              tuple(lubricated_case(_gap(c), c) for c in CLEARANCES), histories=True, ordered=True),
+        Study("fig15", f"Lubricated joint: clearance ({film_name(film)}; 0.4 Pa s, Guembel's condition)",
+              tuple(lubricated_case(_gap(c), c, film) for c in CLEARANCES), histories=True, ordered=True),
+        Study("fig15b", "Lubricated joint: the paper's film against the full one (c = 0.10 mm; 0.4 Pa s, Guembel)",
+              tuple(lubricated_case(film_name(each), film=each) for each in (RadialFilm(), FullFilm())),
+              histories=True),
         Study("fig16", "Bushing: stiffness k (b = 1e-2 s)",
               tuple(bushing_case(f"k = {k:.0e} N/m", stiffness=k) for k in (1e5, 1e6, 1e7)),
               histories=True, ordered=True),
@@ -200,11 +215,12 @@ def parameter_studies() -> list[Study]:
     ]  # fmt: skip
 
 
-def limit_studies() -> list[LimitStudy]:
-    """The limits in which each model becomes the ideal joint.
+def limit_studies(film: AbstractFilm | None = None) -> list[LimitStudy]:
+    """The limits in which each model becomes the ideal joint, the lubricated one with this film.
 
-    Friction does not vanish with the clearance: the ball is as large as before, and so is the friction
-    moment.
+    Friction does not vanish with the clearance: the ball is as large as before, and so is the friction moment. The
+    full film resists relative spin by 8 pi nu R**4/(3 c), which grows as it carries better: neither limit of the
+    lubricated joint is the ideal one, but for the paper's film, which has no moment.
     """
     gap, clearances = "clearance [mm]", (0.4, 0.2, 0.1, 0.05, 0.025)
     threlfall = Threlfall()
@@ -212,10 +228,11 @@ def limit_studies() -> list[LimitStudy]:
         LimitStudy("dry with friction: its moment stays", gap, clearances,
                    lambda c: Dry(1e-3 * c, friction=threlfall), None),
         LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1),
-        LimitStudy("lubricated, 0.4 Pa s", gap, clearances[:3],
-                   lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY), None),
+        LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s", gap, clearances[:3],
+                   lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY, film=film), None),
         LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 1e5, 1e6, 1e7),
                    lambda k: Bushing(k, 1e-4), -1),
-        LimitStudy("lubricated, c = 0.10 mm", "viscosity [Pa s]", (0.1, 0.4, 1.6, 6.4),
-                   lambda nu: Lubricated(CLEARANCE, viscosity=nu), -1),
+        *(LimitStudy(f"lubricated ({film_name(each)}), c = 0.10 mm", "viscosity [Pa s]", (0.1, 0.4, 1.6, 6.4),
+                     lambda nu, each=each: Lubricated(CLEARANCE, viscosity=nu, film=each), order)
+          for each, order in ((RadialFilm(), -1), (FullFilm(), None)) if order or not isinstance(film, RadialFilm)),
     ]  # fmt: skip

@@ -5,7 +5,8 @@ mechanism is one more file in `spherejax.studies.subjects`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -15,7 +16,8 @@ from spherejax.model.scene import Scene
 from spherejax.motion.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.physics.joints import AbstractSphericalModel
-from spherejax.studies.cases import Case, LimitStudy, Study
+from spherejax.physics.laws import AbstractFilm
+from spherejax.studies.cases import Case, LimitStudy, Study, film_name
 
 SceneOf = Callable[[AbstractSphericalModel], Scene]
 """Makes the scene from the model of the studied joint."""
@@ -95,7 +97,8 @@ class Subject:
         build: the scene from the model of the studied joint.
         body: the body whose motion is compared.
         joint: the joint whose model changes.
-        models: the cases that are compared, by short name, the ideal one among them.
+        models: the cases that are compared, by short name, the ideal one among them; `film=` is that of the lubricated
+            joint, of `studies` and `limits` as well.
         parameters: of the models, for titles.
         full: the motion of the usual comparison.
         quick: that of the quick one.
@@ -117,7 +120,7 @@ class Subject:
     build: SceneOf
     body: str
     joint: str
-    models: Callable[[], dict[str, Case]]
+    models: Callable[..., dict[str, Case]]
     parameters: str
     full: Length
     quick: Length
@@ -126,13 +129,19 @@ class Subject:
     measures: Callable[[Trajectory, Curves], Mapping[str, float]] = field(default=lambda run, curves: {})
     summaries: "Callable[[Comparison], list[TableOf]]" = field(default=lambda comparison: [])
     remarks: "Callable[[Comparison], list[str]]" = field(default=lambda comparison: [])
-    studies: Callable[[], list[Study]] = field(default=lambda: [])
-    limits: Callable[[], list[LimitStudy]] = field(default=lambda: [])
+    studies: Callable[..., list[Study]] = field(default=lambda film=None: [])
+    limits: Callable[..., list[LimitStudy]] = field(default=lambda film=None: [])
     t_limits: float = 0.0
     reference: float = 1e-4
     apart: float = 1e-5
     tracks_work: bool = False
     fixed_solver: diffrax.AbstractSolver | None = None
+
+    def with_film(self, film: AbstractFilm) -> "Subject":
+        """The same comparison with another film in the lubricated joint."""
+        told = self.parameters.replace("0.4 Pa s", f"0.4 Pa s ({film_name(film)})")
+        asked = {name: partial(getattr(self, name), film=film) for name in ("models", "studies", "limits")}
+        return replace(self, parameters=told, **asked)
 
 
 # What is found -----------------------------------------------------------------------------------------------------

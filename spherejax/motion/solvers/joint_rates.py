@@ -28,6 +28,9 @@ SMALL_DEFLECTION = 1e-6
 LOADS_IN_MOTION = 3.0
 """A joint in contact is looked at under this many times its load at the start."""
 
+CREEP = 1e-9
+"""Speed [m/s] at which the ball nears the wall when it is looked at: a film that cavitates has a kink at rest."""
+
 SMALLEST = 1e-12
 
 
@@ -92,14 +95,14 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
         motion = joint.relative_motion(motions)
         separation = _relative_acceleration(joint, motions, falling)
         distance = USUAL_ECCENTRICITY_RATIO * getattr(joint.model, "clearance", SMALL_DEFLECTION)
-        place = distance * (separation + SMALLEST * jnp.ones(3)) / (safe_norm(separation) + SMALLEST)
+        outward = (separation + SMALLEST * jnp.ones(3)) / (safe_norm(separation) + SMALLEST)
 
         memory = state.memory[system.memory_of(name)]
 
         def force(e, rate, joint=joint, motion=motion, memory=memory):
             return joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory).force
 
-        stiffness, damping = jax.jacfwd(force, (0, 1))(place, jnp.zeros(3))
+        stiffness, damping = jax.jacfwd(force, (0, 1))(distance * outward, CREEP * outward)
         mobility = _mobility(system, motions, constraints, masses, joint)
         decays.append(mobility @ damping)
         squares.append(mobility @ stiffness)
@@ -177,15 +180,17 @@ def _pressed(joint: PlacedSpherical, motions, force: Vector3, along: Vector3, fa
         response = model.respond(moved, memory)
         return jnp.concatenate([response.force, response.ball_moment])
 
+    closing = jnp.concatenate([CREEP * n, jnp.zeros(3)])
+
     def film(ratio):
         """Damping [N s/m] of the film by itself: without contact, the memory is that of flight."""
-        damping = jax.jacfwd(answer, 1)(ratio * clearance * n, jnp.zeros(6), jnp.zeros(n_memory))
+        damping = jax.jacfwd(answer, 1)(ratio * clearance * n, closing, jnp.zeros(n_memory))
         return -n @ damping[:3, :3] @ n
 
     arrival = jnp.sqrt(2 * fall * clearance) + SMALLEST
     arrival = 1 / (1 / arrival + film(1.0) / load)
     memory = model.memory_at_onset(arrival) if n_memory else jnp.zeros(0)
-    stiffness, damping = jax.jacfwd(answer, (0, 1))((clearance + depth) * n, jnp.zeros(6), memory)
+    stiffness, damping = jax.jacfwd(answer, (0, 1))((clearance + depth) * n, closing, memory)
     return _Look(-damping, -stiffness[:3], film(USUAL_ECCENTRICITY_RATIO) * clearance / load)
 
 

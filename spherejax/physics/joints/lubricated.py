@@ -18,6 +18,7 @@ from spherejax.physics.joints.contact import (
     contact_moments,
     stiffness_of,
 )
+from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws import (
     AbstractFilm,
     AbstractFilmBoundary,
@@ -25,6 +26,7 @@ from spherejax.physics.laws import (
     AbstractNormalLaw,
     FilmGap,
     FilmMotion,
+    FullFilm,
     Guembel,
     Hertz,
     LankaraniNikravesh,
@@ -35,13 +37,31 @@ from spherejax.physics.laws import (
 from spherejax.physics.laws.base import at_least, non_negative, positive
 
 
+def _serves_every_direction(boundary: AbstractFilmBoundary) -> bool:
+    return boundary.swept_load(jnp.zeros(3), jnp.zeros(3)) is not None
+
+
+def _usual_film(boundary: AbstractFilmBoundary) -> AbstractFilm:
+    """The full film, where its boundary condition has one."""
+    return FullFilm() if _serves_every_direction(boundary) else RadialFilm()
+
+
 def _check_film(film: AbstractFilm, boundary: AbstractFilmBoundary) -> None:
     """A film in every direction needs a boundary condition for every direction."""
-    if not isinstance(film, RadialFilm) and boundary.swept_load(jnp.zeros(3), jnp.zeros(3)) is None:
+    if not isinstance(film, RadialFilm) and not _serves_every_direction(boundary):
         raise SceneError(
             f"{type(film).__name__} with {type(boundary).__name__}: that condition is of squeezing along the line of "
             "centers alone. Take boundary=sj.Guembel() or boundary=sj.Sommerfeld(), or film=sj.RadialFilm()."
         )
+
+
+def _film_motion(motion: RelativeMotion) -> FilmMotion:
+    return FilmMotion(
+        motion.eccentricity,
+        motion.eccentricity_rate,
+        motion.socket_angular_velocity,
+        motion.ball_angular_velocity,
+    )
 
 
 class Lubricated(AbstractClearanceModel):
@@ -58,15 +78,18 @@ class Lubricated(AbstractClearanceModel):
         e_h0: width of the transition from film to contact [m].
         e_h1: offset that keeps the film finite at e = c [m].
         boundary: which parts of the film carry pressure.
-        film: in which directions it resists: `RadialFilm()`, the paper's, or `FullFilm()`.
+        film: in which directions it resists: `FullFilm()`, or `RadialFilm()`, the paper's.
         socket_material: material of the socket.
         ball_material: material of the ball.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
 
+    A film that is not given is the full one. With `boundary=PinkusSternlicht()`, which says nothing of a ball that
+    moves across the line of centers, it is the radial one.
+
     Source: the paper, Eqs 37 to 40, with the eccentricity rate in m/s and, on separation, the pressure of the other
-    half film (`Guembel`); defaults from its Table 3.
+    half film (`Guembel`); defaults from its Table 3. The full film is derived here; the paper has the radial one.
     """
 
     clearance: Number
@@ -106,7 +129,7 @@ class Lubricated(AbstractClearanceModel):
         self.e_h0 = e_h0
         self.e_h1 = e_h1
         self.boundary = Guembel() if boundary is None else boundary
-        self.film = RadialFilm() if film is None else film
+        self.film = _usual_film(self.boundary) if film is None else film
         _check_film(self.film, self.boundary)
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
@@ -116,7 +139,7 @@ class Lubricated(AbstractClearanceModel):
     def effects(self):
         """Elastic contact, then what the normal law adds to it, then friction."""
         elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
-        film = "squeeze film" if isinstance(self.film, RadialFilm) else type(self.film).__name__
+        film = {RadialFilm: "radial film", FullFilm: "full film"}.get(type(self.film), type(self.film).__name__)
         return contact_effects(self, f"{film} ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic)
 
     def requirements(self) -> list[Requirement]:
@@ -135,15 +158,7 @@ class Lubricated(AbstractClearanceModel):
         surfaces = self.surfaces
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
-        film = self.film.action(
-            FilmMotion(
-                motion.eccentricity,
-                motion.eccentricity_rate,
-                motion.socket_angular_velocity,
-                motion.ball_angular_velocity,
-            ),
-            FilmGap(self.clearance, self.socket_radius, self.viscosity, self.e_h1, self.boundary),
-        )
+        film = self.film.action(_film_motion(motion), self._film_gap)
         share = 1 - weight
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
         penetration = self.penetration(motion)
@@ -165,6 +180,18 @@ class Lubricated(AbstractClearanceModel):
                 "sliding_velocity": contact.sliding_velocity,
             },
         )
+
+    def observed(self, motion):
+        """Largest pressure of the film's share [Pa], and the unit vector from the socket's center to its place."""
+        peak = self.film.pressure_peak(_film_motion(motion), self._film_gap)
+        if peak is None:
+            return {}
+        weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
+        return {"film_pressure": (1 - weight) * peak.height, "film_pressure_place": peak.place}
+
+    @property
+    def _film_gap(self) -> FilmGap:
+        return FilmGap(self.clearance, self.socket_radius, self.viscosity, self.e_h1, self.boundary)
 
     def _elastic_energy(self, penetration: Scalar) -> Scalar:
         """Integral of w(delta) K delta^n: the blended contact force does the work that contact gives back.

@@ -41,7 +41,14 @@ from spherejax.physics.laws.friction import (
     LuGre,
     Threlfall,
 )
-from spherejax.physics.laws.full_film import ShearFactors, full_sphere_load, half_sphere_load, shear_factors
+from spherejax.physics.laws.full_film import (
+    PressurePeak,
+    ShearFactors,
+    full_sphere_load,
+    half_sphere_load,
+    pressure_peak,
+    shear_factors,
+)
 from spherejax.physics.laws.impact import (
     exact_hysteresis_factor,
     maximum_penetration,
@@ -93,6 +100,7 @@ __all__ = [
     "Material",
     "MatrixElastomer",
     "PinkusSternlicht",
+    "PressurePeak",
     "RadialElastomer",
     "RadialFilm",
     "ShearFactors",
@@ -106,6 +114,7 @@ __all__ = [
     "half_sphere_load",
     "hybrid_weight",
     "maximum_penetration",
+    "pressure_peak",
     "realized_restitution",
     "shear_factors",
     "squeeze_coefficient",

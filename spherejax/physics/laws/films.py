@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.numerics import radial_projection, safe_norm
 from spherejax.foundations.types import Number, Scalar, Vector3
 from spherejax.physics.laws.base import AbstractLaw
 from spherejax.physics.laws.film import (
@@ -15,7 +15,7 @@ from spherejax.physics.laws.film import (
     film_force,
     squeeze_coefficient,
 )
-from spherejax.physics.laws.full_film import shear_factors
+from spherejax.physics.laws.full_film import PressurePeak, pressure_peak, shear_factors
 
 
 class FilmGap(NamedTuple):
@@ -76,9 +76,25 @@ class AbstractFilm(AbstractLaw):
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force and moments of the film."""
 
+    def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak | None:
+        """Largest pressure [Pa], and the unit vector from the center to its place; None for a film that knows none."""
+        return None
+
     def requirements(self) -> list[Requirement]:
         """None: a film has no numbers of its own."""
         return []
+
+
+def _pressure_peak(velocity: Vector3, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
+    height, place = pressure_peak(_ratio_vector(motion, gap), velocity)
+    return PressurePeak(12.0 * gap.viscosity * gap.socket_radius**2 / gap.clearance**3 * height, place)
+
+
+def _ratio_vector(motion: FilmMotion, gap: FilmGap) -> Vector3:
+    """r = e/(c + e_h1), not longer than `MAXIMUM_ECCENTRICITY_RATIO`."""
+    r = motion.e / (gap.clearance + gap.transition_offset)
+    ratio = safe_norm(r)
+    return r * jnp.where(ratio < MAXIMUM_ECCENTRICITY_RATIO, 1.0, MAXIMUM_ECCENTRICITY_RATIO / jnp.maximum(ratio, 0.5))
 
 
 class RadialFilm(AbstractFilm):
@@ -97,6 +113,10 @@ class RadialFilm(AbstractFilm):
         force = film_force(motion.e, motion.e_rate, clearance, radius, viscosity, boundary, offset)
         none = jnp.zeros(3)
         return FilmAction(force, none, none, -(force @ motion.e_rate), jnp.zeros(()))
+
+    def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
+        """See `pressure_peak`, for the velocity along the line of centers."""
+        return _pressure_peak(radial_projection(motion.e, motion.e_rate), motion, gap)
 
 
 class FullFilm(AbstractFilm):
@@ -120,12 +140,9 @@ class FullFilm(AbstractFilm):
 
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force, and moments that keep the angular momentum of the pair."""
-        e, (socket_spin, ball_spin) = motion.e, motion[2:]
-        velocity = motion.e_rate - jnp.cross((socket_spin + ball_spin) / 2, e)
-        spin = ball_spin - socket_spin
-        r = e / (gap.clearance + gap.transition_offset)
-        ratio = safe_norm(r)
-        r = r * jnp.where(ratio < MAXIMUM_ECCENTRICITY_RATIO, 1.0, MAXIMUM_ECCENTRICITY_RATIO / jnp.maximum(ratio, 0.5))
+        velocity = _swept(motion)
+        spin = motion.ball_spin - motion.socket_spin
+        r = _ratio_vector(motion, gap)
         coefficient = squeeze_coefficient(gap.viscosity, gap.socket_radius, gap.clearance)
         load = gap.boundary.swept_load(r, velocity)
         assert load is not None  # `Lubricated` refuses such a boundary
@@ -134,5 +151,14 @@ class FullFilm(AbstractFilm):
         across = along + (r @ r) * excess
         # 8 pi nu R^4/(3 c) = 4/9 C c^2
         couple = -4.0 / 9.0 * coefficient * gap.clearance**2 * (across * spin - excess * (r @ spin) * r)
-        arm = jnp.cross(e, force) / 2
+        arm = jnp.cross(motion.e, force) / 2
         return FilmAction(force, couple - arm, -couple - arm, -(force @ velocity), -(couple @ spin))
+
+    def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
+        """See `pressure_peak`, for V."""
+        return _pressure_peak(_swept(motion), motion, gap)
+
+
+def _swept(motion: FilmMotion) -> Vector3:
+    """V = e_rate - w x e: the ball's velocity less the mean rotation of both."""
+    return motion.e_rate - jnp.cross((motion.socket_spin + motion.ball_spin) / 2, motion.e)

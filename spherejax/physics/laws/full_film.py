@@ -18,6 +18,7 @@ Maps for cups with a rim, computed numerically: Goenka and Booker (1980), J. Lub
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -122,7 +123,7 @@ def half_sphere_load(r: Vector3, velocity: Vector3) -> Vector3:
     Source: derived here.
     """
     square = r @ r
-    w = velocity / (4.0 + square) + r * (r @ velocity) / (4.0 * (4.0 + square))
+    w = _slope(r, velocity)
     size = safe_norm(w)
     slant = (r @ w) / jnp.where(size > 0, size, 1.0)
     near = square < _QUADRATURE_SQUARE
@@ -131,6 +132,84 @@ def half_sphere_load(r: Vector3, velocity: Vector3) -> Vector3:
     a_far, d_far = _elementary(eps, jnp.clip(jnp.where(near, 0.24, slant) / eps, -1.0, 1.0))
     a, d = jnp.where(near, a_near, a_far), jnp.where(near, d_near, d_far)
     return 4.0 * (a * w + d * (size * r - slant * w))
+
+
+def _slope(r: Vector3, velocity: Vector3) -> Vector3:
+    """W = V_n n/4 + V_t/(4 + eps**2), without n."""
+    square = r @ r
+    return velocity / (4.0 + square) + r * (r @ velocity) / (4.0 * (4.0 + square))
+
+
+class PressurePeak(NamedTuple):
+    """Where the film presses most.
+
+    Attributes:
+        height: p c**3/(12 nu R**2) [m/s].
+        place: unit vector from the center to there; zero where nothing presses.
+    """
+
+    height: Scalar
+    place: Vector3
+
+
+def pressure_peak(r: Vector3, velocity: Vector3) -> PressurePeak:
+    """The largest pressure of the film, the same whether or not it bears suction elsewhere.
+
+        height = max_u (2 - r.u)/(1 - r.u)**2 u.W
+
+    It lies in the plane of r and W, between both: u = W/|W| cos(a) + m sin(a), m across W toward r. A peak near the
+    wall is as narrow as sqrt(2 (1 - eps)), and there may be a lower one beside it, so the angle is first looked for on
+    a grid that is dense about r, and then by bisection between its neighbors.
+
+    Args:
+        r: e/c, shorter than 1.
+        velocity: V [m/s].
+
+    Limits: V/2 along V at r = 0; along n (2 - eps)/(1 - eps)**2 V/4 closing, (2 + eps)/(1 + eps)**2 V/4 separating;
+    0 at V = 0. Not differentiable where two peaks are as high.
+
+    Source: derived here from the pressure above.
+    """
+    w = _slope(r, velocity)
+    size = safe_norm(w)
+    ahead = w / jnp.where(size > 0, size, 1.0)
+    slant = r @ ahead
+    across = r - slant * ahead
+    lean = safe_norm(across)
+    toward = across / jnp.where(lean > 0, lean, 1.0)
+
+    def height(angle):
+        q = slant * jnp.cos(angle) + lean * jnp.sin(angle)
+        return (2.0 - q) / (1.0 - q) ** 2 * jnp.cos(angle)
+
+    def slope(angle):
+        """Of the height's logarithm, times what is positive."""
+        sine, cosine = jnp.sin(angle), jnp.cos(angle)
+        q, q_rate = slant * cosine + lean * sine, lean * cosine - slant * sine
+        return q_rate * (3.0 - q) * cosine - sine * (1.0 - q) * (2.0 - q)
+
+    # Neither the search nor the grid is differentiated: a step of Newton from the peak has its derivative.
+    held_slant, held_lean = jax.lax.stop_gradient((slant, lean))
+    width = jnp.sqrt(2.0 * jnp.maximum(1.0 - jnp.hypot(held_slant, held_lean), 1e-16))
+    about = jnp.arctan2(held_lean, held_slant) + width * jnp.linspace(-4.0, 4.0, 33)
+    quarter = jnp.pi / 2
+    angles = jnp.clip(jnp.concatenate([jnp.linspace(0.0, quarter, 33), about]), 0.0, quarter)
+    top = angles[jnp.argmax(jax.lax.stop_gradient(height(angles)))]
+    low = jnp.max(jnp.where(angles < top, angles, 0.0))
+    high = jnp.min(jnp.where(angles > top, angles, quarter))
+
+    def halve(_, ends):
+        low, high = ends
+        middle = (low + high) / 2
+        rises = jax.lax.stop_gradient(slope(middle)) > 0
+        return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
+
+    low, high = jax.lax.fori_loop(0, 60, halve, (low, high))
+    angle = (low + high) / 2
+    value, curvature = slope(angle), jax.lax.stop_gradient(jax.grad(slope)(angle))
+    angle = angle - jnp.where(curvature < 0, (value - jax.lax.stop_gradient(value)) / curvature, 0.0)
+    place = ahead * jnp.cos(angle) + toward * jnp.sin(angle)
+    return PressurePeak(size * height(angle), place)
 
 
 def _by_quadrature(square: Scalar, slant: Scalar) -> tuple[Scalar, Scalar]:

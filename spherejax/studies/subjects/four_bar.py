@@ -44,20 +44,20 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     from spherejax.output.plot.eccentricity import eccentricity_paths
     from spherejax.output.plot.style import MODEL_COLORS
 
-    models, ideal = comparison.models, comparison.models["ideal"]
+    models, ideal, parameters = comparison.models, comparison.models["ideal"], comparison.subject.parameters
     found: dict[str, Callable] = {**law_figures()}
     for result in comparison.studies:
         found[_file_name(result)] = lambda result=result: study_figure(result, comparison)
     others = [one for name, one in models.items() if name != "ideal"]
     colors = [MODEL_COLORS[name] for name in models if name != "ideal"]
     found["fig18_models"] = lambda: histories.four_histories(
-        others, ideal, f"Joint models: {PARAMETERS}", colors=colors
+        others, ideal, f"Joint models: {parameters}", colors=colors
     )
     found["fig19_phase_portraits"] = lambda: phase.phase_portraits(
-        models, f"Phase portraits; grey: ideal\n{PARAMETERS}"
+        models, f"Phase portraits; grey: ideal\n{parameters}"
     )
     found["fig20_eccentricity"] = lambda: eccentricity_paths(
-        models, f"Ball's center in the socket; orange: in contact\n{PARAMETERS}"
+        models, f"Ball's center in the socket; orange: in contact\n{parameters}"
     )
     found["fig21_time_ratio"] = lambda: ratios.time_ratios(
         [row.name for row in comparison.rows],
@@ -112,7 +112,7 @@ def _file_name(result: "StudyResult") -> str:
     subjects = {
         "fig10": "dry_clearance", "fig11": "dry_normal_law", "fig12": "friction_clearance",
         "fig13": "friction_normal_law", "fig14": "friction_law", "fig15": "lubricated_clearance",
-        "fig16": "bushing_stiffness", "fig17": "bushing_damping",
+        "fig15b": "lubricated_films", "fig16": "bushing_stiffness", "fig17": "bushing_damping",
     }  # fmt: skip
     return f"{result.study.name}_{subjects[result.study.name]}"
 

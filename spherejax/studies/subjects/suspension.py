@@ -1,6 +1,7 @@
 """The suspension over a bump: five models of the joint between wheel and A-arm (Figs 22 to 25)."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import diffrax
 import numpy as np
@@ -193,7 +194,7 @@ def _models(comparison: "Comparison"):
         Panel("acceleration while the leaf spring is on its stop", z_ddot, ts, accelerations, STOP, limits),
         Panel("force of the studied joint, the same time", "force [kN]", ts, forces, STOP),
     ]
-    title = f"Suspension over the bump\n{PARAMETERS}"
+    title = f"Suspension over the bump\n{comparison.subject.parameters}"
     return model_histories(panels, _labels(comparison), title, shade=Shade(BUMP, "bump"))
 
 
@@ -225,7 +226,7 @@ def _differences(comparison: "Comparison"):
 def _eccentricity(comparison: "Comparison"):
     from spherejax.output.plot.eccentricity import eccentricity_paths
 
-    title = f"Ball's center in the socket, seen along the car; orange: in contact\n{PARAMETERS}"
+    title = f"Ball's center in the socket, seen along the car; orange: in contact\n{comparison.subject.parameters}"
     return eccentricity_paths(comparison.models, title, every=2, plane=(1, 2), outer=True)
 
 
@@ -253,7 +254,7 @@ def _joint(comparison: "Comparison"):
             window=first,
         ),
     ]
-    title = f"The studied joint by itself\n{PARAMETERS}"
+    title = f"The studied joint by itself\n{comparison.subject.parameters}"
     return model_histories(panels, _labels(comparison), title, shade=Shade(BUMP, "bump"))
 
 
@@ -274,7 +275,7 @@ SUSPENSION = Subject(
     build=suspension,
     body=BODY,
     joint=JOINT,
-    models=lambda: five_models(STIFFNESS, DAMPING),
+    models=partial(five_models, STIFFNESS, DAMPING),
     parameters=PARAMETERS,
     full=Length(seconds=6.0, interval=1e-4, fine=(0.05, 1e-5)),
     quick=Length(seconds=4.2, interval=1e-3, fine=(0.05, 1e-5), fixed=False),
