@@ -1,20 +1,28 @@
-"""Quantities of a motion by name, e.g. `"acceleration.rocker"`: what tables, sweeps and fits ask for.
+"""Quantities of a motion by name, one language for sweeps, fits, sensitivities, designs, peaks and the command line.
 
-A name is a kind, and for most kinds a body or joint behind a dot. The kinds are methods and properties of
-`Trajectory`.
+    "acceleration.rocker", "reaction.elbow", "kinetic_energy"    a kind, and the body or joint that it is of
+    "position.rocker.z"                                         one component of it
+    "shock.length", "elbow.normal_force"                        a result of a force element, a part of a joint's answer
+
+The kinds are methods and properties of `Trajectory`, results and parts those of `run.force` and `run.parts`.
 """
 
-from dataclasses import dataclass
+import difflib
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar
-from spherejax.model.system import System
-from spherejax.motion.observables import Observation, observe
+from spherejax.model.system import Structure, System, example_of, flatten_system
+from spherejax.motion.observables import Observation, looked_up, observe
+from spherejax.physics.forces import UNITS
+from spherejax.physics.joints import PART_UNITS
 from spherejax.physics.state import unpack
 
 AXIS, COMPONENT = ("axis",), ("component",)
@@ -53,31 +61,56 @@ OF_THE_WHOLE: Kinds = {
 """Kinds of the mechanism as a whole."""
 
 
+LETTERS: dict[tuple[str, ...], str] = {AXIS: "xyz", COMPONENT: "wxyz"}
+"""Components of a vector, and of a quaternion."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A quantity by name.
 
     Attributes:
-        kind: what it is.
-        owner: the body or joint, or None.
+        kind: what it is; of a result or a part its name.
+        owner: the body, joint or force element, or None.
         dims: dimensions behind time.
-        unit: its unit.
+        unit: its unit; empty where it is not known.
+        component: index of one component of a vector or quaternion, or None.
+        of_element: whether it is a result of a force element.
+        of_answer: whether it is a part of a joint's answer.
     """
 
     kind: str
     owner: str | None
     dims: tuple[str, ...]
     unit: str
+    component: int | None = None
+    of_element: bool = False
+    of_answer: bool = False
 
     @property
     def name(self) -> str:
         """As it was asked for."""
-        return self.kind if self.owner is None else f"{self.kind}.{self.owner}"
+        if self.of_element or self.of_answer:
+            whole = f"{self.owner}.{self.kind}"
+        else:
+            whole = self.kind if self.owner is None else f"{self.kind}.{self.owner}"
+        return whole if self.component is None else f"{whole}.{self.letters[self.component]}"
+
+    @property
+    def letters(self) -> str:
+        """Names of the components of the whole."""
+        return LETTERS[COMPONENT if self.kind == "quaternion" else AXIS]
 
     def of(self, run: Any) -> Array:
         """The quantity at the samples of a `Trajectory`, shape (n, ...)."""
-        found = getattr(run, self.kind)
-        return found if self.owner is None else found(self.owner)
+        if self.of_element:
+            found = run.force(self.owner)[self.kind]
+        elif self.of_answer:
+            found = run.part(self.owner, self.kind)
+        else:
+            found = getattr(run, self.kind)
+            found = found if self.owner is None else found(self.owner)
+        return found if self.component is None else found[..., self.component]
 
     def needs_work(self) -> bool:
         """Whether the run must integrate the work of its joints."""
@@ -88,23 +121,79 @@ def quantity(name: str, system: System) -> Quantity:
     """A quantity of a system by name.
 
     Raises:
-        SceneError: for an unknown kind, body or joint, naming those that exist.
+        SceneError: for an unknown kind, body, joint or component, naming those that exist.
     """
+    whole, _, letter = name.rpartition(".")
+    found = _whole_quantity(name, system)
+    if isinstance(found, Quantity):
+        return found
+    vector = _whole_quantity(whole, system) if whole else None
+    if not isinstance(vector, Quantity) or vector.owner is None:
+        raise SceneError(found)
+    letters = LETTERS.get(vector.dims, "")
+    if len(letter) != 1 or letter not in letters:
+        known = ", ".join(f"'{whole}.{each}'" for each in letters) or "none"
+        raise SceneError(f"{name!r}: {whole!r} has no component {letter!r}; its components are {known}")
+    return replace(vector, dims=(), component=letters.index(letter))
+
+
+def _whole_quantity(name: str, system: System) -> "Quantity | str":
+    """The quantity with all its components; a sentence where there is none."""
     kind, dot, owner = name.partition(".")
     for kinds, owners, what in ((OF_BODIES, system.bodies, "body"), (OF_JOINTS, system.joints, "joint")):
         if kind in kinds:
             if owner not in owners:
-                raise SceneError(
+                near = difflib.get_close_matches(owner, owners, n=1)
+                meant = f"; did you mean '{kind}.{near[0]}'?" if near else ""
+                return (
                     f"{name!r}: {kind!r} belongs to a {what}; write '{kind}.NAME' with one of "
-                    f"{', '.join(map(repr, owners))}"
+                    f"{', '.join(map(repr, owners))}{meant}"
                 )
             return Quantity(kind, owner, *kinds[kind])
     if kind in OF_THE_WHOLE:
         if dot:
-            raise SceneError(f"{name!r}: {kind!r} belongs to the mechanism as a whole; write {kind!r} alone")
+            return f"{name!r}: {kind!r} belongs to the mechanism as a whole; write {kind!r} alone"
         return Quantity(kind, None, *OF_THE_WHOLE[kind])
+    element, _, part = name.rpartition(".")
+    if element in system.forces or element in system.force_joints:
+        return _result(element, part, system)
     known = ", ".join([*OF_BODIES, *OF_JOINTS, *OF_THE_WHOLE])
-    raise SceneError(f"{name!r} names no quantity; the kinds are {known}")
+    others = [*(f"{each}.NAME" for each in (*system.forces, *system.force_joints))]
+    results = f", and results and parts {', '.join(others)}" if others else ""
+    near = difflib.get_close_matches(kind, [*OF_BODIES, *OF_JOINTS, *OF_THE_WHOLE], n=1)
+    meant = f"; did you mean {near[0]!r}?" if near else ""
+    return f"{name!r} names no quantity; the kinds are {known}{results}{meant}"
+
+
+def _result(element: str, part: str, system: System) -> "Quantity | str":
+    """A result of a force element, or a part of a joint's answer."""
+    of_element = element in system.forces
+    shapes = _shapes_of(flatten_system(system)[0])[0 if of_element else 1][element]
+    if part not in shapes:
+        what = "result" if of_element else "part"
+        return (
+            f"'{element}.{part}': {element!r} has no {what} {part!r}; it has {', '.join(map(repr, shapes)) or 'none'}"
+        )
+    dims = {(): (), (3,): AXIS}.get(shapes[part])
+    if dims is None:
+        return f"'{element}.{part}' has the shape {shapes[part]}; numbers and vectors of three can be asked for by name"
+    unit = (UNITS if of_element else PART_UNITS).get(part, "")
+    return Quantity(part, element, dims, unit, of_element=of_element, of_answer=not of_element)
+
+
+@lru_cache(maxsize=64)
+def _shapes_of(structure: Structure) -> tuple[dict[str, dict], dict[str, dict]]:
+    """Shapes of the results of force elements, and of the parts of joints' answers, by name."""
+
+    def seen(t, y):
+        system = example_of(structure)
+        system = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), system)
+        observation, more = observe(system, t, y), looked_up(system, y)
+        return observation.forces, {name: found | more.get(name, {}) for name, found in observation.parts.items()}
+
+    size = example_of(structure).layout.size
+    shapes = jax.eval_shape(seen, jnp.zeros(()), jnp.zeros(size))
+    return jax.tree.map(lambda x: x.shape, shapes)
 
 
 def magnitudes(system: System, t: Scalar, y: Float[Array, " size"], names: tuple[str, ...]) -> Float[Array, " k"]:
@@ -115,6 +204,16 @@ def magnitudes(system: System, t: Scalar, y: Float[Array, " size"], names: tuple
 
 
 def _at_instant(system: System, observation: Observation, y, what: Quantity) -> Array:
+    found = _whole_at_instant(system, observation, y, what)
+    return found if what.component is None else found[what.component]
+
+
+def _whole_at_instant(system: System, observation: Observation, y, what: Quantity) -> Array:
+    if what.of_element:
+        return observation.forces[str(what.owner)][what.kind]
+    if what.of_answer:
+        parts = observation.parts[str(what.owner)]
+        return parts[what.kind] if what.kind in parts else looked_up(system, y)[str(what.owner)][what.kind]
     if what.kind in OF_BODIES:
         i = list(system.bodies).index(str(what.owner))
         state = unpack(system.layout, y)
