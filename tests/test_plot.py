@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from io import BytesIO
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from spherejax.output.plot.limits import Limit, limits_to_ideal
 from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
-from spherejax.output.plot.style import LAW_COLORS, new_figure
+from spherejax.output.plot.style import LAW_COLORS, new_figure, typeset_number
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult
 from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures
@@ -275,3 +276,20 @@ def test_what_cannot_be_drawn_is_said(draw, message):
 
 def test_no_figure_needs_pyplot():
     assert "matplotlib.pyplot" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(0.0, "0"), (0.1, "0.1"), (2000.0, "2000"), (1e4, "$10^{4}$"), (-2.5e-5, r"-$2.5 \times 10^{-5}$")],
+)
+def test_numbers_on_axes_are_typeset(value, shown):
+    assert typeset_number(value) == shown
+
+
+def test_a_picture_typesets_its_texts():
+    figure, axes = new_figure(1, 1, 3.0, 2.0, "k = 1e+06 N/m, b = 2.5e-02 s, Rodas5P, v1e6")
+    axes[0, 0].plot([0, 1], [0, 1], label="k = 1e5")
+    axes[0, 0].legend()
+    figure.savefig(BytesIO(), format="png")
+    assert figure.get_suptitle() == r"k = $10^{6}$ N/m, b = $2.5 \times 10^{-2}$ s, Rodas5P, v1e6"
+    assert axes[0, 0].get_legend().get_texts()[0].get_text() == "k = $10^{5}$"

@@ -107,6 +107,7 @@ class LimitStudy:
         values: from far to near.
         model_of: the joint's model for a value.
         order: expected power of the parameter.
+        kind: short name of the joint model.
     """
 
     label: str
@@ -114,6 +115,7 @@ class LimitStudy:
     values: tuple[float, ...]
     model_of: Callable[[float], AbstractSphericalModel]
     order: int | None
+    kind: str
 
 
 def dry_case(label: str, clearance: float = CLEARANCE, normal: AbstractNormalLaw | None = None) -> Case:
@@ -224,15 +226,16 @@ def limit_studies(film: AbstractFilm | None = None) -> list[LimitStudy]:
     """
     gap, clearances = "clearance [mm]", (0.4, 0.2, 0.1, 0.05, 0.025)
     threlfall = Threlfall()
+    few = clearances[:3] if isinstance(film, RadialFilm) else clearances  # the paper's rings: a small gap takes long
     return [
         LimitStudy("dry with friction: its moment stays", gap, clearances,
-                   lambda c: Dry(1e-3 * c, friction=threlfall), None),
-        LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1),
-        LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s", gap, clearances[:3],
-                   lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY, film=film), None),
+                   lambda c: Dry(1e-3 * c, friction=threlfall), None, "friction"),
+        LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1, "dry"),
+        LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s", gap, few,
+                   lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY, film=film), None, "lubricated"),
         LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 1e5, 1e6, 1e7),
-                   lambda k: Bushing(k, 1e-4), -1),
+                   lambda k: Bushing(k, 1e-4), -1, "bushing"),
         *(LimitStudy(f"lubricated ({film_name(each)}), c = 0.10 mm", "viscosity [Pa s]", (0.1, 0.4, 1.6, 6.4),
-                     lambda nu, each=each: Lubricated(CLEARANCE, viscosity=nu, film=each), order)
-          for each, order in ((RadialFilm(), -1), (FullFilm(), None)) if order or not isinstance(film, RadialFilm)),
+                     lambda nu, each=each: Lubricated(CLEARANCE, viscosity=nu, film=each), order, "lubricated")
+          for each, order in ((FullFilm(), None), (RadialFilm(), -1)) if order or not isinstance(film, RadialFilm)),
     ]  # fmt: skip

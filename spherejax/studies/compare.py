@@ -188,4 +188,4 @@ def _limit(subject: Subject, study: LimitStudy, ts) -> LimitResult:
     for value in study.values:
         run = simulate(subject.build(study.model_of(value)), ts, rtol=RTOL, throw=True)
         deviations.append(float(np.max(np.abs(np.asarray(run.position(subject.body)[:, 2]) - ideal))))
-    return LimitResult(study.label, study.parameter, list(study.values), deviations, study.order)
+    return LimitResult(study.label, study.parameter, list(study.values), deviations, study.order, study.kind)

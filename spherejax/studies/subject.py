@@ -226,6 +226,7 @@ class LimitResult:
         values: values of the parameter.
         deviations: largest deviation of the body's height from the ideal motion [m].
         order: power of the parameter that is expected near the limit.
+        kind: short name of the joint model.
     """
 
     label: str
@@ -233,6 +234,7 @@ class LimitResult:
     values: list[float]
     deviations: list[float]
     order: int | None
+    kind: str = ""
 
 
 @dataclass(frozen=True)

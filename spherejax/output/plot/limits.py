@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from spherejax.output.plot.style import LAW_COLORS, letter, new_figure
+from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, letter, new_figure, typeset_number
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Limit:
         values: its values.
         deviations: largest deviation of the body's vertical position from the ideal motion [m].
         order: expected power of the parameter, for a line to compare with; None without an expectation.
+        kind: short name of the joint model, which has a color of its own; empty without one.
     """
 
     label: str
@@ -28,6 +29,7 @@ class Limit:
     values: Sequence[float]
     deviations: Sequence[float]
     order: int | None = None
+    kind: str = ""
 
 
 def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
@@ -40,12 +42,15 @@ def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
     parameters = list(dict.fromkeys(limit.parameter for limit in limits))
     figure, axes = new_figure(1, len(parameters), 3.3 * len(parameters) + 0.3, 4.6, title)
     for ax, parameter in zip(axes.flat, parameters, strict=True):
-        for limit, color in zip((one for one in limits if one.parameter == parameter), LAW_COLORS, strict=False):
+        own = [one for one in limits if one.parameter == parameter]
+        kinds = [one.kind for one in own]
+        for i, limit in enumerate(own):
+            is_second = limit.kind in kinds[:i] and bool(limit.kind)
             ax.plot(
                 limit.values,
                 1e3 * np.asarray(limit.deviations),
-                "o-",
-                color=color,
+                "o--" if is_second else "o-",
+                color=MODEL_COLORS.get(limit.kind, LAW_COLORS[i % len(LAW_COLORS)]),
                 ms=4,
                 lw=1.2,
                 label=limit.label,
@@ -57,7 +62,7 @@ def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
         ax.xaxis.set_major_locator(
             FixedLocator(sorted({v for one in limits if one.parameter == parameter for v in one.values}))
         )
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: typeset_number(value)))
         ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlabel(parameter)
         ax.set_title(parameter.split(" [")[0], loc="left", fontsize=9)

@@ -1,5 +1,6 @@
 """One look for all figures: colors, lines, labels with units, and axes that a spike does not flatten."""
 
+import re
 from collections.abc import Sequence
 from io import BytesIO
 from itertools import cycle, islice
@@ -9,6 +10,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from spherejax.foundations.errors import SceneError
 
@@ -40,8 +42,40 @@ LABELS = {
 """Of axes, with units."""
 
 
+_POWER = re.compile(r"(?<![\w.$])(?P<mantissa>\d+(?:\.\d+)?)e(?P<sign>[+-]?)0*(?P<exponent>\d+)(?![\w.])")
+"""A number with a power of ten, as Python prints it."""
+
+
+def typeset(text: str) -> str:
+    """Numbers as `1e+06` or `2.5e-3` as powers of ten; the rest of the text as it is."""
+
+    def powers(found: re.Match) -> str:
+        sign, exponent = "-" if found["sign"] == "-" else "", found["exponent"]
+        factor = "" if float(found["mantissa"]) == 1 else rf"{found['mantissa']} \times "
+        return f"${factor}10^{{{sign}{exponent}}}$"
+
+    return _POWER.sub(powers, text)
+
+
+def typeset_number(value: float) -> str:
+    """A number for an axis: 0.01 and 400 as they are, beyond 0.001 and 1000 with a power of ten."""
+    if value == 0 or 1e-3 <= abs(value) < 1e4:
+        return f"{value:g}"
+    mantissa, _, exponent = f"{value:.5e}".partition("e")
+    return typeset(f"{float(mantissa):g}e{exponent}")
+
+
 class Picture(Figure):
-    """A figure that a notebook shows as it is, also where pyplot was never imported."""
+    """A figure that a notebook shows as it is, also where pyplot was never imported; its numbers are typeset."""
+
+    def draw(self, renderer) -> None:
+        """Draw, with powers of ten in titles, legends and remarks as such."""
+        for text in self.findobj(Text):
+            if isinstance(text, Text):
+                said = text.get_text()
+                if "e" in said and (shown := typeset(said)) != said:
+                    text.set_text(shown)
+        super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
         """The picture."""
