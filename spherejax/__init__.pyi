@@ -131,6 +131,7 @@ from .physics.laws import (
     squeeze_coefficient,
     squeeze_factor,
 )
+from .physics.orientations import orientation
 from .studies.accuracy import SOLVERS, WorkPrecision, work_precision
 from .studies.bayes import Posterior, posterior
 from .studies.design import Design, optimize, smooth_peak
@@ -304,6 +305,7 @@ __all__ = [
     "maximum_penetration",
     "open_sweep",
     "optimize",
+    "orientation",
     "plot",
     "posterior",
     "pressure_peak",

@@ -1,6 +1,5 @@
 """Orientations as people state them: an axis and an angle, or three angles about named axes, as a quaternion."""
 
-import re
 from typing import Any
 
 import numpy as np
@@ -8,14 +7,13 @@ import numpy as np
 from spherejax.files.fields import Context
 from spherejax.files.place import Place
 from spherejax.files.quantities import listed, number, vector
+from spherejax.physics.orientations import SEQUENCE, orientation
 
 FORMS = '{ axis = [0, 0, 1], angle = "30 deg" } or { sequence = "ZXZ", angles = ["10 deg", "20 deg", 0] }'
 
 
 UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 """The quaternion of no turn."""
-
-_SEQUENCE = re.compile(r"(?:([XYZ])(?!\1)){1,3}|(?:([xyz])(?!\2)){1,3}")
 
 
 def read_rotation(value: Any, place: Place, context: Context) -> np.ndarray:
@@ -36,7 +34,7 @@ def read_rotation(value: Any, place: Place, context: Context) -> np.ndarray:
         length = float(np.linalg.norm(axis))
         if not 0 < length < np.inf:
             (place / "axis").fail("must be a direction; give a vector that is not zero")
-        return turn_about(axis / length, float(angle))
+        return orientation(axis=axis, angle=float(angle))
     return _sequence(value, place, context)
 
 
@@ -58,7 +56,7 @@ def turn_about(axis, angle: float) -> np.ndarray:
 
 def _sequence(value: Any, place: Place, context: Context) -> np.ndarray:
     letters = value["sequence"]
-    if not isinstance(letters, str) or not _SEQUENCE.fullmatch(letters):
+    if not isinstance(letters, str) or not SEQUENCE.fullmatch(letters):
         (place / "sequence").fail(
             f'{letters!r} is no sequence of axes; write one to three of X, Y, Z, e.g. "ZXZ" for the body\'s own axes, '
             'or of x, y, z, e.g. "xyz" for those of the world, neighbors different'
@@ -66,8 +64,4 @@ def _sequence(value: Any, place: Place, context: Context) -> np.ndarray:
     angles = np.asarray(listed("rad").read(value["angles"], place / "angles", context))
     if len(angles) != len(letters):
         (place / "angles").fail(f"{len(angles)} angles for the {len(letters)} axes of {letters!r}; give one for each")
-    quaternion = UNTURNED
-    for letter, angle in zip(letters, angles, strict=True):
-        turn = turn_about(np.eye(3)["xyz".index(letter.lower())], float(angle))
-        quaternion = product(quaternion, turn) if letters.isupper() else product(turn, quaternion)
-    return quaternion
+    return orientation(sequence=letters, angles=angles)

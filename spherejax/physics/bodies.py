@@ -11,6 +11,7 @@ from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.forms import is_numeric, mapping_of
 from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple, Unit
 from spherejax.physics import solids
+from spherejax.physics.orientations import as_quaternion
 
 GROUND = "ground"
 """The name of the body that does not move; its axes are the world axes."""
@@ -35,7 +36,8 @@ class Body(eqx.Module):
         inertia: about the center of mass in body axes [kg m^2]; shape (3,) for principal axes, or (3, 3), symmetric.
             Positive, and no principal moment larger than the sum of the other two: no body has such moments.
         position: initial position of the center of mass in world axes [m], shape (3,).
-        quaternion: initial unit quaternion, scalar first, body axes to world axes, shape (4,).
+        quaternion: initial unit quaternion, scalar first, body axes to world axes, shape (4,). A rotation matrix (3, 3)
+            or a `Rotation` of SciPy is taken as one; `sj.orientation` makes one of an axis and an angle, or of angles.
         velocity: initial velocity of the center of mass, world axes [m/s], shape (3,).
         angular_velocity: initial angular velocity, world axes [rad/s], shape (3,).
         points: places on the body where joints and forces meet it, body axes [m], each of shape (3,).
@@ -69,7 +71,7 @@ class Body(eqx.Module):
         self.mass = mass
         self.inertia = numbers(inertia)
         self.position = numbers(position)
-        self.quaternion = numbers(quaternion)
+        self.quaternion = numbers(as_quaternion(quaternion))
         self.velocity = numbers(velocity)
         self.angular_velocity = numbers(angular_velocity)
         points = mapping_of("points", {} if points is None else points, '{"tip": (0.0, 0.0, 0.1)}')
