@@ -46,7 +46,7 @@ def main() -> None:
             seconds.append(time.perf_counter() - begin)
         row = {
             "case": name,
-            "status": sj.Status(int(run.status)).name,
+            "status": run.status.name,
             "steps": int(run.stats.n_accepted),
             "milliseconds": f"{1e3 * np.median(seconds[1:]):.1f}",
             "peak_m_per_s2": f"{np.abs(np.asarray(run.acceleration('rocker'))[:, 2]).max():.2f}",

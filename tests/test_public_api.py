@@ -178,3 +178,17 @@ def test_every_public_name_has_a_docstring():
     public = [getattr(sj, name) for name in dir(sj) if not name.startswith("_")]
     silent = [thing for thing in public if (inspect.isclass(thing) or inspect.isfunction(thing)) and not thing.__doc__]
     assert not silent
+
+
+def test_status_and_statistics_read_in_words():
+    run = sj.simulate(sj.gallery.four_bar(sj.Ideal()), [0.0, 0.01])
+    assert run.status is sj.Status.SUCCEEDED
+    assert f"{run.status}" == str(run.status) == repr(run.status) == "Status.SUCCEEDED"
+    assert f"{run.status:d}" == "0"
+    assert int(run.status) == run.status == 0
+    assert "n_steps=" in repr(run.stats)
+    ks = jnp.array([1e5, 2e5])
+    runs = jax.vmap(lambda k: sj.simulate(sj.gallery.four_bar(sj.Bushing(k, 1e-4)), [0.0, 0.001]))(ks)
+    assert runs.status.shape == (2,)
+    assert jax.tree.map(lambda x: x[1], runs).status is sj.Status.SUCCEEDED
+    assert not jax.jit(lambda: sj.simulate(sj.gallery.four_bar(sj.Ideal()), jnp.array([0.0, 0.01])).status != 0)()

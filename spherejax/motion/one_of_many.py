@@ -112,7 +112,7 @@ class Prepared:
             ys=outcome.ys,
             system=plan.structure.system(start.numbers.theta),
             stats=statistics(outcome, stages_of(self.method.choice.solver), self.explanation),
-            status=outcome.status,
+            ended=outcome.status,
             t_reached=outcome.t_reached,
             y_reached=outcome.y_reached,
             assembly=start.assembly,

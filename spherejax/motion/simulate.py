@@ -146,7 +146,7 @@ def simulate(
         ys=outcome.ys,
         system=system,
         stats=replace(outcome.stats, explanation="; ".join(filter(None, [choice.reason, said, path.reason]))),
-        status=outcome.status,
+        ended=outcome.status,
         t_reached=outcome.t_reached,
         y_reached=outcome.y_reached,
         assembly=outcome.assembly if assembly is None else assembly,

@@ -30,6 +30,15 @@ class Status(enum.IntEnum):
     SOLVER_FAILED = 5
     AUDIT_FAILED = 6
 
+    def __str__(self) -> str:
+        return f"Status.{self.name}"
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __format__(self, spec: str) -> str:
+        return format(int(self), spec) if spec else str(self)
+
 
 REMEDIES = {
     Status.TOO_MANY_STEPS: (

@@ -1,7 +1,7 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -45,7 +45,7 @@ class Trajectory(eqx.Module):
         ys: flat states, shape (n, size); NaN at samples that a failed run did not reach.
         system: the compiled scene.
         stats: what the run cost.
-        status: how it ended, an integer of `Status`.
+        ended: how it ended, an integer of `Status`; `status` says it in words.
         t_reached: the time that was reached [s].
         y_reached: the flat state there, shape (size,).
         assembly: how the start was made consistent.
@@ -58,7 +58,7 @@ class Trajectory(eqx.Module):
     ys: Float[Array, "n size"]
     system: System
     stats: Statistics
-    status: Int[Array, ""]
+    ended: Int[Array, ""]
     t_reached: Float[Array, ""]
     y_reached: Float[Array, " size"]
     assembly: Assembly
@@ -67,7 +67,7 @@ class Trajectory(eqx.Module):
     asked: Asked | None = eqx.field(static=True, default=None)
 
     def __repr__(self) -> str:
-        if not is_concrete(self.status):
+        if not is_concrete(self.ended):
             return "Trajectory(traced)"
         bodies, n = ", ".join(self.system.bodies), self.ts.shape[-1]
         ended = "succeeded" if bool(np.all(self.succeeded)) else self.diagnosis
@@ -77,9 +77,14 @@ class Trajectory(eqx.Module):
     # How it ended ------------------------------------------------------------------------------------------------
 
     @property
+    def status(self) -> Any:
+        """How it ended: a `Status` of a single run, e.g. `Status.SUCCEEDED`; of many, or traced, integers of it."""
+        return Status(int(self.ended)) if is_concrete(self.ended) and not np.ndim(self.ended) else self.ended
+
+    @property
     def succeeded(self):
         """Whether the run reached its end."""
-        return self.status == Status.SUCCEEDED
+        return self.ended == Status.SUCCEEDED
 
     @property
     def diagnosis(self) -> str:
@@ -87,8 +92,8 @@ class Trajectory(eqx.Module):
 
         Of a single run that its constraints have stopped, it names the joints whose equations become dependent there.
         """
-        text = diagnosis(self.status, self.t_reached, np.asarray(self.ts)[..., -1], self._found)
-        if np.ndim(self.status) or not text or int(self.status) not in STOPPED_IN_MOTION:
+        text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._found)
+        if np.ndim(self.ended) or not text or int(self.ended) not in STOPPED_IN_MOTION:
             return text
         start = (float(self.ts[0]), np.asarray(self.assembly.y))
         joints = singular_joints(self.system, float(self.t_reached), np.asarray(self.y_reached), start)
@@ -103,7 +108,7 @@ class Trajectory(eqx.Module):
     @property
     def audit(self) -> str:
         """What the run's audit of itself has looked at and found, in words. For one run; `stats.audit` for many."""
-        if np.ndim(self.status):
+        if np.ndim(self.ended):
             raise SceneError("audit reports on a single run; take one lane of the batch first")
         shares = np.asarray(self.stats.audit)
         made = {check: share for check, share in zip(CHECKS, shares, strict=True) if share != NOT_MADE}
@@ -116,7 +121,7 @@ class Trajectory(eqx.Module):
     @property
     def constraints(self) -> ConstraintReport:
         """Number, rank and redundancy of the constraint equations at the start; prints as sentences. For one run."""
-        if np.ndim(self.status):
+        if np.ndim(self.ended):
             raise SceneError("constraints reports on a single run; take one lane of the batch first")
         return report_at(self.system, float(self.ts[0]), np.asarray(self.assembly.y))
 
@@ -366,7 +371,7 @@ class Trajectory(eqx.Module):
 
     def _found(self, lane: tuple) -> str:
         """What the audit of a lane has found; of a single run it names the joint or the body."""
-        if np.ndim(self.status):
+        if np.ndim(self.ended):
             return findings(np.asarray(self.stats.audit)[lane])
         shares = np.asarray(self.stats.audit)
         if not findings(shares):

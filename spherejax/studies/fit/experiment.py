@@ -324,7 +324,7 @@ def _run_of(frame: Frame, setting: Setting, values, ys, assembly) -> Trajectory:
         ys=ys,
         system=frame.plan.structure.system(theta),
         stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64), jnp.zeros(4)),
-        status=nothing,
+        ended=nothing,
         t_reached=setting.ts[-1],
         y_reached=ys[-1],
         assembly=assembly,

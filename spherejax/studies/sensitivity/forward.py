@@ -162,7 +162,7 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
     observed = _observed(prepared, wanted, values, directions, found.ys, found.slopes)
     run = observable_run(prepared, prepared.plan.theta(values, prepared.known), found.ys)
     stats = replace(run.stats, n_steps=found.n_steps)
-    run = replace(run, stats=stats, status=found.status, t_reached=found.t_reached)
+    run = replace(run, stats=stats, ended=found.status, t_reached=found.t_reached)
     errors = (
         "the errors of the derivatives are controlled"
         if has_controlled_sensitivities(prepared.options.solver)
@@ -198,7 +198,7 @@ def observable_run(prepared: Prepared, theta: Float[Array, " n_numbers"], ys: Fl
         ys=ys,
         system=prepared.plan.structure.system(theta),
         stats=Statistics(nothing, nothing, nothing, nothing, jnp.zeros(0, jnp.int64), jnp.zeros(4)),
-        status=nothing,
+        ended=nothing,
         t_reached=ts[-1],
         y_reached=ys[-1],
         assembly=Assembly(ys[0], nothing, nothing, none, none, none),

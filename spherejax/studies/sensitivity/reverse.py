@@ -44,7 +44,7 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
         slopes = np.asarray((directions @ (by_values + along_run) + kept.start_slopes @ by_start) / scale)
     run = observable_run(prepared, plan.theta(values, known), kept.ys)
     stats = replace(run.stats, n_steps=kept.n_steps)
-    run = replace(run, stats=stats, status=kept.status, t_reached=kept.t_reached)
+    run = replace(run, stats=stats, ended=kept.status, t_reached=kept.t_reached)
     return Found(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
 
 
