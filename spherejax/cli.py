@@ -1,10 +1,12 @@
 """The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|write|list`."""
 
 import argparse
+import difflib
 import os
 import re
 import sys
 from collections.abc import Sequence
+from typing import Any, NoReturn
 
 import spherejax as sj
 from spherejax import runtime
@@ -41,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 2 for a request that makes no sense, 3 for a failed run, 130 when interrupted.
     """
     try:
-        options = parser().parse_args(argv)
+        options = _read(parser(), argv)
     except SystemExit as stop:  # argparse has printed the help or the error
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     if runtime.is_command():
@@ -73,6 +75,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return BAD_REQUEST
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are not buried under the list of all options."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong, and where the options are listed."""
+        self.exit(BAD_REQUEST, f"{self.prog}: error: {message}\nusage: {self.prog} --help\n")
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     from spherejax.command_line.accuracy import add_accuracy
@@ -87,7 +97,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.write import add_write
 
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
+    parser = _Parser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for add in (
         add_run,
@@ -106,6 +116,20 @@ def parser() -> argparse.ArgumentParser:
         # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.
         command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     return parser
+
+
+def _read(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """The options of a command; for one that does not exist the nearest that does."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    options, unknown = parser.parse_known_args(words)
+    if unknown:
+        commands: Any = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+        command = next((commands.choices[word] for word in words if word in commands.choices), parser)
+        flags = [each.partition("=")[0] for each in unknown if each.startswith("-")]
+        near = [difflib.get_close_matches(flag, command._option_string_actions, n=1) for flag in flags]
+        meant = "; did you mean " + " and ".join(each[0] for each in near if each) + "?" if any(near) else ""
+        command.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+    return options
 
 
 def _leave(code: int) -> None:

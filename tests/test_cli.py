@@ -66,6 +66,13 @@ def test_run_writes_what_simulate_gives(tmp_path, capsys):
     assert "contact onsets of coupler_rocker" in out
 
 
+def test_numbers_may_have_units():
+    plain, measured = (
+        parsed("--joint", "dry", "--clearance", c, "--t1", t) for c, t in (("1e-4", "0.2"), ("0.1 mm", "200ms"))
+    )
+    assert (measured.clearance, measured.t1) == pytest.approx((plain.clearance, plain.t1), rel=1e-15)
+
+
 def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     path = tmp_path / "impacts.csv"
     command = ["run", "four-bar", "--joint", "dry", "--t1", "0.02", "--samples", "3", "--impacts", str(path)]
@@ -138,7 +145,14 @@ def test_an_unknown_word_exits_with_2(words, capsys):
         (["--clearance", "0,1"], "argument --clearance: '0,1' is no number; write 0.1"),
         (["--clearance", "1_0"], "argument --clearance: '1_0' is no number; write 10"),
         (["--clearance", "nan"], "argument --clearance: 'nan' is no number"),
-        (["--clearance", "0.1mm"], "numbers here are in SI units, without a unit: 0.0001"),
+        (["--clearance", "0.1kg"], "argument --clearance: '0.1kg' is a mass [kg], but a length [m] is expected"),
+        (
+            ["--clearance", "0,1 mm"],
+            """'0,1 mm' is no number with a unit: its number is not a plain one; write "0.1 mm\"""",
+        ),
+        (["--restitution", "0.1 m"], "numbers here are in SI units, without a unit: 0.1"),
+        (["--t1", "5 m"], "argument --t1: '5 m' is a length [m], but a time [s] is expected"),
+        (["--clearence", "1e-4"], "unrecognized arguments: --clearence 1e-4; did you mean --clearance?"),
         (["--stiffness", "1e999"], "argument --stiffness: '1e999' is larger than any number"),
         (["--t1", "inf"], "argument --t1: 'inf' is no number"),
         (["--samples", "2.5"], "argument --samples: '2.5' is no whole number"),

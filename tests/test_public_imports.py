@@ -136,7 +136,7 @@ def test_what_type_checkers_read_is_what_there_is():
     [
         (["--help"], 0),
         (["run", "--help"], 0),
-        (["run", "four-bar", "--clearance", "0.1 mm"], 2),
+        (["run", "four-bar", "--clearance", "0,1 mm"], 2),
         (["run", "four-bar", "--joint", "dri"], 2),
         (["run", "fourbar"], 2),
         (["sweep", "four-bar", "--out", "x.nc"], 2),

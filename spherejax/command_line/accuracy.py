@@ -11,7 +11,7 @@ from pathlib import Path
 import spherejax as sj
 from spherejax.command_line.catalog import JOINTS, SOLVERS
 from spherejax.command_line.models import add_joint_options
-from spherejax.command_line.numbers import real, whole
+from spherejax.command_line.numbers import measured_in, real, whole
 from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.scenes import add_scene, chosen, model_name
 
@@ -64,7 +64,9 @@ def add_accuracy(commands) -> None:
         help=f"several models of the studied joint with their defaults, instead of --joint: {', '.join(JOINTS)}",
     )
     study = parser.add_argument_group("what is run")
-    study.add_argument("--t1", type=real, metavar="S", help="length of the motion [s] (default: 0.2; quick: 0.05)")
+    study.add_argument(
+        "--t1", type=measured_in("s"), metavar="S", help="length of the motion [s] (default: 0.2; quick: 0.05)"
+    )
     study.add_argument(
         "--solvers",
         nargs="+",
@@ -76,9 +78,14 @@ def add_accuracy(commands) -> None:
         "--tolerances", nargs="+", type=real, metavar="R", help="relative tolerances (default: 1e-4 1e-5 ... 1e-10)"
     )
     study.add_argument("--repeats", type=whole, default=5, metavar="N", help="timed runs of each (default: 5)")
-    study.add_argument("--target", type=real, metavar="M", help="position error to price [m] (default: by the runs)")
     study.add_argument(
-        "--max-seconds", type=real, metavar="S", help="budget of a run [s]; more is given up (default: 5; quick: 1)"
+        "--target", type=measured_in("m"), metavar="M", help="position error to price [m] (default: by the runs)"
+    )
+    study.add_argument(
+        "--max-seconds",
+        type=measured_in("s"),
+        metavar="S",
+        help="budget of a run [s]; more is given up (default: 5; quick: 1)",
     )
     study.add_argument("--quick", action="store_true", help="shorter motion, three solvers, three tolerances")
     files = parser.add_argument_group("files")

@@ -9,14 +9,15 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
-from spherejax.command_line.numbers import real
+from spherejax.command_line.numbers import measured_in, real
 from spherejax.command_line.printing import progress
 from spherejax.command_line.scenes import AS_DESCRIBED, Chosen, add_scene, chosen, model_name
 
 DESCRIPTION = """\
 Draw a mechanism in space: bodies, joints by their symbols, force elements, ground and world axes; at
 its assembled start, or at the time --t of its motion, with joints with clearance magnified beside it.
-An ending .gif or .mp4 makes a film of the motion. All numbers are in SI units.
+An ending .gif or .mp4 makes a film of the motion. Numbers are in SI units, or have a unit of their own
+("0.1 mm").
 """
 
 EPILOG = """examples:
@@ -46,8 +47,10 @@ def add_draw(commands) -> None:
     add_scene(parser)
     add_joint_options(parser)
     what = parser.add_argument_group("what is drawn")
-    what.add_argument("--t", type=real, metavar="S", help="time of a picture [s] (default: the assembled start)")
-    what.add_argument("--t1", type=real, metavar="S", help="length of a film's motion [s] (default: 2)")
+    what.add_argument(
+        "--t", type=measured_in("s"), metavar="S", help="time of a picture [s] (default: the assembled start)"
+    )
+    what.add_argument("--t1", type=measured_in("s"), metavar="S", help="length of a film's motion [s] (default: 2)")
     what.add_argument(
         "--view", type=real, nargs=2, metavar=("AZ", "EL"), help="azimuth and elevation of the viewer [deg]"
     )

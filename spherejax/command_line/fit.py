@@ -12,7 +12,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
-from spherejax.command_line.numbers import number_of, real, whole
+from spherejax.command_line.numbers import measured_in, number_of, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scene_numbers import number_at, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
@@ -62,7 +62,7 @@ def add_fit(commands) -> None:
         metavar="[NAME=]SIGMA",
         help="standard deviation of the errors in SI units, of all columns or of one (default: from the residuals)",
     )
-    given.add_argument("--t0", type=real, metavar="S", help="when the motion starts [s] (default: 0)")
+    given.add_argument("--t0", type=measured_in("s"), metavar="S", help="when the motion starts [s] (default: 0)")
     wanted = parser.add_argument_group("what is fitted")
     wanted.add_argument(
         "--start",

@@ -17,7 +17,7 @@ from spherejax.command_line.catalog import (
     USUAL,
     Usual,
 )
-from spherejax.command_line.numbers import real
+from spherejax.command_line.numbers import measured_in, real
 
 CONTACT = ("dry", "friction", "lubricated")
 
@@ -38,9 +38,13 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         "joints.NAME.model.normal.stiffness=..., forces.NAME.damping=..., gravity=0,0,-1.62; may be repeated",
     )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
-    gap.add_argument("--clearance", type=real, metavar="M", help="radial clearance [m] (default: 1e-4)")
-    gap.add_argument("--socket-radius", type=real, metavar="M", help="inner radius of the socket [m] (default: 0.010)")
-    gap.add_argument("--youngs-modulus", type=real, metavar="PA", help="of ball and socket [Pa] (default: 207e9)")
+    gap.add_argument("--clearance", type=measured_in("m"), metavar="M", help="radial clearance [m] (default: 1e-4)")
+    gap.add_argument(
+        "--socket-radius", type=measured_in("m"), metavar="M", help="inner radius of the socket [m] (default: 0.010)"
+    )
+    gap.add_argument(
+        "--youngs-modulus", type=measured_in("Pa"), metavar="PA", help="of ball and socket [Pa] (default: 207e9)"
+    )
     gap.add_argument("--normal", choices=NORMAL_LAWS, help="normal contact law (default: lankarani-nikravesh)")
     gap.add_argument("--restitution", type=real, metavar="CR", help="coefficient of restitution (default: 0.9)")
     gap.add_argument(
@@ -53,14 +57,18 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         "--mu-static", type=real, help="static friction coefficient, where the law has one (default: 0.15)"
     )
     film = parser.add_argument_group("film (lubricated)")
-    film.add_argument("--viscosity", type=real, metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)")
+    film.add_argument(
+        "--viscosity", type=measured_in("Pa s"), metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)"
+    )
     film.add_argument("--film", choices=FILMS, help="full, or the paper's radial one (default: full)")
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
-    bushing.add_argument("--stiffness", type=real, metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)")
+    bushing.add_argument(
+        "--stiffness", type=measured_in("N/m"), metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)"
+    )
     bushing.add_argument(
         "--damping",
-        type=real,
+        type=measured_in("s"),
         metavar="B",
         help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
     )

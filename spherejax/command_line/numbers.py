@@ -1,12 +1,14 @@
-"""Numbers on the command line: plain ones in SI units, as strict as those in files."""
+"""Numbers on the command line: in SI units or with a unit of their own, as strict as those in files."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 import spherejax as sj
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
+from spherejax.foundations.errors import SceneError
 
 
 def real(text: str) -> float:
@@ -15,6 +17,22 @@ def real(text: str) -> float:
         return number_in(text)
     except NumberError as error:
         raise argparse.ArgumentTypeError(f"{error}{_without_unit(text)}") from None
+
+
+def measured_in(unit: str) -> Callable[[str], float]:
+    """For `type=` of an option: a number in an SI unit, or one with a unit of its own, as "0.1 mm"."""
+
+    def number(text: str) -> float:
+        try:
+            return number_in(text)
+        except NumberError as error:
+            try:
+                return in_si(text, unit)
+            except SceneError as other:
+                # A text with a unit is told what is wrong with that, any other what is wrong with the number.
+                raise argparse.ArgumentTypeError(str(other if any(map(str.isalpha, text)) else error)) from None
+
+    return number
 
 
 def whole(text: str) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
 from spherejax.command_line.models import add_joint_options
-from spherejax.command_line.numbers import number_of_samples, real, whole
+from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
 
@@ -18,7 +18,8 @@ DESCRIPTION = """\
 Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
 accelerations, reactions, eccentricities and energies. The mechanism is a scene of the gallery or a
 file that describes one; `spherejax write` makes a file to start from. Options that are not given take
-the values of the file's table [simulation], or the defaults named below; all numbers are in SI units.
+the values of the file's table [simulation], or the defaults named below. Numbers are in SI units, or have a
+unit of their own: --clearance "0.1 mm" --t1 "200 ms".
 """
 
 EPILOG = """examples:
@@ -47,10 +48,14 @@ def add_run(commands) -> None:
     add_scene(parser)
     add_joint_options(parser)
     times = parser.add_argument_group("times and accuracy")
-    times.add_argument("--t1", type=real, metavar="S", help="length of the motion [s] (default: 2, or as published)")
+    times.add_argument(
+        "--t1", type=measured_in("s"), metavar="S", help="length of the motion [s] (default: 2, or as published)"
+    )
     sampling = times.add_mutually_exclusive_group()
     sampling.add_argument("--samples", type=whole, metavar="N", help="how many (default: 2001, or as published)")
-    sampling.add_argument("--dt", type=real, metavar="S", help="interval of the samples [s], instead of their number")
+    sampling.add_argument(
+        "--dt", type=measured_in("s"), metavar="S", help="interval of the samples [s], instead of their number"
+    )
     times.add_argument("--rtol", type=real, help="relative tolerance of a step (default: 1e-8)")
     times.add_argument("--atol", type=real, help="absolute tolerance of a step, one number (default: by the scene)")
     times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")

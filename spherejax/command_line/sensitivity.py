@@ -11,7 +11,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
-from spherejax.command_line.numbers import number_of, number_of_samples, real, whole
+from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.scene_numbers import number_at
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.sweep import builder
@@ -64,7 +64,9 @@ def add_sensitivity(commands) -> None:
     )
     what.add_argument("--samples", type=whole, default=201, metavar="N", help="sample times (default: 201)")
     how = parser.add_argument_group("time, accuracy")
-    how.add_argument("--t1", type=real, default=0.5, metavar="S", help="length of the motion [s] (default: 0.5)")
+    how.add_argument(
+        "--t1", type=measured_in("s"), default=0.5, metavar="S", help="length of the motion [s] (default: 0.5)"
+    )
     how.add_argument("--rtol", type=real, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     files = parser.add_argument_group("files")

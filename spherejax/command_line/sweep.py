@@ -11,7 +11,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
-from spherejax.command_line.numbers import number_of, number_of_samples, real, whole
+from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.scene_numbers import with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
@@ -63,7 +63,9 @@ def add_sweep(commands) -> None:
     )
     kept.add_argument("--samples", type=whole, default=101, metavar="N", help="sample times (default: 101)")
     how = parser.add_argument_group("time, accuracy, machine")
-    how.add_argument("--t1", type=real, default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)")
+    how.add_argument(
+        "--t1", type=measured_in("s"), default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)"
+    )
     how.add_argument("--rtol", type=real, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
     how.add_argument("--max-steps", type=whole, default=1_000_000, metavar="N", help="give a run up beyond")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
