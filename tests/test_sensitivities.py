@@ -255,3 +255,27 @@ def test_a_derivative_that_was_not_reached_is_not_zero():
     states, slope = jax.jvp(lambda x: planar_states(x, ts, max_steps=20), (ZERO,), (jnp.ones_like(ZERO),))
     assert np.isnan(states[-1]).all()
     assert not np.any(slope[-1])
+
+
+@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()], ids=["exact matrix", "inexact matrix"])
+def test_sensitivities_by_a_rosenbrock_method_follow_the_steps_of_the_motion(solver):
+    """And are right: each step is differentiated, its matrix included."""
+    values, ts = {"stiffness": 1e6, "damping": 1e-2}, np.linspace(0.0, 0.004, 3)
+
+    def build(stiffness, damping):
+        return cases.ball_in_socket(sj.Bushing(stiffness, damping), 0.2, (0.0, 0.1, 0.2))
+
+    def swept(numbers, record, rtol, solver=solver):
+        return sj.sweep(build, numbers, ts, record=record, rtol=rtol, solver=solver, progress=False)
+
+    one = {name: [value] for name, value in values.items()}
+    plain = swept(one, ["final position.ball"], 1e-7)
+    found = swept(one, ["sensitivity final position.ball"], 1e-7)
+    assert int(found["n_steps"].values.max()) <= 1.1 * int(plain["n_steps"].values.max()) + 2
+    slopes = found["sensitivity_final_position.ball"].values.reshape(3, 2)
+    for i, (name, value) in enumerate(values.items()):
+        h = 1e-4 * value
+        ends = swept({**one, name: [value - h, value + h]}, ["final position.ball"], 1e-11, sj.Rodas5P())
+        position = ends["final_position.ball"].values.reshape(2, 3)
+        difference = (position[1] - position[0]) / (2 * h)
+        np.testing.assert_allclose(slopes[:, i], difference, atol=2e-4 * np.abs(difference).max())

@@ -23,7 +23,7 @@ from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.audit import Limits, limits_of
 from spherejax.motion.dynamics import state_rate
 from spherejax.motion.implicit import with_structure
-from spherejax.motion.implicit_rows import solver_of_rows
+from spherejax.motion.implicit_rows import slack_of, solver_of_rows
 from spherejax.motion.integrate import (
     Options,
     Outcome,
@@ -158,7 +158,7 @@ class JobKind:
         watch = problem.watch
         return problem._replace(
             solver=solver_of_rows(problem.solver, self.structure, rate),
-            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers)),
+            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack_of(self.solver)),
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
             correct=correcting_rows(problem.correct),
             contacts=None if problem.contacts is None else with_rows(problem.contacts, rate),

@@ -19,7 +19,7 @@ from spherejax.foundations.types import Flag
 from spherejax.motion.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.diffrax_integration import diffeqsolve
 from spherejax.motion.dynamics import state_rate
-from spherejax.motion.implicit_rows import solver_of_rows
+from spherejax.motion.implicit_rows import rows_with_fixed_matrix
 from spherejax.motion.integrate import (
     Options,
     Outcome,
@@ -114,9 +114,8 @@ def _no_tangent(x: Array):
 def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
     """Whether a run with this solver integrates its sensitivities under error control.
 
-    Explicit Runge-Kutta methods and Rosenbrock methods do; see `implicit_rows` for these. diffrax's implicit methods
-    would need the Jacobian of the state and all sensitivities together, with second derivatives of the right-hand side
-    in it. Their runs are differentiated step by step instead.
+    Explicit Runge-Kutta methods do, and Rosenbrock methods, whose steps are differentiated beside the state's; see
+    `implicit_rows`. Of diffrax's implicit methods the whole run is differentiated step by step, errors unseen.
     """
     return isinstance(solver, diffrax.AbstractERK | AbstractRosenbrock)
 
@@ -324,7 +323,7 @@ def integrate_rows(
     correct = correcting_rows(correction_for(plan))
     t1 = jnp.where(began.may_run, ts[-1], ts[0])
     saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
-    solver = solver_of_rows(options.solver, plan.structure, rate)
+    solver = rows_with_fixed_matrix(options.solver, plan.structure, rate)
     judging = replace(options, controller=judging_rows(options.controller))
     solution = diffeqsolve(
         diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),

@@ -193,9 +193,18 @@ def of_first_row(function: Callable | None) -> Callable | None:
     return None if function is None else lambda parameters, t, rows: function(parameters.value, t, rows[0])
 
 
-def judging_rows(controller):
-    """The controller with the norm of the worst row, so that many numbers do not dilute the error of one."""
+def judging_rows(controller, slack: float = 1.0):
+    """The controller with the norm of the worst row, so that many numbers do not dilute the error of one.
+
+    Args:
+        controller: a diffrax controller.
+        slack: how much larger the errors of the sensitivities may be than those of the state.
+    """
     if not isinstance(controller, diffrax.PIDController):
         return controller
     norm = controller.norm
-    return eqx.tree_at(lambda c: c.norm, controller, lambda errors: jnp.max(jax.vmap(norm)(errors)))
+
+    def worst(errors):
+        return jnp.maximum(norm(errors[0]), jnp.max(jax.vmap(norm)(errors[1:])) / slack)
+
+    return eqx.tree_at(lambda c: c.norm, controller, worst)
