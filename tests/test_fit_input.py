@@ -229,3 +229,43 @@ def test_the_four_bars_bushing_is_named_by_its_options():
     build = _builder(chosen(_with_starts(options, _starts(options))), options)
     assert build(stiffness=3.0, damping=2.0).joints["coupler_rocker"].model.law.stiffness == 3.0
     assert fitting.bushing_four_bar(3.0, 2.0).joints["coupler_rocker"].model.law.damping == 2.0
+
+
+OWN = "Zeit/ms;Weg [mm];Kraft;rest\n10;1.5;2;x\n20;-2.5;3;y\n"
+
+
+def test_a_table_with_names_of_its_own_is_read_by_a_mapping(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(OWN)
+    columns = {"Zeit/ms": "time [ms]", "Weg": "position.ball.x", "Kraft": "reaction.joint.z [kN]"}
+    read = measured_from(path, columns)
+    np.testing.assert_allclose(read.ts, [0.01, 0.02])
+    np.testing.assert_allclose(read.values["position.ball.x"], [1.5e-3, -2.5e-3])  # by the unit of its own head
+    np.testing.assert_allclose(read.values["reaction.joint.z"], [2e3, 3e3])
+    assert len(read.values) == 2  # the rest, which holds no numbers, is not read
+    whole = measured_from(path, {"Zeit/ms": "time [ms]", "Weg [mm]": "position.ball.x [cm]"})
+    np.testing.assert_allclose(whole.values["position.ball.x"], [1.5e-2, -2.5e-2])  # what is said goes before
+    path.write_text("t [ms],a\n10,1\n")
+    np.testing.assert_allclose(measured_from(path, {"a": "position.ball.x"}).ts, [0.01])
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"Zeit/ms": "time [ms]", "weg": "position.ball.x"}, "there is no column 'weg'; did you mean 'Weg'"),
+        ({"Weg": "position.ball.x"}, "no column is named time"),
+        ({"Zeit/ms": "time [mm]", "Weg": "position.ball.x"}, "'mm' is a length"),
+        ({"Zeit/ms": "time [ms]", "Weg": "position.ball.x [N]"}, "'N' is a force"),
+        ({"Zeit/ms": "time [ms]", "rest": "position.ball.x"}, "'x' is no number"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_its_table_says_so(tmp_path, columns, message):
+    path = tmp_path / "rig.csv"
+    path.write_text(OWN)
+    with pytest.raises(sj.SceneError, match=message):
+        measured_from(path, columns)
+
+
+def test_a_mapping_is_for_tables_alone():
+    with pytest.raises(sj.SceneError, match="CSV files"):
+        measured_from({"time": [1.0], "position.ball.x": [0.0]}, {"a": "position.ball.x"})
