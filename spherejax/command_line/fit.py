@@ -62,6 +62,14 @@ def add_fit(commands) -> None:
         metavar="[NAME=]SIGMA",
         help="standard deviation of the errors in SI units, of all columns or of one (default: from the residuals)",
     )
+    given.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="OWN=QUANTITY",
+        help='what a column of the file is, where it has a name of its own: "height=position.rocker.z [mm]"; others '
+        "are left out; may be repeated",
+    )
     given.add_argument("--t0", type=measured_in("s"), metavar="S", help="when the motion starts [s] (default: 0)")
     wanted = parser.add_argument_group("what is fitted")
     wanted.add_argument(
@@ -187,8 +195,19 @@ def _builder(found: Chosen, options: argparse.Namespace):
 def _measured(path: str, options: argparse.Namespace) -> sj.Measured:
     from spherejax.studies.fit.reading import from_file
 
-    read = from_file(Path(path).expanduser())
+    read = from_file(Path(path).expanduser(), _columns(options))
     return read if options.t0 is None else sj.Measured(read.ts, read.values, name=read.name, t0=options.t0)
+
+
+def _columns(options: argparse.Namespace) -> dict[str, str] | None:
+    """Observables by the names that the file has for them."""
+    columns = {}
+    for text in options.column:
+        own, equals, observable = text.rpartition("=")
+        if not equals or not own.strip() or not observable.strip():
+            raise sj.SceneError(f"--column {text}: write OWN=QUANTITY, e.g. 'height=position.rocker.z [mm]'")
+        columns[own.strip()] = observable.strip()
+    return columns or None
 
 
 def _noise(options: argparse.Namespace) -> Any:

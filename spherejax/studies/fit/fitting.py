@@ -32,6 +32,7 @@ def fit(
     start: Mapping[str, Any],
     measured: Any,
     *,
+    columns: Mapping[str, str] | None = None,
     noise: Any = None,
     method: Method | None = None,
     starts: int = 1,
@@ -58,6 +59,9 @@ def fit(
             `"position.rocker.z"` or `"velocity.rocker"`.
 
     Other args:
+        columns: what the columns of CSV files are, by the names that stand in their first row, e.g.
+            `{"t/ms": "time [ms]", "height": "position.rocker.z [mm]"}`; others are left out. None: they are named like
+            observables.
         noise: standard deviation of the errors of measurement, in the units of what was measured: a number, or numbers
             by observable. With None it is estimated from the residuals, for each observable of each experiment.
         method: `sj.LevenbergMarquardt()`, the default, or `sj.Descent(optax_optimiser)` for many parameters.
@@ -83,7 +87,7 @@ def fit(
     """
     began = time.monotonic()
     method = LevenbergMarquardt() if method is None else method
-    experiments = experiments_from(measured)
+    experiments = experiments_from(measured, columns)
     problem = problem_of(build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps)
     us = _starts(problem, starts, seed)
     with interrupts_kept(), reporting(progress, problem, method.max_iterations) as report:

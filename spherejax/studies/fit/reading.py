@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 TIME = "time"
 
 
-def experiments_from(measured: Any) -> list[Measured]:
-    """A list of experiments, from one or a list.
+def experiments_from(measured: Any, columns: Mapping[str, str] | None = None) -> list[Measured]:
+    """A list of experiments, from one or a list; `columns` of tables as in `table.read_table`.
 
     Raises:
         SceneError: for what cannot be read as measurements.
@@ -28,15 +28,17 @@ def experiments_from(measured: Any) -> list[Measured]:
     many = measured if isinstance(measured, list | tuple) else [measured]
     if not many:
         raise SceneError("measured is an empty list: there is nothing to fit to")
-    return [measured_from(each) for each in many]
+    return [measured_from(each, columns) for each in many]
 
 
-def measured_from(given: Any) -> Measured:
+def measured_from(given: Any, columns: Mapping[str, str] | None = None) -> Measured:
     """One experiment from a `Measured`, a dict, a data set, or the path of a CSV or netCDF file."""
+    if isinstance(given, str | os.PathLike):
+        return from_file(Path(given).expanduser(), columns)
+    if columns is not None:
+        raise SceneError(f"columns= names the columns of CSV files; this is a {type(given).__name__}, which has names")
     if isinstance(given, Measured):
         return given
-    if isinstance(given, str | os.PathLike):
-        return from_file(Path(given).expanduser())
     if hasattr(given, "data_vars"):
         return from_dataset(given)
     if isinstance(given, Mapping):
@@ -47,9 +49,11 @@ def measured_from(given: Any) -> Measured:
     )
 
 
-def from_file(path: Path) -> Measured:
+def from_file(path: Path, columns: Mapping[str, str] | None = None) -> Measured:
     """One experiment from a file: `.nc` is netCDF, anything else a table; see `table`."""
-    given = load(path) if path.suffix == ".nc" else read_table(path)
+    if path.suffix == ".nc" and columns is not None:
+        raise SceneError(f"columns= names the columns of CSV files, and {path.name!r} is netCDF: rename its variables")
+    given = load(path) if path.suffix == ".nc" else read_table(path, columns)
     try:
         return (_from_dict(given) if isinstance(given, dict) else from_dataset(given)).named(path.stem)
     except SceneError as error:

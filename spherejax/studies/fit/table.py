@@ -4,17 +4,21 @@ The first row names the columns: `time`, and observables like `position.rocker.z
 `position.rocker.z [mm]`; without them they are SI units. What `sj.save` writes (`position rocker z [m]`) is read as
 well, without the run's own errors (violations of constraints). Columns are separated by commas, semicolons or tabs.
 Empty cells and NaN stand for what was not measured; lines that are empty or begin with # are passed over.
+
+A file with names of its own is read by a mapping from them to observables, `{"height": "position.rocker.z [mm]"}`;
+columns that it does not name are left out.
 """
 
 import csv
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, factor_of
-from spherejax.foundations.errors import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 
 MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}
@@ -22,23 +26,31 @@ TIMES = {"time", "t"}
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
 
 
-def read_table(path: Path) -> dict[str, np.ndarray]:
+def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str, np.ndarray]:
     """Columns by name, in SI units, `time` among them.
+
+    Args:
+        path: of the file.
+        columns: observables, with units in brackets, by the names that the file has for them; a column whose own head
+            names a unit needs none. None: the file names observables itself.
 
     Raises:
         SceneError: for a file that cannot be read, naming the line and the column.
     """
     lines = _lines_of(path)
     number, head = lines[0]
+    chosen = list(range(len(head)))
+    if columns is not None:
+        head, chosen = _renamed(head, columns, path, number)
     names, factors = _columns(head, path, number)
     rows = []
     for number, cells in lines[1:]:
-        if len(cells) != len(names):
+        if len(cells) != len(lines[0][1]):
             raise SceneError(
                 f"{path.name}:{number}: {len(cells)} cells in a row, but the head (line {lines[0][0]}) names "
-                f"{len(names)} columns"
+                f"{len(lines[0][1])} columns"
             )
-        rows.append([_number(cell, path, number, name) for cell, name in zip(cells, names, strict=True)])
+        rows.append([_number(cells[at], path, number, name) for at, name in zip(chosen, names, strict=True)])
     if not rows:
         raise SceneError(f"{path.name}: no measurements below the head")
     table = np.array(rows) * factors
@@ -63,6 +75,26 @@ def _lines_of(path: Path) -> list[tuple[int, list[str]]]:
     separator = max((";", "\t", ","), key=head.count)
     cells = csv.reader((line for _, line in kept), delimiter=separator, skipinitialspace=True)
     return [(i, [cell.strip() for cell in row]) for (i, _), row in zip(kept, cells, strict=False)]
+
+
+def _renamed(head: list[str], columns: Mapping[str, str], path: Path, number: int) -> tuple[list[str], list[int]]:
+    """The heads of the columns that are read, by the names of observables, and where they stand."""
+    bare = [found["name"] if (found := _WITH_UNIT.match(cell)) else cell for cell in head]
+    renamed, chosen = [], []
+    for own, observable in columns.items():
+        at = [i for i, cell in enumerate(head) if own in (cell, bare[i])]
+        if len(at) != 1:
+            what = one_of(bare, own) if not at else f"{len(at)} columns have that name"
+            raise SceneError(f"{path.name}:{number}: there is no column {own!r}; {what}")
+        unit = _WITH_UNIT.match(head[at[0]])
+        has_unit = _WITH_UNIT.match(observable) is not None
+        renamed.append(observable if has_unit or unit is None else f"{observable} [{unit['unit']}]")
+        chosen.append(at[0])
+    if not any(name.partition(" [")[0].lower() in TIMES for name in renamed):
+        for i, name in enumerate(bare):
+            if name.lower() in TIMES and i not in chosen:
+                return ["time" + head[i][len(name) :], *renamed], [i, *chosen]
+    return renamed, chosen
 
 
 def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.ndarray]:
