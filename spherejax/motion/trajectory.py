@@ -78,7 +78,7 @@ class Trajectory(eqx.Module):
 
     @property
     def status(self) -> Any:
-        """How it ended: a `Status` of a single run, e.g. `Status.SUCCEEDED`; of many, or traced, integers of it."""
+        """How it ended: a `Status` of a single run; of many, or traced, the integers."""
         return Status(int(self.ended)) if is_concrete(self.ended) and not np.ndim(self.ended) else self.ended
 
     @property
