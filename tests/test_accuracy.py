@@ -13,6 +13,7 @@ import xarray
 
 import spherejax as sj
 from spherejax import cli
+from spherejax.output.plot.style import typeset
 from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, price, spreads, usual_target
 from spherejax.studies.accuracy.reference import AGREEMENT, PARTED, Reference, make_reference, parting
 from spherejax.studies.accuracy.result import Row, WorkPrecision
@@ -369,8 +370,8 @@ def test_figures_show_the_rows(result, chaotic):
     np.testing.assert_allclose(lines["Dopri8"].get_ydata(), [row.errors["position"] for row in rows])
     best = result.frontier("friction")
     np.testing.assert_allclose(lines["no other run beats it"].get_ydata(), [point.error for point in best])
-    assert "1e-7" in {text.get_text() for text in large.texts}
-    assert result.advice["friction"] in figure.get_suptitle()
+    assert "$10^{-7}$" in {text.get_text() for text in large.texts}
+    assert typeset(result.advice["friction"]) in figure.get_suptitle()
     statistics = chaotic.figures("dry")["statistics"]
     statistics.canvas.draw()
     assert len(statistics.axes) == 7

@@ -275,7 +275,7 @@ def test_what_cannot_be_drawn_is_named(run):
 def test_a_failed_run_is_drawn_as_far_as_it_went(run):
     ys = run.ys.at[6:].set(jnp.nan)
     ended = (ys, jnp.asarray(0.055), jnp.asarray(int(sj.Status.TOO_MANY_STEPS)))
-    failed = eqx.tree_at(lambda one: (one.ys, one.t_reached, one.status), run, ended)
+    failed = eqx.tree_at(lambda one: (one.ys, one.t_reached, one.ended), run, ended)
     assert failed.diagnosis
     assert sj.draw(failed, 0.05).get_suptitle() == "t = 0.0500 s"
     with pytest.raises(sj.SceneError, match=r"0 s to 0.05 s; stopped at t = 0.055 s of 0.1 s"):

@@ -79,7 +79,9 @@ class Trajectory(eqx.Module):
     @property
     def status(self) -> Any:
         """How it ended: a `Status` of a single run; of many, or traced, the integers."""
-        return Status(int(self.ended)) if is_concrete(self.ended) and not np.ndim(self.ended) else self.ended
+        # `eqx.tree_at` asks with marks that are no arrays: it is told by its own error that the leaf is `ended`.
+        single = isinstance(self.ended, (int, np.integer, np.ndarray, jax.Array)) and not np.ndim(self.ended)
+        return Status(int(self.ended)) if single and is_concrete(self.ended) else self.ended
 
     @property
     def succeeded(self):
