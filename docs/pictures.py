@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import matplotlib
 
 import spherejax as sj
+from spherejax.physics.joints.contact import stiffness_of
 
 matplotlib.use("Agg")
 
@@ -160,6 +161,51 @@ def _realized(chi: float) -> float:
     )
 
 
+def conformity() -> Figure:
+    """Load against penetration over clearance, for metal and for a plastic liner."""
+    figure, panels = plt.subplots(1, 2, figsize=(7.6, 3.4), layout="constrained")
+    plastic = sj.Material(0.8e9, 0.46)
+    sockets = (
+        (
+            "steel on steel, R 10 mm, c 0.1 mm",
+            sj.Dry(1e-4),
+            sj.SphericalProfile(),
+        ),
+        (
+            "5 mm of polyethylene on metal, R 16 mm",
+            sj.Dry(1e-4, socket_radius=0.016, socket_material=plastic),
+            sj.WinklerLiner(youngs_modulus=0.8e9, poissons_ratio=0.46, thickness=5e-3),
+        ),
+    )
+    ratios = np.linspace(0.0, 1.0, 201)
+    for panel, (title, model, law) in zip(panels, sockets, strict=True):
+        pressed = sj.Dry(
+            model.clearance,
+            socket_radius=model.socket_radius,
+            socket_material=model.socket_material,
+            conformity=law,
+        )
+        for one, color, dashes, label in (
+            (pressed, LINES[0], (None, None), type(law).__name__),
+            (model, LINES[1], (4, 1), "Hertz with Eq. 24"),
+        ):
+            stiffness = stiffness_of(one.normal, one.surfaces)
+            force = [
+                float(one.normal.elastic_force(1e-4 * ratio, stiffness))
+                for ratio in ratios
+            ]
+            panel.plot(
+                ratios, np.array(force) / 1e3, color=color, dashes=dashes, label=label
+            )
+        panel.axvspan(0.0, 0.1, color="0.93", zorder=0)
+        panel.set_title(title, fontsize=8.5, loc="left")
+        panel.set(xlabel="penetration / clearance", xlim=(0, 1))
+        panel.set_ylim(bottom=0)
+        panel.legend(fontsize=8, frameon=False)
+    panels[0].set_ylabel("load [kN]")
+    return figure
+
+
 def friction() -> Figure:
     """Friction coefficients against sliding speed."""
     figure, panel = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
@@ -224,6 +270,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "orbits": orbits,
     "films": films,
     "restitution": restitution,
+    "conformity": conformity,
     "friction": friction,
     "suspension_over_bump": suspension,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},

@@ -21,7 +21,7 @@ from .motion.redundancy import ConstraintReport, constraint_report
 from .motion.simulate import simulate
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from .motion.start import StartWarning
-from .motion.status import SimulationError, SimulationWarning, Status
+from .motion.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from .motion.steps import PartingWarning
 from .motion.trajectory import Trajectory
 from .output.citations import cite
@@ -44,6 +44,7 @@ from .physics.functions import (
     Linear,
     Piecewise,
     Polynomial,
+    PowerTail,
     Sine,
     SmoothStep,
     SmoothTable,
@@ -82,6 +83,7 @@ from .physics.joints import (
     differentiated_rows,
 )
 from .physics.laws import (
+    AbstractConformity,
     AbstractElastomer,
     AbstractFilm,
     AbstractFilmBoundary,
@@ -95,6 +97,7 @@ from .physics.laws import (
     Coulomb,
     CrossElastomer,
     CurveElastomer,
+    EsduCylinder,
     ExactRestitution,
     FilmAction,
     FilmGap,
@@ -106,7 +109,10 @@ from .physics.laws import (
     Hertz,
     HingeElastomer,
     HuntCrossley,
+    HuntCrossleyDissipation,
+    JohnsonCylinder,
     LankaraniNikravesh,
+    LongBearing,
     LuGre,
     Material,
     MatrixElastomer,
@@ -115,9 +121,12 @@ from .physics.laws import (
     RadialElastomer,
     RadialFilm,
     ShearFactors,
+    ShortBearing,
     Sommerfeld,
+    SphericalProfile,
     Threlfall,
     VectorElastomer,
+    WinklerLiner,
     exact_hysteresis_factor,
     film_force,
     full_sphere_load,
@@ -153,6 +162,7 @@ from .studies.sweep import (
 
 __all__ = [
     "SOLVERS",
+    "AbstractConformity",
     "AbstractCurve",
     "AbstractDriftControl",
     "AbstractElastomer",
@@ -193,6 +203,7 @@ __all__ = [
     "DistanceDriver",
     "Dry",
     "Equilibrium",
+    "EsduCylinder",
     "ExactRestitution",
     "FilmAction",
     "FilmGap",
@@ -208,12 +219,15 @@ __all__ = [
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",
+    "HuntCrossleyDissipation",
     "Ideal",
     "ImplicitCurve",
+    "JohnsonCylinder",
     "LankaraniNikravesh",
     "LevenbergMarquardt",
     "Line",
     "Linear",
+    "LongBearing",
     "LuGre",
     "Lubricated",
     "Material",
@@ -222,6 +236,7 @@ __all__ = [
     "Mode",
     "NoDriftControl",
     "NotScalarizable",
+    "OutOfRangeWarning",
     "Parameter",
     "PartingWarning",
     "Peak",
@@ -233,6 +248,7 @@ __all__ = [
     "PositionDriver",
     "PostStabilization",
     "Posterior",
+    "PowerTail",
     "PressurePeak",
     "Prismatic",
     "Projection",
@@ -255,6 +271,7 @@ __all__ = [
     "SerialRunsWarning",
     "ShearFactors",
     "ShockAbsorber",
+    "ShortBearing",
     "SimulationError",
     "SimulationSettings",
     "SimulationWarning",
@@ -263,6 +280,7 @@ __all__ = [
     "SmoothTable",
     "Sommerfeld",
     "Spherical",
+    "SphericalProfile",
     "SpringDamper",
     "StartWarning",
     "Status",
@@ -282,6 +300,7 @@ __all__ = [
     "UserFunction",
     "VectorElastomer",
     "Whole",
+    "WinklerLiner",
     "WorkPrecision",
     "Wrench",
     "animate",

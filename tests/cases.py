@@ -20,6 +20,12 @@ NORMAL_LAWS = {
     "gonthier": sj.Gonthier(restitution=0.7),
     "flores": sj.Flores(restitution=0.6),
     "exact_restitution": sj.ExactRestitution(restitution=0.5),
+    "hunt_crossley_dissipation": sj.HuntCrossleyDissipation(dissipation=2.0),
+    "yielding": sj.Gonthier(restitution=sj.PowerTail(0.9, 0.05)),
+}
+CONFORMITIES = {
+    "profile": sj.SphericalProfile(),
+    "liner": sj.WinklerLiner(youngs_modulus=1e9, poissons_ratio=0.4, thickness=2e-3),
 }
 FRICTION_LAWS = {
     "threlfall": sj.Threlfall(mu=0.1, v1=1e-3),
@@ -59,6 +65,8 @@ MODELS = {
     **FOUR_BAR_MODELS,
     **{f"dry_{name}": sj.Dry(clearance=C, normal=law) for name, law in NORMAL_LAWS.items()},
     **{f"dry_{name}": sj.Dry(clearance=C, friction=law) for name, law in FRICTION_LAWS.items()},
+    **{f"dry_{name}": sj.Dry(clearance=C, conformity=law) for name, law in CONFORMITIES.items()},
+    "lubricated_liner": sj.Lubricated(clearance=C, conformity=CONFORMITIES["liner"]),
     "dry_hertz_threlfall": sj.Dry(clearance=C, normal=sj.Hertz(), friction=sj.Threlfall()),
     **{
         f"lubricated_radial_{name}": sj.Lubricated(clearance=C, boundary=law, film=sj.RadialFilm())
@@ -72,6 +80,19 @@ MODELS = {
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
 }
+
+
+_CYLINDER = sj.JohnsonCylinder(0.02)
+JOURNALS = {
+    "johnson": sj.Dry(clearance=C, conformity=_CYLINDER, friction=sj.Threlfall()),
+    "esdu": sj.Dry(clearance=C, conformity=sj.EsduCylinder(0.02), friction=sj.LuGre()),
+    "short": sj.Lubricated(clearance=C, film=sj.ShortBearing(0.02), conformity=_CYLINDER),
+    "long": sj.Lubricated(clearance=C, film=sj.LongBearing(0.04), conformity=_CYLINDER),
+    "sommerfeld": sj.Lubricated(
+        clearance=C, film=sj.ShortBearing(0.02), boundary=sj.Sommerfeld(), conformity=_CYLINDER
+    ),
+}
+"""Models of a revolute joint with clearance."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +146,10 @@ def pushed_pair() -> sj.Scene:
 
 CASES = [
     *(Case(f"four_bar_{name}", lambda model=model: sj.gallery.four_bar(model)) for name, model in MODELS.items()),
+    *(
+        Case(f"piston_{name}", lambda model=model: sj.gallery.piston(model), studied="pin")
+        for name, model in JOURNALS.items()
+    ),
     Case("pendulum", pendulum, studied=None),
     Case("ball_in_socket", lambda: ball_in_socket(FOUR_BAR_MODELS["friction"]), length=C, studied="joint"),
     Case("pushed_pair", pushed_pair, studied="pair"),

@@ -96,7 +96,7 @@ def _phase(rods, contact, found, t0, y0, base, onset_rate, touching):
             force = contact.normal_force(gap(y) / (length + c), approach, onset_rate)
             fx, fz = -force * nx, -force * nz
             if contact.mu:
-                socket, ball = contact.socket_radius, contact.socket_radius - c
+                socket, ball = contact.socket_radius + (length - c) / 2, contact.socket_radius - (length + c) / 2
                 turn = ball * psi - socket * w
                 sx, sz = vx + turn * nz - approach * nx, vz - turn * nx - approach * nz
                 along = -force * contact.friction_secant(math.hypot(sx, sz))

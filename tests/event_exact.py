@@ -250,13 +250,14 @@ def _through_contact(ball: Ball, contact: Contact, path: Path, t_onset, e_onset,
         force = contact.normal_force(gap((x, y_, z)) / (length + c), approach, onset_rate)
         fx, fy, fz = -force * nx, -force * ny, -force * nz
         tx = ty = tz = 0.0
+        to_contact = contact.socket_radius - (length + c) / 2
         if contact.mu:
-            ux = vx + ball_radius * (wy * nz - wz * ny) - approach * nx
-            uy = vy + ball_radius * (wz * nx - wx * nz) - approach * ny
-            uz = vz + ball_radius * (wx * ny - wy * nx) - approach * nz
+            ux = vx + to_contact * (wy * nz - wz * ny) - approach * nx
+            uy = vy + to_contact * (wz * nx - wx * nz) - approach * ny
+            uz = vz + to_contact * (wx * ny - wy * nx) - approach * nz
             along = -force * contact.friction_secant(math.sqrt(ux * ux + uy * uy + uz * uz))
             tx, ty, tz = along * ux, along * uy, along * uz
-        arm = ball_radius / inertia
+        arm = to_contact / inertia
         return (
             vx,
             vy,

@@ -207,15 +207,16 @@ def _rates(joint, stiffness, onset_rate, y):
         if depth > 0:
             chi = 0.75 * (1 - joint.restitution**2)
             normal = stiffness * depth**1.5 * max(0.0, 1 + chi * depth_rate / onset_rate)
-            ball_radius = joint.socket_radius - joint.clearance
+            radii = 2 * joint.socket_radius - joint.clearance
+            from_ball, from_socket = (radii - distance) / 2 * n, (radii + distance) / 2 * n
             rocker_omega = np.array([0.0, psi_rate, 0.0])
-            slip = e_rate + _cross(rocker_omega, ball_radius * n) - _cross(omega, joint.socket_radius * n)
+            slip = e_rate + _cross(rocker_omega, from_ball) - _cross(omega, from_socket)
             slip = slip - (slip @ n) * n
             speed = math.sqrt(slip @ slip)
             friction = joint.mu * normal * math.tanh(speed / joint.v1) / speed * slip if speed > 0 else 0 * n
             on_socket = normal * n + friction
-            socket_arm = socket_arm + joint.socket_radius * n
-            ball_arm = ball_arm + ball_radius * n
+            socket_arm = socket_arm + from_socket
+            ball_arm = ball_arm + from_ball
     push = COUPLER_MASS * (np.array([0.0, 0.0, -G]) - A2 * phi_rate**2 - _cross(omega, _cross(omega, rho)))
     along = eta @ omega
     gyroscopic = (COUPLER_ALONG - COUPLER_ACROSS) * along * _cross(omega, eta)

@@ -1,7 +1,9 @@
 """Runs audit themselves: what cannot be ends a run, in single runs and in lanes, and is said in words."""
 
+import warnings
 from typing import ClassVar
 
+import cases
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.motion.assembly import described_state
-from spherejax.motion.audit import CHECKS, NOT_MADE, OUTSIDE, Limits, Vitals, findings, suspects
+from spherejax.motion.audit import CHECKS, NOT_MADE, OUTSIDE, Limits, Vitals, cautions, findings, suspects
 from spherejax.motion.many import simulate_many
 from spherejax.motion.status import Status
 
@@ -167,7 +169,7 @@ def test_who_pays_for_an_account_of_what_is_put_in(scene, supplied):
 
 
 LIMITS = Limits(energy=jnp.array(1e-3), least=jnp.array(1e-9), violation=jnp.array(1e-3))
-SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12)))
+SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3)))
 
 
 @pytest.mark.parametrize(
@@ -190,6 +192,41 @@ def test_each_check_fails_on_what_it_is_for(check, wrong):
     assert findings(shares).count("times the limit") == 1
     # What was found once stays found.
     assert not bool(LIMITS.seen(watch, SOUND).is_sound)
+
+
+def test_pressing_beyond_the_range_of_a_law_is_said_and_fails_nothing():
+    watch = LIMITS.seen(LIMITS.begun(SOUND), SOUND._replace(pressed=jnp.asarray(1.5)))
+    assert bool(watch.is_sound)
+    assert cautions(LIMITS.begun(SOUND).worst) == findings(watch.worst) == ""
+    assert "a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...)" in cautions(watch.worst)
+    assert "(1.5 times that)" in cautions(np.stack([watch.worst, LIMITS.begun(SOUND).worst]))
+
+
+def pressed(modulus=1e8, conformity=None):
+    """A ball of soft material that falls on the wall of its socket."""
+    soft = sj.Material(modulus, 0.3)
+    return cases.ball_in_socket(
+        sj.Dry(1e-4, normal=sj.Flores(0.2), socket_material=soft, ball_material=soft, conformity=conformity),
+        velocity=(0.0, 0.0, -0.1),
+    )
+
+
+def test_a_run_beyond_the_range_of_eq_24_says_so_and_names_the_joint():
+    with pytest.warns(sj.OutOfRangeWarning, match="joint 'joint'.*beyond the range of their elastic law"):
+        run = sj.simulate(pressed(), jnp.linspace(0, 5e-3, 6))
+    assert run.status == sj.Status.SUCCEEDED
+    assert "beyond the range" in run.audit
+    share = float(run.stats.audit[CHECKS.index("conformity")])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # What the message advises; the profile of spheres has no such limit.
+        run = sj.simulate(pressed(conformity=sj.SphericalProfile()), jnp.linspace(0, 5e-3, 6))
+    assert float(run.stats.audit[CHECKS.index("conformity")]) == NOT_MADE
+    with pytest.warns(sj.OutOfRangeWarning, match=f"{share:.2g}"):
+        swept = sj.sweep(pressed, {"modulus": [1e8, 1e11]}, [0.0, 5e-3], record=["onsets.joint"], progress=False)
+    assert "beyond the range" in swept.attrs["cautions"]
+    with pytest.warns(sj.OutOfRangeWarning):
+        simulate_many(pressed, {"modulus": np.array([1e8, 1e11])}, [0.0, 5e-3])
 
 
 def test_losing_energy_is_no_finding_and_gaining_it_back_is():

@@ -46,7 +46,7 @@ def test_a_run_is_cited_with_its_laws_and_its_method():
 
 def test_a_scene_is_cited_without_a_method():
     said = sj.cite(sj.gallery.four_bar(sj.Lubricated(1e-4, film=sj.FullFilm())))
-    assert "Lankarani, H. M. and Nikravesh, P. E. (1990)" in said
+    assert "Hunt, K. H. and Crossley, F. R. E. (1975)" in said
     assert "Runge-Kutta" not in said
 
 

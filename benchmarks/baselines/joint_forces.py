@@ -38,8 +38,9 @@ def contact(e, rate, w_socket, w_ball, onset_rate, share, p):
     depth = max(distance - p[at.CLEARANCE], 0.0)
     damping = 1.0 + p[at.DAMPING] * dot(rate, n) / max(onset_rate, SLOWEST_ONSET)
     normal_force = share * p[at.STIFFNESS] * depth * math.sqrt(depth) * max(damping, 0.0)
-    ball_arm = times(p[at.SOCKET_RADIUS] - p[at.CLEARANCE], n)
-    socket_arm = times(p[at.SOCKET_RADIUS], n)
+    radii = 2.0 * p[at.SOCKET_RADIUS] - p[at.CLEARANCE]
+    ball_arm = times(0.5 * (radii - distance), n)
+    socket_arm = times(0.5 * (radii + distance), n)
     sliding = minus(plus(rate, cross(w_ball, ball_arm)), cross(w_socket, socket_arm))
     sliding = minus(sliding, times(dot(sliding, n), n))
     speed = length(sliding)

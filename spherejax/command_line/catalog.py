@@ -25,6 +25,7 @@ SCENES = Parts(
             "double_pendulum",
             "heavy_top",
             "physical_pendulum",
+            "piston",
             "simple_pendulum",
             "slider_crank",
             "suspension",
@@ -78,6 +79,7 @@ JOINTS = {
 NORMAL_LAWS = Parts(
     {
         "hertz": "spherejax:Hertz",
+        "hunt-crossley-dissipation": "spherejax:HuntCrossleyDissipation",
         "hunt-crossley": "spherejax:HuntCrossley",
         "lankarani-nikravesh": "spherejax:LankaraniNikravesh",
         "gonthier": "spherejax:Gonthier",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Mapping
+from typing import Any, cast
 
 import spherejax as sj
 from spherejax.command_line.catalog import (
@@ -45,7 +46,13 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     gap.add_argument(
         "--youngs-modulus", type=measured_in("Pa"), metavar="PA", help="of ball and socket [Pa] (default: 207e9)"
     )
-    gap.add_argument("--normal", choices=NORMAL_LAWS, help="normal contact law (default: lankarani-nikravesh)")
+    gap.add_argument(
+        "--normal",
+        choices=NORMAL_LAWS,
+        metavar="LAW",
+        help=f"normal contact law: {', '.join(NORMAL_LAWS)} (default: lankarani-nikravesh; with --joint lubricated "
+        "hunt-crossley-dissipation)",
+    )
     gap.add_argument("--restitution", type=real, metavar="CR", help="coefficient of restitution (default: 0.9)")
     gap.add_argument(
         "--friction",
@@ -136,12 +143,15 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 
 
 def _normal_from(options: argparse.Namespace) -> sj.AbstractNormalLaw:
-    law = NORMAL_LAWS[options.normal or "lankarani-nikravesh"]
-    if law is sj.Hertz:
+    held = options.joint == "lubricated" and options.restitution is None
+    name = options.normal or ("hunt-crossley-dissipation" if held else "lankarani-nikravesh")
+    law = NORMAL_LAWS[name]
+    if not issubclass(law, sj.AbstractHysteresisLaw):
         if options.restitution is not None:
-            raise sj.SceneError("--restitution means nothing with --normal hertz, which dissipates nothing")
+            why = "which dissipates nothing" if law is sj.Hertz else "which is damped by its dissipation"
+            raise sj.SceneError(f"--restitution means nothing with --normal {name}, {why}")
         return law()
-    return law(restitution=_or(options.restitution, 0.9))
+    return cast(Any, law)(restitution=_or(options.restitution, 0.9))
 
 
 def _friction_from(options: argparse.Namespace) -> sj.AbstractFrictionLaw | None:

@@ -48,6 +48,9 @@ def described_field(parameter: inspect.Parameter) -> Field | None:
     marks = (*marks, *getattr(kind, "__metadata__", ()))
     unit = next((mark.si for mark in marks if isinstance(mark, Unit)), None)
     function = next((mark for mark in marks if isinstance(mark, Function)), None)
+    if function is not None and unit is not None:
+        family = functions.AbstractFunction
+        return Either(Quantity(unit, ((),)), Part(family, function.argument, function.value))
     if function is not None:
         is_many = parameter.kind is inspect.Parameter.VAR_POSITIONAL or (get_origin(kind) or kind) is Sequence
         family = functions.AbstractFunction

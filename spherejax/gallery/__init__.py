@@ -9,6 +9,7 @@ from spherejax.gallery.governor import governor
 from spherejax.gallery.hip import hip
 from spherejax.gallery.n_four_bar import n_four_bar
 from spherejax.gallery.pendulums import double_pendulum, heavy_top, physical_pendulum, simple_pendulum
+from spherejax.gallery.piston import piston
 from spherejax.gallery.slider_crank import slider_crank
 from spherejax.gallery.suspension import suspension
 
@@ -24,6 +25,7 @@ __all__ = [
     "hip",
     "n_four_bar",
     "physical_pendulum",
+    "piston",
     "simple_pendulum",
     "slider_crank",
     "suspension",

@@ -4,6 +4,8 @@
     flight      no ball is beyond its socket's surface while it counts as flying
     constraints  the constraint equations hold
     quaternions  have unit norm
+    conformity   surfaces are pressed in by no more than their elastic law is for, e.g. with the stiffness of Eq. 24 by
+                 little against their clearance; beyond that the run goes on, and says so
 
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
 forces, roads that move, bristles, parts of a user's own) is integrated beside the state, and what they store does not
@@ -58,14 +60,22 @@ OUTSIDE = 1e-6
 NOT_MADE = -1.0
 """Share that says that a check is not made."""
 
-CHECKS = ("energy", "flight", "constraints", "quaternions")
+CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity")
 """What is audited, in the order of `run.stats.audit`."""
+
+WARNINGS = ("conformity",)
+"""Checks, the last of them all, that do not fail a run: its equations are solved, but they are used out of range."""
+
+N_FATAL = len(CHECKS) - len(WARNINGS)
 
 FINDINGS = {
     "energy": "the energy rose by more than was put in",
     "flight": "a ball was outside its socket without contact",
     "constraints": "the joints' equations were violated",
     "quaternions": "a body's quaternion lost its norm",
+    "conformity": "surfaces were pressed in beyond the range of their elastic law (that of Eq. 24 ends at a tenth of "
+    "the clearance): give a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...), a journal "
+    "sj.EsduCylinder(...), or the normal law a stiffness of its own",
 }
 """What a failed check says."""
 
@@ -74,14 +84,26 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     """What an audit has found, in words; empty for a sound run.
 
     Args:
-        shares: the worst of each of `CHECKS` as a share of its limit, shape (4,).
+        shares: the worst of each of `CHECKS` as a share of its limit, shape (5,).
 
     Other args:
         suspected: for a check the part of which it was largest where the run ended.
     """
-    found = [(check, share) for check, share in zip(CHECKS, np.asarray(shares), strict=True) if not share <= 1]
+    fatal = zip(CHECKS[:N_FATAL], np.asarray(shares)[..., :N_FATAL], strict=True)
+    found = [(check, share) for check, share in fatal if not share <= 1]
     where = {check: f": {part}" for check, part in suspected.items()}
     return "; ".join(f"{FINDINGS[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
+
+
+def cautions(shares) -> str:
+    """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
+
+    Args:
+        shares: as for `findings`, of one run or of many, shape (..., 5).
+    """
+    worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
+    found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
+    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times that)" for check, share in found)
 
 
 def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[str, str]:
@@ -129,6 +151,7 @@ class Vitals(NamedTuple):
         outside: (|e|^2 / c^2 - 1) / 2 of the outermost ball in flight; -1/2 without one.
         violation: largest entry of the constraint equations [m or 1].
         norm: largest | |q|^2 - 1 |.
+        pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
     """
 
     potential: Scalar
@@ -136,13 +159,14 @@ class Vitals(NamedTuple):
     outside: Scalar
     violation: Scalar
     norm: Scalar
+    pressed: Scalar
 
 
 def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     """What is looked at, of one state."""
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
-    outside, stored = [jnp.asarray(-0.5)], jnp.zeros(())
+    outside, pressed, stored = [jnp.asarray(-0.5)], [jnp.asarray(NOT_MADE)], jnp.zeros(())
     if system.force_joints:
         loads = joint_loads(system, motions, state.memory)
         stores = (load.response.elastic_energy for name, load in loads.items() if system.joints[name].never_adds_energy)
@@ -150,9 +174,12 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     put_in = state.work[-1] if system.tracks_supply else jnp.zeros(())
     for slot in system.memory_slots:
         if slot.joint in system.contact_joints:
-            joint = system.spherical(slot.joint)
-            g = joint.model.crossing(joint.relative_motion(motions)).value
-            outside.append(jnp.where(state.memory[slot.start] > 0, -0.5, g))
+            joint: Any = system.spherical(slot.joint)
+            g, is_touching = joint.model.crossing(joint.relative_motion(motions)).value, state.memory[slot.start] > 0
+            outside.append(jnp.where(is_touching, -0.5, g))
+            if joint.model.largest_ratio is not None:
+                depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1
+                pressed.append(depth / joint.model.largest_ratio)
     constraints = constraint_set(system, t, motions)
     residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
     norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
@@ -162,6 +189,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(jnp.stack(outside)),
         jnp.max(residual),
         jnp.max(jnp.abs(norms - 1)),
+        jnp.max(jnp.stack(pressed)),
     )
 
 
@@ -172,14 +200,15 @@ class Watch(NamedTuple):
         lowest: the lowest energy [J].
         bottom, top: the lowest and the highest potential energy [J].
         agitation: the highest agitation [J].
-        worst: of each of `CHECKS` the worst, as a share of its limit, shape (4,): above 1 the run is wrong.
+        worst: of each of `CHECKS` the worst, as a share of its limit, shape (5,): above 1 the run is wrong, or what it
+            says of the last one is to be read.
     """
 
     lowest: Array
     bottom: Array
     top: Array
     agitation: Array
-    worst: Float[Array, "4"]
+    worst: Float[Array, "5"]
 
     @classmethod
     def of_nothing(cls) -> "Watch":
@@ -189,8 +218,8 @@ class Watch(NamedTuple):
 
     @property
     def is_sound(self) -> Bool[Array, ""]:
-        """Whether all limits are kept."""
-        return jnp.all(self.worst <= 1)
+        """Whether all limits are kept that a run must keep."""
+        return jnp.all(self.worst[:N_FATAL] <= 1)
 
 
 class Limits(eqx.Module):
@@ -211,6 +240,7 @@ class Limits(eqx.Module):
         energy = now.potential + now.agitation
         # A check that is not made says so from the start.
         worst = jnp.zeros(len(CHECKS)).at[0].set(jnp.where(jnp.isinf(self.energy), NOT_MADE, 0.0))
+        worst = worst.at[N_FATAL:].set(NOT_MADE)
         watch = Watch(energy, now.potential, now.potential, now.agitation, worst)
         return self.seen(watch, now)
 
@@ -226,6 +256,7 @@ class Limits(eqx.Module):
             jnp.maximum(now.outside, 0.0) / OUTSIDE,
             now.violation / self.violation,
             now.norm / NORM,
+            now.pressed,
         ]
         return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))
 

@@ -20,6 +20,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import compile_scene
+from spherejax.motion.audit import cautions
 from spherejax.motion.known_builds import Build, built, known_build
 from spherejax.motion.lanes import Block, run_in_lanes
 from spherejax.motion.many_sensitivities import RunSlopes, slopes_of
@@ -28,6 +29,7 @@ from spherejax.motion.sensitivities import has_controlled_sensitivities
 from spherejax.motion.sensitivity_rows import scales_of
 from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
 from spherejax.motion.start import StartWarning, changed_starts
+from spherejax.motion.status import OutOfRangeWarning, Status
 from spherejax.motion.trajectory import Trajectory
 from spherejax.motion.widths import block_for
 from spherejax.runtime import require_float64
@@ -103,7 +105,11 @@ def simulate_many(
     warn_of_starts(build, parameters, ts)
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
     build = known_build(build, one, track_work, method.by)
-    return many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
+    runs = many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
+    stats, status = runs.trajectories.stats, runs.trajectories.status
+    if is_concrete(stats.audit) and (said := cautions(np.asarray(stats.audit)[np.asarray(status) == Status.SUCCEEDED])):
+        warnings.warn(said, OutOfRangeWarning, stacklevel=2)
+    return runs
 
 
 def count_of_runs(parameters: Any) -> int:

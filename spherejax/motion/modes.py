@@ -74,10 +74,10 @@ def _episodes(is_touching: np.ndarray, onset_rate: np.ndarray | None) -> list[tu
 
 def _impact_duration(system: System, joint: str, depth: float, inverse_mass: float) -> float:
     model: Any = system.spherical(joint).model
-    n, stiffness = float(model.normal.exponent), float(stiffness_of(model.normal, model.surfaces))
     if depth <= 0:
         return 0.0
-    speed = (2 * stiffness * inverse_mass * depth ** (n + 1) / (n + 1)) ** 0.5
+    stored = float(model.normal.elastic_energy(depth, stiffness_of(model.normal, model.surfaces)))
+    speed = (2 * inverse_mass * stored) ** 0.5
     return HERTZIAN_DURATION * depth / speed
 
 

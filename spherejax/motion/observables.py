@@ -132,7 +132,10 @@ def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
         found |= _by_name(rows.group, reaction)
     for loads in evaluation.loads.groups:
         response = loads.load.response
-        found |= _by_name(loads.group, Reaction(response.force, response.ball_moment))
+        for name, reaction in _by_name(loads.group, Reaction(response.force, response.ball_moment)).items():
+            # A journal is held by equations along its bearing, and by a force across it.
+            held = found.get(name)
+            found[name] = reaction if held is None else jax.tree.map(jnp.add, held, reaction)
     return dict(sorted(found.items()))
 
 

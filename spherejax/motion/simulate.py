@@ -17,6 +17,7 @@ from spherejax.foundations.forms import real_number, whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.asked import Asked
+from spherejax.motion.audit import cautions
 from spherejax.motion.integrate import Options, Plan, integrate
 from spherejax.motion.jobs import is_made_in_a_lane
 from spherejax.motion.known_scenes import PreparedScene, prepared
@@ -24,7 +25,7 @@ from spherejax.motion.sensitivities import integrate_with_sensitivities
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start import StartWarning
-from spherejax.motion.status import SimulationError, SimulationWarning, Status
+from spherejax.motion.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.times import seconds_of
 from spherejax.motion.tolerances import Tolerances, component_tolerances, controller_for
 from spherejax.motion.trajectory import Trajectory
@@ -259,4 +260,14 @@ def _reported(run: Trajectory, throw: bool) -> Trajectory:
         if throw:
             raise SimulationError(run.diagnosis)
         warnings.warn(run.diagnosis, SimulationWarning, stacklevel=3)
+    said = cautions(run.stats.audit)
+    if said:
+        limited = [name for name in run.system.contact_joints if _is_limited(run.system, name)]
+        of = f"joint {limited[0]!r}" if len(limited) == 1 else f"one of joints {', '.join(map(repr, limited))}"
+        warnings.warn(f"{of}: {said}", OutOfRangeWarning, stacklevel=3)
     return run
+
+
+def _is_limited(system: System, joint: str) -> bool:
+    model: Any = system.spherical(joint).model
+    return model.largest_ratio is not None

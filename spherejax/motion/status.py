@@ -15,6 +15,10 @@ class SimulationWarning(UserWarning):
     """A run did not reach its end; the message says when, why and what to do."""
 
 
+class OutOfRangeWarning(UserWarning):
+    """A run reached its end and used a law beyond the range for which it holds; the message says which and how far."""
+
+
 class SimulationError(RuntimeError):
     """As `SimulationWarning`, for `throw=True`."""
 

@@ -17,7 +17,7 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.asked import Asked
 from spherejax.motion.assembly import Assembly
-from spherejax.motion.audit import CHECKS, NOT_MADE, findings, suspects
+from spherejax.motion.audit import CHECKS, NOT_MADE, cautions, findings, suspects
 from spherejax.motion.dataset import table_of, to_dataset
 from spherejax.motion.impacts import Peak, impacts, peak
 from spherejax.motion.modes import modes
@@ -118,7 +118,8 @@ class Trajectory(eqx.Module):
         text = f"at every step, as shares of what is allowed: {worst}"
         if "energy" not in made:
             text += "; energy is not audited: this method knows too coarsely what drivers, forces or bristles put in"
-        return f"{self._found(())}; {text}" if findings(shares) else text
+        told = [said for said in (findings(shares) and self._found(()), cautions(shares), text) if said]
+        return "; ".join(told)
 
     @property
     def constraints(self) -> ConstraintReport:

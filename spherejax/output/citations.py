@@ -54,6 +54,51 @@ WORKS: Mapping[str, Work] = {
         "Coefficient of restitution interpreted as damping in vibroimpact",
         "Journal of Applied Mechanics", "42", "440-445", 1975,
     ),
+    "Marhefka and Orin (1999)": Work(
+        "Marhefka, D. W. and Orin, D. E.",
+        "A compliant contact model with nonlinear damping for simulation of robotic systems",
+        "IEEE Transactions on Systems, Man, and Cybernetics A", "29", "566-572", 1999,
+    ),
+    "Sneddon (1965)": Work(
+        "Sneddon, I. N.",
+        "The relation between load and penetration in the axisymmetric Boussinesq problem for a punch of arbitrary "
+        "profile",
+        "International Journal of Engineering Science", "3", "47-57", 1965,
+    ),
+    "Bartel et al. (1985)": Work(
+        "Bartel, D. L. and Burstein, A. H. and Toda, M. D. and Edwards, D. L.",
+        "The effect of conformity and plastic thickness on contact stresses in metal-backed plastic implants",
+        "Journal of Biomechanical Engineering", "107", "193-199", 1985,
+    ),
+    "Blankevoort et al. (1991)": Work(
+        "Blankevoort, L. and Kuiper, J. H. and Huiskes, R. and Grootenboer, H. J.",
+        "Articular contact in a three-dimensional model of the knee",
+        "Journal of Biomechanics", "24", "1019-1031", 1991,
+    ),
+    "Johnson (1985)": Work(
+        "Johnson, K. L.", "Contact Mechanics", "Cambridge University Press", "", "", 1985, "book",
+    ),
+    "ESDU 78035 (1978)": Work(
+        "{Engineering Sciences Data Unit}", "Contact phenomena {I}: stresses, deflections and contact dimensions",
+        "ESDU", "", "", 1978, "misc",
+    ),
+    "Pereira, Ramalho and Ambrosio (2011)": Work(
+        "Pereira, C. M. and Ramalho, A. L. and Ambrosio, J. A.",
+        "A critical overview of internal and external cylinder contact force models",
+        "Nonlinear Dynamics", "63", "681-697", 2011,
+    ),
+    "Ocvirk (1952)": Work(
+        "Ocvirk, F. W.", "Short-bearing approximation for full journal bearings",
+        "NACA Technical Note 2808", "", "", 1952, "techreport",
+    ),
+    "Booker (1965)": Work(
+        "Booker, J. F.", "Dynamically loaded journal bearings: mobility method of solution",
+        "Journal of Basic Engineering", "87", "537-546", 1965,
+    ),
+    "Sommerfeld (1904)": Work(
+        "Sommerfeld, A.", "Zur hydrodynamischen Theorie der Schmiermittelreibung",
+        "Zeitschrift fuer Mathematik und Physik", "50", "97-155", 1904,
+    ),
     "Lankarani and Nikravesh (1990)": Work(
         "Lankarani, H. M. and Nikravesh, P. E.",
         "A contact force model with hysteresis damping for impact analysis of multibody systems",

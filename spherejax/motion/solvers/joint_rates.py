@@ -167,7 +167,7 @@ def _pressed(joint: PlacedSpherical, motions, force: Vector3, along: Vector3, fa
     load = safe_norm(force) + SMALLEST
     n = along / (safe_norm(along) + SMALLEST)
     motion, clearance = joint.relative_motion(motions), model.clearance
-    depth = (load / stiffness_of(model.normal, model.surfaces)) ** (1 / model.normal.exponent)
+    depth = model.normal.depth(load, stiffness_of(model.normal, model.surfaces))
     n_memory = len(model.memory_names)
 
     def answer(e, rate, memory):

@@ -61,7 +61,8 @@ def impact_loops(
     figure, axes = new_figure(1, len(families), 4.6 * len(families), 4.8, title)
     for ax, (restitution, laws) in zip(axes.flat, families.items(), strict=True):
         styles = zip(repeated(LAW_COLORS, len(laws)), repeated(LAW_DASHES, len(laws)), strict=True)
-        for law, (color, dashes) in zip(laws, styles, strict=True):
+        for given, (color, dashes) in zip(laws, styles, strict=True):
+            law = given.at_onset(rate) if isinstance(given, AbstractHysteresisLaw) else given
             penetration, force = _free_impact(law, mass, rate, stiffness)
             realized = realized_restitution(float(law.hysteresis_factor()))
             label = f"{_name(law)} (realizes {realized:.3f})"

@@ -9,6 +9,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.legal import numeric
 from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import Touch
@@ -16,7 +17,6 @@ from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, l
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, as_function
 from spherejax.physics.functions.shapes import finite
-from spherejax.physics.laws.base import numeric
 
 
 class BumpStop(AbstractLineForce):

@@ -19,6 +19,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement, concretely
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.legal import numeric
 from spherejax.foundations.numerics import CONCENTRIC_RADIUS
 from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
@@ -32,7 +33,6 @@ from spherejax.physics.forces.base import (
     place_of,
 )
 from spherejax.physics.kinematics import point_motion
-from spherejax.physics.laws.base import numeric
 
 
 class Stretch(NamedTuple):

@@ -12,10 +12,10 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import non_negative, numeric
 from spherejax.foundations.types import Number, Scalar
 from spherejax.physics.forces.line import elastic_part
 from spherejax.physics.functions import AbstractFunction, function_requirements
-from spherejax.physics.laws.base import non_negative, numeric
 
 
 class Press(NamedTuple):

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import non_negative
 from spherejax.foundations.types import OWN, Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.line import (
@@ -21,7 +22,6 @@ from spherejax.physics.forces.line import (
 from spherejax.physics.forces.one_sided import smooth_rise
 from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
-from spherejax.physics.laws.base import non_negative
 
 
 class SpringDamper(AbstractLineForce):

@@ -20,6 +20,7 @@ from jaxtyping import Array
 from spherejax.foundations.checks import Requirement, concretely
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import two_names
+from spherejax.foundations.legal import non_negative
 from spherejax.foundations.rotation import conjugate, normalized, quaternion_product
 from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar, Triple, Unit, Vector3
 from spherejax.physics.bodies import Body, numbers
@@ -27,7 +28,6 @@ from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wre
 from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
 from spherejax.physics.functions import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
-from spherejax.physics.laws.base import non_negative
 
 SMALLEST_TWIST_SQUARE = 1e-12
 """Of c^2 + s^2, below which the axis is tilted by pi to 2e-6 and no twist is defined; there g is held finite."""

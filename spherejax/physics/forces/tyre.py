@@ -18,6 +18,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.legal import positive
 from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar, Unit, Vector3
 from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Touch, Wrench, body_of, place_of
@@ -26,7 +27,6 @@ from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
 from spherejax.physics.kinematics import PointMotion, point_motion
-from spherejax.physics.laws.base import positive
 
 
 class Tread(NamedTuple):

@@ -8,7 +8,7 @@ from spherejax.physics.functions.base import (
     function_requirements,
 )
 from spherejax.physics.functions.pieces import Piecewise, Sum
-from spherejax.physics.functions.shapes import Bump, Constant, Linear, Polynomial, Sine, SmoothStep, Step
+from spherejax.physics.functions.shapes import Bump, Constant, Linear, Polynomial, PowerTail, Sine, SmoothStep, Step
 from spherejax.physics.functions.tables import SmoothTable, Table
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Linear",
     "Piecewise",
     "Polynomial",
+    "PowerTail",
     "Sine",
     "SmoothStep",
     "SmoothTable",

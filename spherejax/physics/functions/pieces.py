@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import numeric
 from spherejax.foundations.types import Function, Listed, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import (
@@ -16,7 +17,6 @@ from spherejax.physics.functions.base import (
     least_room,
     room_between,
 )
-from spherejax.physics.laws.base import numeric
 
 
 class Piecewise(AbstractFunction):

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import above, numeric, positive
 from spherejax.foundations.numerics import horner
 from spherejax.foundations.types import COEFFICIENTS, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import AbstractFunction, room_between
-from spherejax.physics.laws.base import above, numeric, positive
 
 
 class _KnowsPrimitive(AbstractFunction):
@@ -67,6 +67,33 @@ class Linear(_KnowsPrimitive):
     def requirements(self) -> list[Requirement]:
         """Finite numbers."""
         return [finite("slope", self.slope), finite("offset", self.offset)]
+
+
+class PowerTail(AbstractFunction):
+    """f(x) = value up to x = start, and value (x/start)^power from there.
+
+    The restitution of metals by the speed of the impact is such a function: constant up to yield, and from there it
+    falls with power = -1/4 (Johnson, Contact Mechanics, 1985, section 11.5).
+
+    Attributes:
+        value: f up to start.
+        start: where the tail begins, above zero.
+        power: the exponent [-].
+
+    Limits: continuous, with a kink at start, where the slope is 0.
+    """
+
+    value: Annotated[Number, Unit("{of_value}")]
+    start: Annotated[Number, Unit("{of_argument}")]
+    power: Annotated[Number, Unit("1")] = -0.25
+
+    def __call__(self, x: Number) -> Scalar:
+        """f(x)."""
+        return jnp.asarray(self.value * jnp.maximum(x / self.start, 1.0) ** self.power)
+
+    def requirements(self) -> list[Requirement]:
+        """Finite numbers, a positive start."""
+        return [finite("value", self.value), positive("start", self.start, "unit of x"), finite("power", self.power)]
 
 
 class Polynomial(_KnowsPrimitive):

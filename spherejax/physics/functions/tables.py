@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import numeric
 from spherejax.foundations.types import Listed, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import AbstractFunction, room_between
-from spherejax.physics.laws.base import numeric
 
 
 class _AbstractTable(AbstractFunction):

@@ -39,11 +39,13 @@ class AbstractAxialJoint(AbstractPairJoint):
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
         turns_freely: whether the joint turns about its axis (static).
+        is_bearing: whether it may have clearance, as a journal in a bearing (static).
 
     Classes below repeat the constructor's arguments: a type checker makes a constructor from the fields otherwise.
     """
 
     turns_freely: ClassVar[bool]
+    is_bearing: ClassVar[bool] = False
 
     bodies: tuple[str, str] = eqx.field(static=True)
     point: Triple | None
@@ -76,7 +78,7 @@ class AbstractAxialJoint(AbstractPairJoint):
         return [
             *point_requirements(self.point),
             direction_requirement(self.axis),
-            *model_requirements(self.model, turns_freely=self.turns_freely),
+            *model_requirements(self.model, turns_freely=self.turns_freely, is_bearing=self.is_bearing),
         ]
 
     def placed(self, bodies, find):
@@ -85,10 +87,13 @@ class AbstractAxialJoint(AbstractPairJoint):
         axis = unit(self.axis)
         across = two_across(bodies, self.bodies[0], axis)
         on_second = turned(bodies, self.bodies[1], axis)
-        coincides, right_angles = self._equations(bodies, axis, tuple((b, on_second) for b in across))
+        axis_stays = tuple((b, on_second) for b in across)
+        coincides, right_angles = self._equations(bodies, axis, axis_stays)
         normals = () if coincides else across
         ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,))
-        return with_model(ideal, self.model, self.starts_concentric, bodies, axis)
+        on_first = (turned(bodies, self.bodies[0], axis),)
+        guide = PlacedPair(self.bodies, places, False, on_first, axis_stays, (on_second,)) if self.is_bearing else None
+        return with_model(ideal, self.model, self.starts_concentric, bodies, axis, guide=guide)
 
     @abc.abstractmethod
     def _equations(self, bodies, axis, axis_stays) -> tuple[bool, RightAngles]:
@@ -104,17 +109,24 @@ class AbstractAxialJoint(AbstractPairJoint):
 class Revolute(AbstractAxialJoint):
     """Two bodies turn against each other about one axis: five constraint equations.
 
+    With `Dry(...)` or `Lubricated(...)` as model it is a journal in a bearing with clearance: held along the axis and
+    parallel to it (three equations), and free across it until the model answers. Both bodies' radii, materials and laws
+    are those of the model; the first body carries the bearing.
+
     Attributes:
         bodies: names of the two bodies.
         point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
-        starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
-            False leaves the bodies, and their velocities, as they are described.
+        model: `Ideal()`; `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis; `Dry(...)`
+            with the contact of a cylinder (`conformity=sj.JohnsonCylinder(length)`) or a given stiffness;
+            `Lubricated(...)` with a bearing's film as well (`film=sj.ShortBearing(length)`).
+        starts_concentric: whether a bushing starts relaxed and a journal in the middle, the start being assembled as if
+            the joint were ideal; False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = True
+    is_bearing = True
 
     def __init__(
         self,

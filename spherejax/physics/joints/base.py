@@ -115,6 +115,11 @@ class AbstractSphericalModel(eqx.Module):
     def requirements(self) -> list[Requirement]:
         """What the model's numbers must satisfy."""
 
+    def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
+        """What the model's laws must be of: a ball in a socket, or a journal in a bearing."""
+        del is_bearing
+        return []
+
     def respond(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Response:
         """Force and moment that answer a relative motion."""
         raise TypeError(f"{type(self).__name__} answers with constraints, not with a force")

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import real_number
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Numeric
@@ -12,7 +13,8 @@ from spherejax.physics.joints.contact import (
     contact_memory_at_onset,
     contact_memory_names,
 )
-from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material
+from spherejax.physics.laws import AbstractConformity, AbstractFrictionLaw, AbstractNormalLaw, Material
+from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO
 
 
 def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Numeric:
@@ -35,6 +37,7 @@ class AbstractClearanceModel(AbstractSphericalModel):
         friction: law of the friction force, or None.
         socket_material: material of the socket.
         ball_material: material of the ball.
+        conformity: how surfaces that nearly fit press back, in place of Hertz's law; None for that.
     """
 
     clearance: eqx.AbstractVar[Number]
@@ -43,11 +46,12 @@ class AbstractClearanceModel(AbstractSphericalModel):
     friction: eqx.AbstractVar[AbstractFrictionLaw | None]
     socket_material: eqx.AbstractVar[Material]
     ball_material: eqx.AbstractVar[Material]
+    conformity: eqx.AbstractVar[AbstractConformity | None]
 
     @property
     def surfaces(self) -> Surfaces:
         """Geometry and material together."""
-        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material)
+        return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material, self.conformity)
 
     @property
     def memory_names(self) -> tuple[str, ...]:
@@ -62,8 +66,31 @@ class AbstractClearanceModel(AbstractSphericalModel):
     @property
     def never_adds_energy(self) -> bool:
         """Where its laws do not."""
-        laws = [self.normal, *([] if self.friction is None else [self.friction])]
-        return all(law.never_adds_energy for law in laws)
+        laws = (self.normal, self.friction, self.conformity)
+        return all(law.never_adds_energy for law in laws if law is not None)
+
+    @property
+    def largest_ratio(self) -> float | None:
+        """Penetration over clearance up to which the elastic law holds: a tenth for Eq. 24; None for any."""
+        if self.conformity is not None:
+            return self.conformity.largest_ratio
+        return LARGEST_HERTZIAN_RATIO if self.normal.stiffness is None else None
+
+    def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
+        """Laws of a ball in a socket, or of a journal in a bearing; a stiffness that is given serves both."""
+        law = self.conformity
+        if law is not None:
+            fits, name = law.is_line_contact == is_bearing, type(law).__name__
+        else:
+            fits, name = not is_bearing or self.normal.stiffness is not None, "None"
+        remedy = (
+            "Give conformity=sj.JohnsonCylinder(length) or sj.EsduCylinder(length), or a normal law with a stiffness: "
+            "that of Eq. 24 is of spheres."
+            if is_bearing
+            else "JohnsonCylinder and EsduCylinder are of revolute joints; a ball has SphericalProfile, WinklerLiner."
+        )
+        of = "a journal in its bearing" if is_bearing else "a ball in its socket"
+        return [Requirement("conformity", name, fits, f"be of {of}", remedy)]
 
     def penetration(self, motion):
         """|e| - c [m]."""

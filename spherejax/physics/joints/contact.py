@@ -1,9 +1,10 @@
 """Contact of ball and socket (Eqs 15 to 36), shared by the dry and the lubricated joint.
 
-The contact points are at the socket's center + R_i n and at the ball's center + R_j n, with n = e / |e| and
-R_j = R_i - c. Friction works on the relative velocity of the *material* points there. The paper's Eq. 17, read
-literally (R_k n_dot instead of w_k x R_k n), makes the sliding velocity (|e| - c) n_dot, which vanishes at the
-socket's surface, so that friction would do nothing.
+The surfaces meet half-way between the socket's point at its center + R_i n and the ball's at its center + R_j n, with
+n = e / |e| and R_j = R_i - c. Friction acts in that one point on both bodies, on the relative velocity of their
+*material* points there: at two points a penetration apart it would be a couple that turns a free pair, and two bodies
+that turn as one would slide. The paper's Eq. 17, read literally (R_k n_dot instead of w_k x R_k n), makes the sliding
+velocity (|e| - c) n_dot, which vanishes at the socket's surface, so that friction would do nothing.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +19,16 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Vector3
 from spherejax.physics.joints.base import Crossing, Effect
 from spherejax.physics.kinematics import RelativeMotion
-from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Material, generalized_stiffness
+from spherejax.physics.laws import (
+    AbstractConformity,
+    AbstractFrictionLaw,
+    AbstractNormalLaw,
+    Hertz,
+    Material,
+    Pair,
+    PressedPair,
+    generalized_stiffness,
+)
 
 SMALLEST_ONSET_RATE = 1e-12
 """An onset slower than this [m/s] is remembered as this fast: a memory of 0 means flight."""
@@ -32,12 +42,14 @@ class Surfaces(NamedTuple):
         socket_radius: R_i [m].
         socket_material: material of the socket.
         ball_material: material of the ball.
+        conformity: how the surfaces press back, or None for Hertz's law.
     """
 
     clearance: Number
     socket_radius: Number
     socket_material: Material
     ball_material: Material
+    conformity: AbstractConformity | None = None
 
     @property
     def ball_radius(self) -> Number:
@@ -105,18 +117,38 @@ def direction_of(e: Vector3) -> Vector3:
     return e / jnp.where(length > 0, length, 1.0)
 
 
-def sliding_velocity(motion: RelativeMotion, surfaces: Surfaces, n: Vector3) -> Vector3:
-    """Tangential velocity [m/s] of the ball's material contact point against the socket's (Eqs 18, 19)."""
+def contact_arms(motion: RelativeMotion, surfaces: Surfaces) -> tuple[Vector3, Vector3]:
+    """From the ball's and from the socket's center to the point where they touch [m].
+
+        a_j = (R_j - delta/2) n,    a_i = (R_i + delta/2) n,    delta = |e| - c,    a_i - a_j = e
+
+    Limits: 0 at e = 0, where no contact is possible.
+    """
+    n, distance = direction_of(motion.eccentricity), safe_norm(motion.eccentricity)
+    radii = surfaces.socket_radius + surfaces.ball_radius
+    return 0.5 * (radii - distance) * n, 0.5 * (radii + distance) * n
+
+
+def sliding_velocity(motion: RelativeMotion, surfaces: Surfaces) -> Vector3:
+    """Tangential velocity [m/s] of the ball's material point against the socket's, where they touch (Eqs 18, 19).
+
+    Limits: 0 for two bodies that turn as one, however deep they are pressed.
+    """
+    n = direction_of(motion.eccentricity)
+    ball_arm, socket_arm = contact_arms(motion, surfaces)
     relative = (
         motion.eccentricity_rate
-        + jnp.cross(motion.ball_angular_velocity, surfaces.ball_radius * n)
-        - jnp.cross(motion.socket_angular_velocity, surfaces.socket_radius * n)
+        + jnp.cross(motion.ball_angular_velocity, ball_arm)
+        - jnp.cross(motion.socket_angular_velocity, socket_arm)
     )
     return relative - (relative @ n) * n
 
 
-def stiffness_of(normal: AbstractNormalLaw, surfaces: Surfaces) -> Number:
-    """The normal law's own stiffness, or Eq. 24 with the socket's radius negative [N/m^n]."""
+def stiffness_of(normal: AbstractNormalLaw, surfaces: Surfaces) -> Number | PressedPair:
+    """The normal law's own stiffness, or Eq. 24 with the socket's radius negative [N/m^n]; with a conformity, that."""
+    if surfaces.conformity is not None:
+        compliance = surfaces.socket_material.contact_compliance() + surfaces.ball_material.contact_compliance()
+        return PressedPair(surfaces.conformity, Pair(surfaces.clearance, surfaces.socket_radius, compliance))
     if normal.stiffness is not None:
         return normal.stiffness
     return generalized_stiffness(
@@ -159,7 +191,7 @@ def contact_forces(
     if friction is None:
         zero = jnp.zeros(3)
         return ContactForces(normal_force, -normal_force * n, zero, jnp.zeros(0), zero, jnp.zeros(()))
-    velocity = sliding_velocity(motion, surfaces, n)
+    velocity = sliding_velocity(motion, surfaces)
     bristle_energy = jnp.zeros(())
     if n_bristle:
         bristle = memory[1:]
@@ -177,11 +209,8 @@ def contact_forces(
 
 def contact_moments(motion: RelativeMotion, surfaces: Surfaces, friction: Vector3) -> tuple[Vector3, Vector3]:
     """Moments [N m] of the friction force about the ball's and the socket's center; the normal force has none."""
-    n = direction_of(motion.eccentricity)
-    return (
-        jnp.cross(surfaces.ball_radius * n, friction),
-        -jnp.cross(surfaces.socket_radius * n, friction),
-    )
+    ball_arm, socket_arm = contact_arms(motion, surfaces)
+    return jnp.cross(ball_arm, friction), -jnp.cross(socket_arm, friction)
 
 
 def contact_memory_names(friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
@@ -202,14 +231,16 @@ def contact_crossing(motion: RelativeMotion, clearance: Number) -> Crossing:
     return Crossing((e @ e / square - 1) / 2, e @ e_rate / square, e_rate / clearance)
 
 
-def contact_effects(model: Any, first: str, elastic: AbstractNormalLaw) -> tuple[Effect, ...]:
+def contact_effects(model: Any, first: str) -> tuple[Effect, ...]:
     """The effects of a model with contact, one upon the other: elastic contact, its damping, friction.
 
     Args:
-        model: the model; it has the fields `normal` and `friction`.
+        model: the model; it has the fields `normal`, `friction` and `conformity`.
         first: name of the effects that come with elastic contact.
-        elastic: the elastic law that stands for the normal law without its damping.
     """
+    elastic = Hertz(stiffness=model.normal.stiffness, exponent=model.normal.exponent)
+    law = type(elastic if model.conformity is None else model.conformity).__name__
+    first = f"{first} ({law})"
     plain = eqx.tree_at(lambda m: (m.normal, m.friction), model, (elastic, None), is_leaf=lambda leaf: leaf is None)
     effects = [Effect(first, plain)]
     frictionless = eqx.tree_at(lambda m: m.friction, model, None, is_leaf=lambda leaf: leaf is None)
@@ -222,8 +253,16 @@ def contact_effects(model: Any, first: str, elastic: AbstractNormalLaw) -> tuple
     return tuple(effects)
 
 
-def contact_law_requirements(normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None) -> list[Requirement]:
+def contact_law_requirements(
+    normal: AbstractNormalLaw, friction: AbstractFrictionLaw | None, conformity: AbstractConformity | None
+) -> list[Requirement]:
     """What the laws of a contact require, with the law's name in front of each number."""
-    laws = [normal, *([] if friction is None else [friction])]
+    laws = [law for law in (normal, friction, conformity) if law is not None]
     required = [(law, requirement) for law in laws for requirement in law.requirements()]
-    return [r if r.value is law else r._replace(field=f"{type(law).__name__}.{r.field}") for law, r in required]
+    found = [r if r.value is law else r._replace(field=f"{type(law).__name__}.{r.field}") for law, r in required]
+    if conformity is not None and normal.stiffness is not None:
+        name = type(conformity).__name__
+        remedy = f"Leave it out, or leave out conformity: {name} has a stiffness of its own."
+        field = f"{type(normal).__name__}.stiffness"
+        found.append(Requirement(field, normal.stiffness, False, f"not be given beside a {name}", remedy))
+    return found

@@ -16,7 +16,13 @@ from spherejax.physics.joints.contact import (
     contact_moments,
     stiffness_of,
 )
-from spherejax.physics.laws import AbstractFrictionLaw, AbstractNormalLaw, Hertz, LankaraniNikravesh, Material
+from spherejax.physics.laws import (
+    AbstractConformity,
+    AbstractFrictionLaw,
+    AbstractNormalLaw,
+    LankaraniNikravesh,
+    Material,
+)
 
 
 class Dry(AbstractClearanceModel):
@@ -29,6 +35,8 @@ class Dry(AbstractClearanceModel):
         friction: law of the friction force, or None.
         socket_material: material of the socket.
         ball_material: material of the ball.
+        conformity: how surfaces that nearly fit press back, in place of Hertz's law (`SphericalProfile`,
+            `WinklerLiner`); None for that.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
@@ -42,6 +50,7 @@ class Dry(AbstractClearanceModel):
     friction: AbstractFrictionLaw | None
     socket_material: Material
     ball_material: Material
+    conformity: AbstractConformity | None
     _ball_radius_given: bool = eqx.field(static=True)
 
     def __init__(
@@ -54,6 +63,7 @@ class Dry(AbstractClearanceModel):
         friction: AbstractFrictionLaw | None = None,
         socket_material: Material | None = None,
         ball_material: Material | None = None,
+        conformity: AbstractConformity | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
         self.socket_radius = socket_radius
@@ -61,18 +71,18 @@ class Dry(AbstractClearanceModel):
         self.friction = friction
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
+        self.conformity = conformity
         self._ball_radius_given = ball_radius is not None
 
     @property
     def effects(self):
         """Elastic contact, then what the normal law adds to it, then friction."""
-        elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
-        return contact_effects(self, "normal contact, elastic (Hertz)", elastic)
+        return contact_effects(self, "normal contact, elastic")
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, materials and laws."""
         return self.surfaces.requirements(self._ball_radius_given) + contact_law_requirements(
-            self.normal, self.friction
+            self.normal, self.friction, self.conformity
         )
 
     def respond(self, motion, memory) -> Response:

@@ -1,4 +1,4 @@
-"""Joints of any kind with a bushing: placed as a ball in a socket whose axes are the joint's own."""
+"""Joints of any kind with a bushing, and journals with clearance: a ball in a socket with the joint's own axes."""
 
 from collections.abc import Mapping
 
@@ -7,6 +7,9 @@ from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.bushing import Bushing
+from spherejax.physics.joints.clearance import AbstractClearanceModel
+from spherejax.physics.joints.elementary import PlacedPair
+from spherejax.physics.joints.journal import PlacedJournal
 from spherejax.physics.joints.places import AbstractPlacedJoint
 from spherejax.physics.joints.placing import frame_along, relative_start
 from spherejax.physics.joints.spherical import PlacedSpherical
@@ -19,6 +22,7 @@ def with_model(
     bodies: Mapping[str, Body],
     axis: Numeric | None = None,
     second_axis: Numeric | None = None,
+    guide: PlacedPair | None = None,
 ) -> AbstractPlacedJoint:
     """A placed joint with a model: itself where the model is ideal, else a ball in a socket with axes.
 
@@ -29,22 +33,31 @@ def with_model(
         bodies: the scene's bodies.
         axis: where z of the joint's axes points, world axes at the start; None: they are those of its first body.
         second_axis: where x points, as nearly as it can; any direction across the axis where it is None.
+        guide: what holds a journal with clearance along its axis and parallel to it.
     """
     if model.is_ideal:
         return ideal
     start = relative_start(bodies, *ideal.bodies)
     frame = None if axis is None else frame_along(bodies, ideal.bodies[0], axis, second_axis)
-    return PlacedSpherical(ideal.bodies, *ideal.points, start, model, starts_concentric, frame, ideal)
+    placed = (ideal.bodies, *ideal.points, start, model, starts_concentric, frame, ideal)
+    return PlacedJournal(*placed, guide) if isinstance(model, AbstractClearanceModel) else PlacedSpherical(*placed)
 
 
-def model_requirements(model: AbstractSphericalModel, *, turns_freely: bool) -> list[Requirement]:
-    """What a joint that is not spherical asks of its model: ideal, or a bushing that holds its direction."""
+def model_requirements(
+    model: AbstractSphericalModel, *, turns_freely: bool, is_bearing: bool = False
+) -> list[Requirement]:
+    """What a joint that is not spherical asks of its model: ideal, or a bushing that holds its direction.
+
+    A bearing may have clearance, with laws of a journal.
+    """
     if model.is_ideal:
         return []
+    if is_bearing and isinstance(model, AbstractClearanceModel):
+        return [*model.requirements(), *model.requirements_of(is_bearing=True)]
     if not isinstance(model, Bushing) or not model.law.resists_rotation:
         remedy = (
             "Give Ideal() or Bushing(law=...) with MatrixElastomer, HingeElastomer or CrossElastomer; contact and "
-            "film belong to spherical joints."
+            "film belong to spherical and revolute joints."
         )
         name = type(model.law if isinstance(model, Bushing) else model).__name__
         return [Requirement("model", name, False, "be ideal or a bushing whose law resists rotation", remedy)]

@@ -4,9 +4,11 @@ from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.legal import at_least, non_negative, positive
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit
 from spherejax.physics.joints.base import Response
@@ -20,6 +22,7 @@ from spherejax.physics.joints.contact import (
 )
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws import (
+    AbstractConformity,
     AbstractFilm,
     AbstractFilmBoundary,
     AbstractFrictionLaw,
@@ -28,13 +31,14 @@ from spherejax.physics.laws import (
     FilmMotion,
     FullFilm,
     Guembel,
-    Hertz,
-    LankaraniNikravesh,
+    HuntCrossleyDissipation,
     Material,
+    PressedPair,
     RadialFilm,
     hybrid_weight,
 )
-from spherejax.physics.laws.base import at_least, non_negative, positive
+
+_NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(12))
 
 
 def _serves_every_direction(boundary: AbstractFilmBoundary) -> bool:
@@ -61,6 +65,7 @@ def _film_motion(motion: RelativeMotion) -> FilmMotion:
         motion.eccentricity_rate,
         motion.socket_angular_velocity,
         motion.ball_angular_velocity,
+        motion.socket_rotation[:, 2],
     )
 
 
@@ -81,6 +86,8 @@ class Lubricated(AbstractClearanceModel):
         film: in which directions it resists: `FullFilm()`, or `RadialFilm()`, the paper's.
         socket_material: material of the socket.
         ball_material: material of the ball.
+        conformity: how surfaces that nearly fit press back, in place of Hertz's law (`SphericalProfile`,
+            `WinklerLiner`); None for that.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
@@ -103,6 +110,7 @@ class Lubricated(AbstractClearanceModel):
     film: AbstractFilm
     socket_material: Material
     ball_material: Material
+    conformity: AbstractConformity | None
     _ball_radius_given: bool = eqx.field(static=True)
 
     def __init__(
@@ -120,11 +128,12 @@ class Lubricated(AbstractClearanceModel):
         film: AbstractFilm | None = None,
         socket_material: Material | None = None,
         ball_material: Material | None = None,
+        conformity: AbstractConformity | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
         self.socket_radius = socket_radius
         self.viscosity = viscosity
-        self.normal = LankaraniNikravesh(restitution=0.9) if normal is None else normal
+        self.normal = HuntCrossleyDissipation() if normal is None else normal
         self.friction = friction
         self.e_h0 = e_h0
         self.e_h1 = e_h1
@@ -133,14 +142,14 @@ class Lubricated(AbstractClearanceModel):
         _check_film(self.film, self.boundary)
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
+        self.conformity = conformity
         self._ball_radius_given = ball_radius is not None
 
     @property
     def effects(self):
         """Elastic contact, then what the normal law adds to it, then friction."""
-        elastic = Hertz(stiffness=self.normal.stiffness, exponent=self.normal.exponent)
         film = {RadialFilm: "radial film", FullFilm: "full film"}.get(type(self.film), type(self.film).__name__)
-        return contact_effects(self, f"{film} ({type(self.boundary).__name__}) and elastic contact (Hertz)", elastic)
+        return contact_effects(self, f"{film} ({type(self.boundary).__name__}) and elastic contact")
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, lubricant, materials and laws."""
@@ -150,7 +159,23 @@ class Lubricated(AbstractClearanceModel):
             non_negative("e_h0", self.e_h0, "m"),
             at_least("e_h1", self.e_h1, "e_h0", self.e_h0),
             *self.boundary.requirements(),
-            *contact_law_requirements(self.normal, self.friction),
+            *self.film.requirements(),
+            *contact_law_requirements(self.normal, self.friction, self.conformity),
+        ]
+
+    def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
+        """A film of such a joint as well."""
+        film = self.film
+        remedy = (
+            "Give film=sj.ShortBearing(length) or film=sj.LongBearing(length)."
+            if is_bearing
+            else "Give film=sj.FullFilm() or film=sj.RadialFilm(); bearings belong to revolute joints."
+        )
+        of = "of a journal in its bearing" if is_bearing else "of a ball in its socket"
+        fits = film.is_of_bearing == is_bearing
+        return [
+            Requirement("film", type(film).__name__, fits, f"be {of}", remedy),
+            *super().requirements_of(is_bearing=is_bearing),
         ]
 
     def respond(self, motion, memory) -> Response:
@@ -194,16 +219,21 @@ class Lubricated(AbstractClearanceModel):
         return FilmGap(self.clearance, self.socket_radius, self.viscosity, self.e_h1, self.boundary)
 
     def _elastic_energy(self, penetration: Scalar) -> Scalar:
-        """Integral of w(delta) K delta^n: the blended contact force does the work that contact gives back.
+        """Integral of w(delta) f(delta): the blended contact force does the work that contact gives back.
 
-        With h = e_h0: K delta^(n+2) / ((n+2) h) up to delta = h, then
-        K h^(n+1) / (n+2) + K (delta^(n+1) - h^(n+1)) / (n+1).
+        With h = e_h0 and f = K delta^n: K delta^(n+2) / ((n+2) h) up to delta = h, then
+        K h^(n+1) / (n+2) + K (delta^(n+1) - h^(n+1)) / (n+1); otherwise by 12 Gauss points in sqrt(delta).
         """
         normal, h = self.normal, self.e_h0
         stiffness = stiffness_of(normal, self.surfaces)
-        n = normal.exponent
         width = jnp.where(h > 0, h, 1.0)
         inside = jnp.clip(penetration, 0.0, h)
-        blended = normal.elastic_force(inside, stiffness) * inside * inside / ((n + 2) * width)
+        if isinstance(stiffness, PressedPair):
+            roots = [0.5 * (1.0 + node) for node in _NODES]
+            terms = [x**3 * normal.elastic_force(inside * x * x, stiffness) for x in roots]
+            blended = inside**2 / width * sum(w * term for w, term in zip(_WEIGHTS, terms, strict=True))
+        else:
+            n = normal.exponent
+            blended = normal.elastic_force(inside, stiffness) * inside * inside / ((n + 2) * width)
         full = normal.elastic_energy(penetration, stiffness) - normal.elastic_energy(inside, stiffness)
         return jnp.where(h > 0, blended, 0.0) + full

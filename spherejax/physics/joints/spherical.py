@@ -38,8 +38,9 @@ class Spherical(AbstractJoint):
         return Spherical(self.socket, self.ball, self.model, starts_concentric=False)
 
     def requirements(self) -> list[Requirement]:
-        """What the model requires."""
-        return called(self.model, "requirements")
+        """What the model requires, and that it is one of a ball in a socket."""
+        of_ball = type(self.model).requirements_of(self.model, is_bearing=False)
+        return [*called(self.model, "requirements"), *of_ball]
 
     def joined(self, find):
         """The bodies of socket and ball."""

@@ -4,6 +4,15 @@ A law is written once, for one contact, in clear array code; joints are composed
 """
 
 from spherejax.physics.laws.base import AbstractLaw
+from spherejax.physics.laws.bearings import LongBearing, ShortBearing
+from spherejax.physics.laws.conformity import (
+    AbstractConformity,
+    Pair,
+    PressedPair,
+    SphericalProfile,
+    WinklerLiner,
+)
+from spherejax.physics.laws.cylinders import EsduCylinder, JohnsonCylinder
 from spherejax.physics.laws.elastomer import (
     AbstractElastomer,
     AbstractPivotElastomer,
@@ -64,11 +73,13 @@ from spherejax.physics.laws.normal import (
     Gonthier,
     Hertz,
     HuntCrossley,
+    HuntCrossleyDissipation,
     LankaraniNikravesh,
 )
 
 __all__ = [
     "MINIMUM_ONSET_RATE",
+    "AbstractConformity",
     "AbstractElastomer",
     "AbstractFilm",
     "AbstractFilmBoundary",
@@ -84,6 +95,7 @@ __all__ = [
     "Coulomb",
     "CrossElastomer",
     "CurveElastomer",
+    "EsduCylinder",
     "ExactRestitution",
     "FilmAction",
     "FilmGap",
@@ -95,18 +107,26 @@ __all__ = [
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",
+    "HuntCrossleyDissipation",
+    "JohnsonCylinder",
     "LankaraniNikravesh",
+    "LongBearing",
     "LuGre",
     "Material",
     "MatrixElastomer",
+    "Pair",
     "PinkusSternlicht",
+    "PressedPair",
     "PressurePeak",
     "RadialElastomer",
     "RadialFilm",
     "ShearFactors",
+    "ShortBearing",
     "Sommerfeld",
+    "SphericalProfile",
     "Threlfall",
     "VectorElastomer",
+    "WinklerLiner",
     "exact_hysteresis_factor",
     "film_force",
     "full_sphere_load",

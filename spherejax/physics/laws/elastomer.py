@@ -12,10 +12,11 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import non_negative
 from spherejax.foundations.numerics import radial_projection
 from spherejax.foundations.rotation import rotation_vector
 from spherejax.foundations.types import Number, Quaternion, Scalar, Unit, Vector3
-from spherejax.physics.laws.base import AbstractLaw, non_negative
+from spherejax.physics.laws.base import AbstractLaw
 
 
 class AbstractElastomer(AbstractLaw):

@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import non_negative
 from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Unit, Vector3
-from spherejax.physics.laws.base import non_negative
 from spherejax.physics.laws.elastomer import AbstractElastomer
 from spherejax.physics.laws.elastomer_matrix import symmetric_requirement
 

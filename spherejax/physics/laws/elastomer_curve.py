@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import non_negative, numeric
 from spherejax.foundations.numerics import radial_projection
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
-from spherejax.physics.laws.base import non_negative, numeric
 from spherejax.physics.laws.elastomer import AbstractPivotElastomer
 
 

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import numeric
 from spherejax.foundations.numerics import BERNOULLI, horner
 from spherejax.foundations.types import Matrix3, Number, Scalar, Unit, Vector3
-from spherejax.physics.laws.base import numeric
 from spherejax.physics.laws.elastomer import AbstractElastomer
 
 _COTANGENT_RADIUS = 1.0

@@ -14,6 +14,7 @@ is the boundary condition. e_rate is the eccentricity's rate in m/s, not the rat
 
 import abc
 import math
+from typing import ClassVar
 
 import jax.numpy as jnp
 
@@ -77,7 +78,14 @@ def squeeze_coefficient(viscosity: Number, socket_radius: Number, clearance: Num
 
 
 class AbstractFilmBoundary(AbstractLaw):
-    """Which parts of the film carry pressure."""
+    """Which parts of the film carry pressure.
+
+    Attributes:
+        bears_suction: whether a bearing's film carries suction as it does pressure; None for a condition of squeezing
+            alone.
+    """
+
+    bears_suction: ClassVar[bool | None] = None
 
     @abc.abstractmethod
     def load_factor(self, eccentricity_ratio: Number, separating: Flag) -> Scalar:
@@ -114,6 +122,8 @@ class Guembel(AbstractFilmBoundary):
     37, the separating one replaces it.
     """
 
+    bears_suction: ClassVar[bool | None] = False
+
     def load_factor(self, eccentricity_ratio: Number, separating: Flag) -> Scalar:
         """B(eps) while closing, B(-eps) while separating."""
         return squeeze_factor(jnp.where(separating, -eccentricity_ratio, eccentricity_ratio))
@@ -143,6 +153,8 @@ class Sommerfeld(AbstractFilmBoundary):
 
     Source: the full-domain condition named in Rodrigues da Silva et al. (2022), Sect. 4.3; re-derived.
     """
+
+    bears_suction: ClassVar[bool | None] = True
 
     def load_factor(self, eccentricity_ratio: Number, separating: Flag) -> Scalar:
         """B(eps) + B(-eps)."""

@@ -1,7 +1,7 @@
 """What a film does to ball and socket: the paper's, along the line of centers, or the full one, in every direction."""
 
 import abc
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
@@ -43,12 +43,14 @@ class FilmMotion(NamedTuple):
         e: eccentricity, socket center to ball center [m].
         e_rate: its rate [m/s].
         socket_spin, ball_spin: angular velocities of both [rad/s].
+        axis: of a bearing, unit length; None for a ball.
     """
 
     e: Vector3
     e_rate: Vector3
     socket_spin: Vector3
     ball_spin: Vector3
+    axis: Vector3 | None = None
 
 
 class FilmAction(NamedTuple):
@@ -70,7 +72,13 @@ class FilmAction(NamedTuple):
 
 
 class AbstractFilm(AbstractLaw):
-    """In which directions a film resists."""
+    """In which directions a film resists.
+
+    Attributes:
+        is_of_bearing: whether it is that of a journal in a bearing, and not of a ball in a socket.
+    """
+
+    is_of_bearing: ClassVar[bool] = False
 
     @abc.abstractmethod
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
@@ -86,11 +94,11 @@ class AbstractFilm(AbstractLaw):
 
 
 def _pressure_peak(velocity: Vector3, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
-    height, place = pressure_peak(_ratio_vector(motion, gap), velocity)
+    height, place = pressure_peak(ratio_vector(motion, gap), velocity)
     return PressurePeak(12.0 * gap.viscosity * gap.socket_radius**2 / gap.clearance**3 * height, place)
 
 
-def _ratio_vector(motion: FilmMotion, gap: FilmGap) -> Vector3:
+def ratio_vector(motion: FilmMotion, gap: FilmGap) -> Vector3:
     """r = e/(c + e_h1), not longer than `MAXIMUM_ECCENTRICITY_RATIO`."""
     r = motion.e / (gap.clearance + gap.transition_offset)
     ratio = safe_norm(r)
@@ -140,9 +148,9 @@ class FullFilm(AbstractFilm):
 
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force, and moments that keep the angular momentum of the pair."""
-        velocity = _swept(motion)
+        velocity = swept(motion)
         spin = motion.ball_spin - motion.socket_spin
-        r = _ratio_vector(motion, gap)
+        r = ratio_vector(motion, gap)
         coefficient = squeeze_coefficient(gap.viscosity, gap.socket_radius, gap.clearance)
         load = gap.boundary.swept_load(r, velocity)
         assert load is not None  # `Lubricated` refuses such a boundary
@@ -156,9 +164,9 @@ class FullFilm(AbstractFilm):
 
     def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
         """See `pressure_peak`, for V."""
-        return _pressure_peak(_swept(motion), motion, gap)
+        return _pressure_peak(swept(motion), motion, gap)
 
 
-def _swept(motion: FilmMotion) -> Vector3:
+def swept(motion: FilmMotion) -> Vector3:
     """V = e_rate - w x e: the ball's velocity less the mean rotation of both."""
     return motion.e_rate - jnp.cross((motion.socket_spin + motion.ball_spin) / 2, motion.e)

@@ -18,9 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import above, at_least, non_negative, numeric, positive
 from spherejax.foundations.numerics import safe_norm, tanhc
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
-from spherejax.physics.laws.base import AbstractLaw, above, at_least, non_negative, numeric, positive
+from spherejax.physics.laws.base import AbstractLaw
 
 _PASSIVITY_SPEEDS = np.linspace(0.02, 4.0, 200)
 """Speeds in units of v_s at which passivity is looked at: the bristle damping has faded to 1e-7 beyond. The margin is

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import numeric, positive
 from spherejax.foundations.types import Number, Scalar, Unit
-from spherejax.physics.laws.base import AbstractLaw, numeric, positive
+from spherejax.physics.laws.base import AbstractLaw
 
 
 class Material(AbstractLaw):

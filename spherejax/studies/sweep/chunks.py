@@ -19,9 +19,11 @@ from jaxtyping import Float
 from spherejax.files.code import modules_in, run_again
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
+from spherejax.motion.audit import cautions
 from spherejax.motion.known_builds import Build
 from spherejax.motion.many import many
 from spherejax.motion.one_of_many import Method
+from spherejax.motion.status import Status
 from spherejax.studies.sweep.records import Record
 
 
@@ -55,6 +57,7 @@ class ChunkResult(NamedTuple):
         n_rejected: steps repeated.
         n_lane_steps: steps that the lanes made, those of idle ones included.
         seconds: time that it took [s].
+        cautions: what runs were used for beyond the range of their laws, in words; empty for nothing.
     """
 
     kept: dict[str, np.ndarray]
@@ -64,6 +67,7 @@ class ChunkResult(NamedTuple):
     n_rejected: np.ndarray
     n_lane_steps: int
     seconds: float
+    cautions: str = ""
 
 
 Rows = dict[str, Float[np.ndarray, " n"]]
@@ -92,7 +96,7 @@ def run_chunk(work: Work, rows: Rows, program: Callable | None = None) -> ChunkR
 def result_of(kept: Mapping[str, Any], outcome: tuple, chunk: int, n: int, size: int, seconds: float) -> ChunkResult:
     """The first `n` runs of one of several chunks that a program has made one after the other, or side by side."""
     runs = slice(chunk * size, chunk * size + n)
-    status, t_reached, n_steps, n_rejected, n_lane_steps = (np.asarray(values) for values in outcome)
+    status, t_reached, n_steps, n_rejected, n_lane_steps, audit = (np.asarray(values) for values in outcome)
     return ChunkResult(
         {name: np.asarray(values)[runs] for name, values in kept.items()},
         status[runs],
@@ -101,6 +105,7 @@ def result_of(kept: Mapping[str, Any], outcome: tuple, chunk: int, n: int, size:
         n_rejected[runs],
         int(n_lane_steps[chunk]),
         seconds,
+        cautions(audit[runs][status[runs] == Status.SUCCEEDED]),
     )
 
 
@@ -117,11 +122,11 @@ def filled(work: Work, rows: Rows) -> tuple[Rows, np.ndarray]:
 
 
 def made(work: Work, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
-    """The runs of a chunk: what is kept of them, and status, time, steps, and steps of lanes (of each chunk)."""
+    """The runs of a chunk: what is kept of them, and status, time, steps, steps of lanes (of each chunk), audit."""
     runs = many(work.build, work.method, rows, jnp.asarray(work.ts), is_wanted)
     stats = runs.trajectories.stats
     status, t_reached = runs.trajectories.status, runs.trajectories.t_reached
-    outcome = (status, t_reached, stats.n_steps, stats.n_rejected, runs.n_lane_steps[None])
+    outcome = (status, t_reached, stats.n_steps, stats.n_rejected, runs.n_lane_steps[None], stats.audit)
     return work.record.of(runs), outcome
 
 

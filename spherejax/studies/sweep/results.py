@@ -1,6 +1,7 @@
 """The chunks of a sweep that are there: in memory, or in a store."""
 
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
+from spherejax.motion.status import OutOfRangeWarning
 from spherejax.studies.sweep.chunks import ChunkResult, Rows, Work, shapes_of
 from spherejax.studies.sweep.dataset import COUNTED, Account, columns_of, coordinates_of, dataset_of
 from spherejax.studies.sweep.grids import Grid
@@ -26,6 +28,7 @@ class Results:
         work: what is done with every chunk.
         n_chunks: number of chunks.
         store: where they are kept, or None for memory.
+        cautions: what the first chunk with such runs was used for beyond the range of its laws; empty for nothing.
     """
 
     def __init__(self, grid: Grid, work: Work, path: Path | None, facts: Mapping[str, Any], own: Mapping[str, Any]):
@@ -34,6 +37,7 @@ class Results:
         shapes = shapes_of(work, self.rows(0))
         self.columns = columns_of(work.record, {name: len(each.shape) for name, each in shapes.items()})
         self.store: Store | None = None
+        self.cautions = ""
         if path is None:
             check_memory(grid.n_runs, shapes)
             # Of their final size from the start: no second copy when all is done.
@@ -59,6 +63,9 @@ class Results:
 
     def put(self, chunk: int, result: ChunkResult) -> None:
         """Take a chunk."""
+        if result.cautions and not self.cautions:
+            self.cautions = f"chunk {chunk} of {self.n_chunks}: {result.cautions}"
+            warnings.warn(self.cautions, OutOfRangeWarning, stacklevel=4)
         if self.store is not None:
             self.store.put(chunk, result)
             return
@@ -74,13 +81,14 @@ class Results:
         if self.store is not None:
             # What was there has been verified before, and what has come since was written by this process.
             found = dataset_in(self.store, self.store.read_through(verify=False))
-            return found.assign_attrs(commit=self.facts["commit"])
+            return found.assign_attrs(commit=self.facts["commit"], cautions=self.cautions)
         grid, arrays = self.grid, self.arrays
         values = {name: array.reshape(*grid.shape, *array.shape[1:]) for name, array in arrays.items()}
         account = Account.of_nothing(np.ones(self.n_chunks, bool), grid.n_runs, **self.of_chunks)
         account.add(0, arrays["status"], arrays["n_steps"])
         coordinates = coordinates_of(grid, np.asarray(self.work.ts))
-        return dataset_of(grid.dims, coordinates, self.columns, values, self.facts, account)
+        found = dataset_of(grid.dims, coordinates, self.columns, values, self.facts, account)
+        return found.assign_attrs(cautions=self.cautions)
 
 
 def check_memory(n_runs: int, shapes: Mapping[str, Any]) -> None:
