@@ -206,6 +206,51 @@ def conformity() -> Figure:
     return figure
 
 
+def piston() -> Figure:
+    """What play in the pin of a piston does to the motor, and the journal's path."""
+    ts = jnp.linspace(0.0, 0.012, 2401)
+    contact = sj.JohnsonCylinder(0.02)
+    film = sj.ShortBearing(0.02)
+    models = (
+        ("ideal", sj.Ideal()),
+        ("dry, c = 0.5 mm", sj.Dry(5e-4, conformity=contact)),
+        (
+            "lubricated, c = 0.5 mm",
+            sj.Lubricated(5e-4, 0.4, film=film, conformity=contact),
+        ),
+    )
+    figure = plt.figure(figsize=(8.6, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2.3, 1))
+    angle = np.degrees(np.asarray(ts) * 5000 * 2 * np.pi / 60)
+    around = np.linspace(0, 2 * np.pi, 200)
+    right.plot(0.5 * np.cos(around), 0.5 * np.sin(around), color="0.6", linewidth=0.8)
+    styles = (("black", 1.4, 3), (LINES[1], 0.7, 1), (LINES[2], 1.2, 2))
+    for (name, model), (color, width, order) in zip(models, styles, strict=True):
+        run = sj.simulate(sj.gallery.piston(model), ts)
+        moment = np.asarray(run.driving_effort("motor"))
+        dashes = (4, 2) if name == "ideal" else (None, None)
+        left.plot(
+            angle,
+            moment,
+            color=color,
+            linewidth=width,
+            dashes=dashes,
+            zorder=order,
+            label=name,
+        )
+        if name != "ideal":
+            e = 1e3 * np.asarray(run.eccentricity("pin"))
+            right.plot(e[:, 0], e[:, 2], color=color, linewidth=0.9)
+    left.set(
+        xlabel="crank angle [deg]", ylabel="moment of the motor [N m]", xlim=(0, 360)
+    )
+    left.set_xticks(range(0, 361, 60))
+    left.legend(fontsize=8, frameon=False, loc="lower right")
+    right.set(aspect="equal", xlabel="e$_x$ [mm]", ylabel="e$_z$ [mm]")
+    right.set_title("journal in its bearing", fontsize=9, loc="left")
+    return figure
+
+
 def friction() -> Figure:
     """Friction coefficients against sliding speed."""
     figure, panel = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
@@ -271,6 +316,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "films": films,
     "restitution": restitution,
     "conformity": conformity,
+    "piston": piston,
     "friction": friction,
     "suspension_over_bump": suspension,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},

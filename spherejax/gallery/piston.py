@@ -55,7 +55,7 @@ def piston(
             velocity=(0, 0, -speed * CRANK / 2),
             angular_velocity=(0, -speed * CRANK / ROD, 0),
         ),
-        "piston": Body(0.14, (1e-4, 1e-4, 1e-4), (end, 0, 0)),
+        "piston": Body(0.14, (2e-5, 2e-5, 2e-5), (end, 0, 0)),
     }
     joints = {
         "crank_pivot": Revolute((GROUND, "crank"), (0, 0, 0), AXIS),
