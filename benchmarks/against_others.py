@@ -60,7 +60,9 @@ class Case(NamedTuple):
 
 _FREE = ("Dopri8", "DOP853", "LSODA", "CVODE", "Radau")
 _friction = sj.Dry(1e-4, friction=sj.Threlfall())
-_film = sj.Lubricated(1e-4, film=sj.RadialFilm())  # the hand-written equations have the paper's
+_film = sj.Lubricated(
+    1e-4, film=sj.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)
+)  # the hand-written equations have the paper's
 CASES = {
     "ideal": Case("ideal, 2 s", sj.Ideal(), 2.0, 1e-13, (*_FREE, "Rodas5P", "Exudyn")),
     "bushing": Case("bushing k 1e6 N/m, b 1e-4 s, 2 s", sj.Bushing(1e6, 1e-4), 2.0, 1e-12, (*_FREE, "Rodas5P")),

@@ -137,8 +137,10 @@ def friction_case(
 
 
 def lubricated_case(label: str, clearance: float = CLEARANCE, film: AbstractFilm | None = None) -> Case:
-    """Lubricated joint, with the full film unless another is given."""
+    """Lubricated joint, with the full film unless another is given; with the paper's film the paper's contact."""
     parameters = (("clearance", clearance), ("viscosity", VISCOSITY), ("film", film or FullFilm()))
+    if isinstance(film, RadialFilm):
+        parameters = (*parameters, ("normal", LankaraniNikravesh(restitution=RESTITUTION)))
     return Case(label, "lubricated", parameters, Lubricated)
 
 
