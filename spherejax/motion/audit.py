@@ -2,7 +2,7 @@
 
     energy      never rises by more than drivers, forces and other parts that may add some have put in
     flight      no ball is beyond its socket's surface while it counts as flying
-    constraints  the constraint equations hold
+    constraints  the constraint equations hold; friction that follows reactions agrees with them
     quaternions  have unit norm
 
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
@@ -27,6 +27,7 @@ from spherejax.foundations.types import Number, Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set
+from spherejax.motion.friction_judgement import friction_found, friction_share, friction_trouble
 from spherejax.motion.loads import joint_loads
 from spherejax.motion.observables import kinetic_energy, potential_energy
 from spherejax.motion.programs import program_for
@@ -115,6 +116,8 @@ def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[st
     if gaps:
         worst = max(gaps, key=lambda name: gaps[name])
         found["constraints"] = f"joint {worst!r} gapes by {gaps[worst]:.3g} m or rad"
+    if system.friction_passes and (trouble := friction_trouble(system, jnp.asarray(t), jnp.asarray(y))):
+        found["constraints"] = trouble
     norms = np.abs(np.sum(np.asarray(state.quaternion) ** 2, axis=-1) - 1)
     found["quaternions"] = f"body {list(system.bodies)[int(np.argmax(norms))]!r}"
     return found
@@ -129,6 +132,7 @@ class Vitals(NamedTuple):
         outside: (|e|^2 / c^2 - 1) / 2 of the outermost ball in flight; -1/2 without one.
         violation: largest entry of the constraint equations [m or 1].
         norm: largest | |q|^2 - 1 |.
+        friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
     """
 
     potential: Scalar
@@ -136,6 +140,7 @@ class Vitals(NamedTuple):
     outside: Scalar
     violation: Scalar
     norm: Scalar
+    friction: Scalar | None = None
 
 
 def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
@@ -156,12 +161,16 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     constraints = constraint_set(system, t, motions)
     residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
     norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
+    friction = None
+    if system.friction_passes:
+        friction = friction_share(*friction_found(system, t, y))
     return Vitals(
         potential_energy(system, t, motions, of_all=False) - put_in,
         kinetic_energy(system, motions) + stored,
         jnp.max(jnp.stack(outside)),
         jnp.max(residual),
         jnp.max(jnp.abs(norms - 1)),
+        friction,
     )
 
 
@@ -221,10 +230,14 @@ class Limits(eqx.Module):
         bottom, top = jnp.minimum(watch.bottom, now.potential), jnp.maximum(watch.top, now.potential)
         agitation = jnp.maximum(watch.agitation, now.agitation)
         moving = jnp.maximum(agitation + (top - bottom), self.least)
+        equations = now.violation / self.violation
+        if now.friction is not None:
+            # Friction that follows reactions belongs to the joints' equations.
+            equations = jnp.maximum(equations, now.friction)
         shares = [
             jnp.where(jnp.isinf(self.energy), NOT_MADE, (energy - lowest) / (moving * self.energy)),
             jnp.maximum(now.outside, 0.0) / OUTSIDE,
-            now.violation / self.violation,
+            equations,
             now.norm / NORM,
         ]
         return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))

@@ -322,9 +322,9 @@ class Trajectory(eqx.Module):
 
     def absorbed_work(self, joint: str) -> Float[Array, " n"]:
         """Work that a joint has taken from the bodies since the start [J]; needs `track_work=True`."""
-        names = self.system.force_joints
+        names = self.system.resisting_joints
         if joint not in names:
-            raise SceneError(f"joint {self._joint(joint)!r} is ideal: it absorbs no work")
+            raise SceneError(f"joint {self._joint(joint)!r} is ideal, without friction: it absorbs no work")
         if not self.system.tracks_work:
             raise SceneError(
                 "the work absorbed by each joint was not integrated; pass track_work=True to simulate, or read the "

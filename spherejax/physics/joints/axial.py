@@ -25,6 +25,7 @@ from spherejax.physics.joints.placing import (
     turned,
     unit,
 )
+from spherejax.physics.joints.reaction_friction import ShaftFriction
 
 
 class AbstractAxialJoint(AbstractPairJoint):
@@ -35,15 +36,17 @@ class AbstractAxialJoint(AbstractPairJoint):
         point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
         turns_freely: whether the joint turns about its axis (static).
+        slides_freely: whether it slides along it (static).
 
     Classes below repeat the constructor's arguments: a type checker makes a constructor from the fields otherwise.
     """
 
     turns_freely: ClassVar[bool]
+    slides_freely: ClassVar[bool]
 
     bodies: tuple[str, str] = eqx.field(static=True)
     point: Triple | None
@@ -76,7 +79,7 @@ class AbstractAxialJoint(AbstractPairJoint):
         return [
             *point_requirements(self.point),
             direction_requirement(self.axis),
-            *model_requirements(self.model, turns_freely=self.turns_freely),
+            *model_requirements(self.model, turns_freely=self.turns_freely, slides=self.slides_freely),
         ]
 
     def placed(self, bodies, find):
@@ -87,7 +90,10 @@ class AbstractAxialJoint(AbstractPairJoint):
         on_second = turned(bodies, self.bodies[1], axis)
         coincides, right_angles = self._equations(bodies, axis, tuple((b, on_second) for b in across))
         normals = () if coincides else across
-        ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,))
+        rubbing = None
+        if isinstance(self.model, Ideal) and self.model.friction is not None:
+            rubbing = ShaftFriction(self.model, on_second, self.turns_freely, self.slides_freely)
+        ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,), rubbing)
         return with_model(ideal, self.model, self.starts_concentric, bodies, axis)
 
     @abc.abstractmethod
@@ -109,12 +115,13 @@ class Revolute(AbstractAxialJoint):
         point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = True
+    slides_freely = False
 
     def __init__(
         self,
@@ -137,12 +144,13 @@ class Cylindrical(AbstractAxialJoint):
         bodies: names of the two bodies.
         point: a point on the axis, world axes at the start [m], shape (3,), or its name `"body.point"`.
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = True
+    slides_freely = True
 
     def __init__(
         self,
@@ -166,12 +174,13 @@ class Prismatic(AbstractAxialJoint):
         point: where the bodies meet at the start, world axes at the start [m], shape (3,), or its name
             `"body.point"`; reactions are about it.
         axis: direction of sliding, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = False
+    slides_freely = True
 
     def __init__(
         self,

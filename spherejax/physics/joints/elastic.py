@@ -7,8 +7,10 @@ from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.bushing import Bushing
+from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.places import AbstractPlacedJoint
 from spherejax.physics.joints.placing import frame_along, relative_start
+from spherejax.physics.joints.reaction_friction import friction_requirements
 from spherejax.physics.joints.spherical import PlacedSpherical
 
 
@@ -37,8 +39,13 @@ def with_model(
     return PlacedSpherical(ideal.bodies, *ideal.points, start, model, starts_concentric, frame, ideal)
 
 
-def model_requirements(model: AbstractSphericalModel, *, turns_freely: bool) -> list[Requirement]:
+def model_requirements(model: AbstractSphericalModel, *, turns_freely: bool, slides: bool) -> list[Requirement]:
     """What a joint that is not spherical asks of its model: ideal, or a bushing that holds its direction."""
+    if isinstance(model, Ideal):
+        if model.friction is not None and not (turns_freely or slides):
+            remedy = "Nothing moves in a fixed joint; leave friction out."
+            return [Requirement("friction", type(model.friction).__name__, False, "be left out", remedy)]
+        return [*model.requirements(), *friction_requirements(model, turns=turns_freely, slides=slides)]
     if model.is_ideal:
         return []
     if not isinstance(model, Bushing) or not model.law.resists_rotation:

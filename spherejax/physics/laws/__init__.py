@@ -66,6 +66,13 @@ from spherejax.physics.laws.normal import (
     HuntCrossley,
     LankaraniNikravesh,
 )
+from spherejax.physics.laws.pressure import (
+    AbstractPressure,
+    CosinePressure,
+    PointContact,
+    PreloadAlone,
+    UniformPressure,
+)
 
 __all__ = [
     "MINIMUM_ONSET_RATE",
@@ -77,10 +84,12 @@ __all__ = [
     "AbstractLaw",
     "AbstractNormalLaw",
     "AbstractPivotElastomer",
+    "AbstractPressure",
     "AbstractStaticFriction",
     "Ambrosio",
     "BengisuAkay",
     "BrownMcPhee",
+    "CosinePressure",
     "Coulomb",
     "CrossElastomer",
     "CurveElastomer",
@@ -100,12 +109,15 @@ __all__ = [
     "Material",
     "MatrixElastomer",
     "PinkusSternlicht",
+    "PointContact",
+    "PreloadAlone",
     "PressurePeak",
     "RadialElastomer",
     "RadialFilm",
     "ShearFactors",
     "Sommerfeld",
     "Threlfall",
+    "UniformPressure",
     "VectorElastomer",
     "exact_hysteresis_factor",
     "film_force",
