@@ -71,7 +71,7 @@ MODELS = {
     "lubricated_hertz": sj.Lubricated(clearance=C, normal=sj.Hertz()),
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
-    "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, preload=0.01),
+    "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, pressure=sj.CosinePressure(), preload=0.01),
     "ideal_lugre": sj.Ideal(sj.LuGre(), radius=0.01, pressure=sj.UniformPressure(), passes=3),
 }
 

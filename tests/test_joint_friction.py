@@ -549,6 +549,19 @@ def test_stiff_methods_find_the_same_motion(solver, law):
     np.testing.assert_allclose(found.position("lower"), exact.position("lower"), atol=1e-6)
 
 
+def test_runs_side_by_side_and_on_array_code_are_those_by_themselves():
+    ts = jnp.linspace(0, 0.1, 3)
+
+    def end(mu, **options):
+        model = sj.Ideal(sj.LuGre(mu, 1.5 * mu), 0.02, preload=0.01)
+        return sj.simulate(chain(model, model), ts, **options).ys[-1]
+
+    mus = jnp.array([0.05, 0.1, 0.2])
+    each = np.stack([end(mu) for mu in mus])
+    np.testing.assert_allclose(jax.vmap(end)(mus), each, atol=1e-7)
+    np.testing.assert_allclose(end(mus[2], scalar=False), each[2], atol=1e-7)
+
+
 def test_stiff_friction_is_left_to_a_stiff_method():
     law = sj.Threlfall(MU, 1e-9)
     run = sound(spinning_ball(sj.Ideal(law, RADIUS), inertia=1e-6), [0.0, 0.05])

@@ -218,20 +218,22 @@ class Trajectory(eqx.Module):
         return clearance
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
-        """A named contribution of a joint that answers with a force, e.g. `"normal_force"`, `"film_force"` [N]."""
+        """A named contribution of a joint that resists, e.g. `"normal_force"`, `"film_force"` [N]."""
         parts = self.parts(joint)
         if name not in parts:
             raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
         return parts[name]
 
     def parts(self, joint: str) -> dict[str, Float[Array, "n ..."]]:
-        """All named contributions of a joint that answers with a force; of other joints none.
+        """All named contributions of a joint that answers with a force or has friction; of other joints none.
 
         Every contact has `penetration` [m], `normal_force` (a number), `friction_force` and `sliding_velocity` [m/s];
         films have `film_force` on the ball, `film_moment` [N m] about its center, `film_power` and `shear_power`
         that they absorb [W], `film_thickness` at the thinnest [m], `film_pressure`, the largest [Pa], and
         `film_pressure_place`, the unit vector from the socket's center to it; bushings have `deflection` [m] and
-        `rotation` [rad]; a user's own model what it returns. Vectors in world axes.
+        `rotation` [rad]; ideal joints with friction `friction_moment` [N m] and `friction_force` on the second body,
+        `friction_power` [W] that it takes, `bearing_load` [N], and of its fixed point `friction_contraction` and
+        `friction_remainder`; a user's own model what it returns. Vectors in world axes.
         """
         return self.observation.parts.get(self._joint(joint), {}) | self._looked_up.get(joint, {})
 
