@@ -15,8 +15,11 @@ from spherejax.motion import dynamics
 from spherejax.motion.assembly import as_ideal, assemble_now
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constrained_accelerations, constraint_set
+from spherejax.motion.implicit import hooks_of
+from spherejax.motion.integrate import Parameters
 from spherejax.motion.loads import applied_wrenches, joint_loads
 from spherejax.motion.programs import program_for
+from spherejax.motion.quantities import quantity
 from spherejax.physics.state import unpack
 
 MU, RADIUS, G = 0.1, 0.01, 9.81
@@ -116,6 +119,7 @@ def test_preload_stops_a_ball_when_its_momentum_is_spent(law):
     run = sound(spinning_ball(model), [0.0, 0.25, 0.45, 0.55, 0.7])  # J w0 / M0 = 0.5 s
     spins = np.asarray(run.angular_velocity("ball"))[:, 2]
     np.testing.assert_allclose(spins, [5.0, 2.5, 0.5, 0.0, 0.0], atol=2e-3)
+    np.testing.assert_allclose(run.part("joint", "bearing_load"), 0.2 * G)
     assert run.system.friction_passes == 0
 
 
@@ -294,11 +298,11 @@ def test_bearing_of_a_length_carries_moments_at_its_ends():
 @pytest.mark.parametrize("law", [sj.Threlfall(0.2, 1e-2), sj.LuGre()])
 def test_what_is_lost_is_what_friction_has_taken(law):
     first, second = sj.Ideal(law, 0.02, preload=0.01), sj.Ideal(law, 0.015, sj.UniformPressure())
-    run = sound(chain(first, second), np.linspace(0.0, 0.5, 6), track_work=True, rtol=1e-9)
+    run = sound(chain(first, second), np.linspace(0.0, 0.2, 6), track_work=True, rtol=1e-9)
     lost = run.mechanical_energy[0] - run.mechanical_energy
     taken = run.dissipated_energy("shoulder") + run.dissipated_energy("elbow")
     np.testing.assert_allclose(lost, taken, atol=1e-6 * float(np.max(run.kinetic_energy)))
-    assert lost[-1] > 0.05
+    assert lost[-1] > 0.02
     table = run.to_xarray()
     assert table["elbow.friction_moment"].attrs["units"] == "N m"
     assert table["elbow.friction_power"].attrs["units"] == "W"
@@ -313,7 +317,7 @@ def test_reactions_hold_the_friction():
     np.testing.assert_allclose(run.part("shoulder", "bearing_load"), np.linalg.norm(run.reaction("shoulder"), axis=1))
     power = -np.sum(np.asarray(moment) * np.asarray(run.angular_velocity("upper")), axis=1)
     np.testing.assert_allclose(run.part("shoulder", "friction_power"), power)
-    assert run.peak("shoulder.friction_moment").value > 0
+    assert quantity("shoulder.friction_moment", run.system).unit == "N m"
 
 
 def test_bristles_hold_what_a_static_law_lets_creep():
@@ -361,8 +365,12 @@ def test_loads_that_are_not_unique_are_refused_with_the_joints():
         sj.simulate(door(model), jnp.linspace(0, 1, 3))
     with pytest.raises(sj.SceneError, match="'a', 'b', 'c', 'd' follows a load that is not unique"):
         sj.simulate(plane_four_bar(sj.Ideal(sj.Threlfall(), RADIUS, length=0.02)), jnp.linspace(0, 1, 3))
-    # With the radial loads alone, and by preloads, all is unique.
-    run = sound(plane_four_bar(model), [0.0, 0.05], track_work=True)
+
+
+@pytest.mark.slow
+def test_redundant_joints_whose_loads_are_unique_may_rub():
+    """By the radial loads in a plane, and by preloads anywhere."""
+    run = sound(plane_four_bar(sj.Ideal(sj.Threlfall(), RADIUS)), [0.0, 0.05], track_work=True)
     assert np.all([run.dissipated_energy(name)[-1] > 0 for name in "abcd"])
     sound(door(sj.Ideal(sj.Threlfall(), RADIUS, sj.PreloadAlone(), preload=0.1)), [0.0, 0.05])
 
@@ -481,6 +489,7 @@ def pair(kind, law, model=None) -> sj.Scene:
 
 
 LAWS = {"threlfall": sj.Threlfall(0.2), "lugre": sj.LuGre()}
+AT_REST_FAST = (("ball", "threlfall"), ("ball", "lugre"), ("cylindrical", "lugre"), ("universal", "threlfall"))
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -506,8 +515,14 @@ def test_scalar_program_is_the_array_code_and_momentum_is_kept(kind, law):
         assert friction.absorbed_power > 0
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        pytest.param(kind, law, marks=[pytest.mark.slow] * ((kind, law) not in AT_REST_FAST))
+        for kind in KINDS
+        for law in LAWS
+    ],
+)
 def test_derivatives_are_finite_at_rest_and_without_load(kind, law):
     system = sj.compile_scene(eqx.tree_at(lambda s: s.gravity, pair(kind, LAWS[law]), np.zeros(3))).system
     structure, theta = flatten_system(system)
@@ -540,6 +555,7 @@ def test_derivatives_of_a_run_forward_reverse_and_by_differences():
     np.testing.assert_allclose(reverse, forward, rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()])
 @pytest.mark.parametrize("law", LAWS)
 def test_stiff_methods_find_the_same_motion(solver, law):
@@ -549,12 +565,53 @@ def test_stiff_methods_find_the_same_motion(solver, law):
     np.testing.assert_allclose(found.position("lower"), exact.position("lower"), atol=1e-6)
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_linear_systems_of_stiff_methods_hold_the_friction(law):
+    """(I - gamma h J) k = rhs in the mechanism's structure, against J by differentiation of the right-hand side."""
+    model = sj.Ideal(LAWS[law], 0.02, preload=0.01, passes=10)
+    system = sj.compile_scene(chain(model, model), track_work=True).system
+    structure, theta = flatten_system(system)
+    theta, t, gamma_h = jnp.asarray(theta), jnp.zeros(()), 1e-3
+    y = jnp.asarray(displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 1, 0.0))
+    rate = program_for(dynamics.state_rate, structure)
+    jacobian, factorize = hooks_of(structure)
+    rhs = jnp.asarray(np.random.default_rng(1).normal(size=y.shape))
+    at, _ = jacobian(t, y, Parameters(theta, rate.ahead(theta)))
+    k = np.asarray(factorize(at, jnp.asarray(gamma_h))[0](rhs))
+    J = np.asarray(jax.jacfwd(lambda y: rate(theta, t, y))(y))
+    expected = np.linalg.solve(np.eye(len(y)) - gamma_h * J, rhs)
+    np.testing.assert_allclose(k, expected, atol=1e-7 * np.max(np.abs(expected)))
+
+
+@pytest.mark.slow
+def test_joints_of_all_sorts_remember_and_work_each_for_itself():
+    """Bristles in an ideal joint beside those of a contact, and beside a bushing: memory and work by joint."""
+    sticking = sj.Ideal(sj.LuGre(), 0.02, preload=0.01)
+    scene = chain(sticking, sj.Dry(clearance=1e-3, friction=sj.LuGre()))
+    system = sj.compile_scene(scene).system
+    assert [(slot.joint, len(slot.names)) for slot in system.memory_slots] == [("elbow", 4), ("shoulder", 3)]
+    run = sound(scene, np.linspace(0.0, 0.05, 3), track_work=True)
+    lost = run.mechanical_energy[0] - run.mechanical_energy
+    taken = run.dissipated_energy("elbow") + run.dissipated_energy("shoulder")
+    # What bristles of the contact gain as it is pressed harder is work of the joint, and not of the mechanism.
+    np.testing.assert_allclose(lost, taken, atol=1e-5 * float(np.max(run.kinetic_energy)))
+
+
+def test_bushing_and_friction_work_each_for_itself():
+    rubber = sj.Bushing(law=sj.VectorElastomer(1e5, 1e-3))
+    swapped = sound(chain(rubber, sj.Ideal(sj.Threlfall(0.2, 1e-2), 0.02)), np.linspace(0.0, 0.05, 3), track_work=True)
+    lost = swapped.mechanical_energy[0] - swapped.mechanical_energy
+    taken = swapped.dissipated_energy("elbow") + swapped.dissipated_energy("shoulder")
+    np.testing.assert_allclose(lost, taken, atol=1e-6 * float(np.max(swapped.kinetic_energy)))
+    assert swapped.dissipated_energy("elbow")[-1] > 5e-4
+
+
 def test_runs_side_by_side_and_on_array_code_are_those_by_themselves():
     ts = jnp.linspace(0, 0.1, 3)
 
     def end(mu, **options):
-        model = sj.Ideal(sj.LuGre(mu, 1.5 * mu), 0.02, preload=0.01)
-        return sj.simulate(chain(model, model), ts, **options).ys[-1]
+        model = sj.Ideal(sj.BrownMcPhee(mu, 1.5 * mu, 1e-2), RADIUS, sj.UniformPressure(), preload=0.01)
+        return sj.simulate(spinning_ball(model, (3.0, 0.0, 4.0), inertia=1e-3), ts, **options).ys[-1]
 
     mus = jnp.array([0.05, 0.1, 0.2])
     each = np.stack([end(mu) for mu in mus])

@@ -147,7 +147,13 @@ def solution_with_friction(
     alone = wrenches_of(system, preloads)
     first = constrained_accelerations(system, motions, constraints, applied + alone)
     if not system.friction_passes:
-        return first, JointFriction(preloads, jnp.zeros(()), jnp.zeros(()))
+        # The loads are shown; nothing follows them.
+        loaded = friction_under(system, motions, memory, constraints, first.flat)
+        shown = tuple(
+            FrictionGroup(group, found._replace(loads=other.found.loads))
+            for (group, found), other in zip(preloads, loaded, strict=True)
+        )
+        return first, JointFriction(shown, jnp.zeros(()), jnp.zeros(()))
     masses = inverse_masses(system, motions)
     none = jnp.zeros_like(first.flat)
     multipliers, accelerations = first.flat, first.accelerations

@@ -116,6 +116,8 @@ class Trajectory(eqx.Module):
         made = {check: share for check, share in zip(CHECKS, shares, strict=True) if share != NOT_MADE}
         worst = ", ".join(f"{check} {share:.1e}" for check, share in made.items())
         text = f"at every step, as shares of what is allowed: {worst}"
+        if self.system.friction_passes:
+            text += " (that friction agrees with reactions counts among the constraints)"
         if "energy" not in made:
             text += "; energy is not audited: this method knows too coarsely what drivers, forces or bristles put in"
         return f"{self._found(())}; {text}" if findings(shares) else text

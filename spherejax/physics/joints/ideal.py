@@ -24,7 +24,7 @@ class Ideal(AbstractSphericalModel):
 
         M = -mu(v) R |F| (k_perp (I - n n^T) + k_par n n^T) w/|w| - M_0 mu(v)/mu_k w/|w|,    v = R |w|
 
-    of a ball that turns with w in its socket; for shafts, sliders and crosses see `joint_friction`.
+    of a ball that turns with w in its socket; the module `reaction_friction` has it for shafts, sliders and crosses.
 
     Attributes:
         friction: law of the friction, or None. A law with bristles (`LuGre`) makes the joint stick.
