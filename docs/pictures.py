@@ -283,6 +283,45 @@ def friction() -> Figure:
     return figure
 
 
+def joint_friction() -> Figure:
+    """What the pressure in an ideal joint with friction does to a pendulum, and to a ball that spins under a weight."""
+    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.1), layout="constrained")
+    law, radius = sj.Threlfall(mu=0.2, v1=1e-4), 0.012
+    pressures = {
+        "point": sj.PointContact(),
+        "cosine": sj.CosinePressure(),
+        "uniform": sj.UniformPressure(),
+    }
+    rod = sj.Body(0.5, (1e-4, 4e-3, 4e-3), position=(0.15, 0.0, 0.0))
+    ball = sj.Body(
+        0.5,
+        (2e-4,) * 3,
+        angular_velocity=(0.0, 0.0, 20.0),
+        points={"center": (0.0, 0.0, 0.0)},
+    )
+    for (name, pressure), color in zip(pressures.items(), LINES, strict=False):
+        model = sj.Ideal(law, radius, pressure)
+        pivot = sj.Revolute(("ground", "rod"), (0, 0, 0), (0, 1, 0), model)
+        ts = jnp.linspace(0.0, 12.0, 1201)
+        run = sj.simulate(sj.Scene({"rod": rod}, {"pivot": pivot}), ts)
+        place = run.position("rod")
+        angle = np.rad2deg(np.arctan2(place[:, 0], -place[:, 2]))
+        panels[0].plot(ts, angle, color=color, linewidth=0.9, label=name)
+        joint = sj.Spherical("ground.socket", "ball.center", model)
+        scene = sj.Scene(
+            {"ball": ball}, {"joint": joint}, ground_points={"socket": (0, 0, 0)}
+        )
+        ts = jnp.linspace(0.0, 0.5, 101)
+        spin = sj.simulate(scene, ts).angular_velocity("ball")[:, 2]
+        panels[1].plot(ts, spin, color=color, label=name)
+    panels[0].set(xlabel="t [s]", ylabel="angle of a pendulum [deg]", xlim=(0, 12))
+    panels[1].set(xlabel="t [s]", ylabel="spin of a ball [rad/s]", xlim=(0, 0.5))
+    panels[1].set_ylim(0, None)
+    for panel in panels:
+        panel.legend(fontsize=8, title="pressure", title_fontsize=8)
+    return figure
+
+
 def suspension() -> Figure:
     """The paper's second mechanism over its bump."""
     ts = jnp.linspace(2.9, 4.4, 1501)
@@ -318,6 +357,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "conformity": conformity,
     "piston": piston,
     "friction": friction,
+    "joint_friction": joint_friction,
     "suspension_over_bump": suspension,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }

@@ -79,6 +79,8 @@ MODELS = {
     "lubricated_hertz": sj.Lubricated(clearance=C, normal=sj.Hertz()),
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
+    "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, pressure=sj.CosinePressure(), preload=0.01),
+    "ideal_lugre": sj.Ideal(sj.LuGre(), radius=0.01, pressure=sj.UniformPressure(), passes=3),
 }
 
 
@@ -168,10 +170,10 @@ def displaced_state(system: sj.System, assembly: sj.Assembly, seed: int, distanc
     q[:, 3:] /= np.linalg.norm(q[:, 3:], axis=1, keepdims=True)
     y[layout.n_position : layout.memory_start] = random.standard_normal(layout.n_velocity)
     for slot in system.memory_slots:
-        # An onset rate, then bristle deflections.
-        start = layout.memory_start + slot.start
-        y[start] = 0.05
-        y[start + 1 : start + len(slot.names)] = 1e-6 * random.standard_normal(len(slot.names) - 1)
+        # An onset rate where the joint has a contact, then bristle deflections.
+        start, n_onsets = layout.memory_start + slot.start, slot.names.count("onset_rate")
+        y[start : start + n_onsets] = 0.05
+        y[start + n_onsets : start + len(slot.names)] = 1e-6 * random.standard_normal(len(slot.names) - n_onsets)
     return y
 
 

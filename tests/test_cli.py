@@ -255,7 +255,7 @@ def test_every_friction_law_can_be_named_and_takes_mu(name):
 def test_list_names_everything(capsys):
     assert cli.main(["list"]) == 0
     out = capsys.readouterr().out
-    for name in ("four-bar", "lubricated", *NORMAL_LAWS, *FRICTION_LAWS, *SOLVERS, "guembel"):
+    for name in ("four-bar", "lubricated", *NORMAL_LAWS, *FRICTION_LAWS, *SOLVERS, "guembel", "cosine-pressure"):
         assert name in out
     assert "mu = 0.1 [-], v1 = 0.001 [m/s]" in out
 

@@ -92,6 +92,7 @@ COUNTED = {
     "normal law": "A normal law",
     "film": "A film",
     "film boundary": "A film boundary",
+    "pressure": "A pressure",
     "elastomer": "An elastomer",
     "joint": "A joint",
     "driver": "A driver",

@@ -9,7 +9,11 @@ import pytest
 import spherejax as sj
 
 ARGUMENTS = {
-    sj.Ideal: (),
+    sj.Ideal: ("friction", "radius", "pressure", "preload", "preload_force", "length", "passes"),
+    sj.CosinePressure: (),
+    sj.UniformPressure: (),
+    sj.PointContact: (),
+    sj.PreloadAlone: (),
     sj.Dry: ("clearance", "socket_radius", "ball_radius", "normal", "friction"),
     sj.Lubricated: (
         "clearance",

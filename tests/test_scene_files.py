@@ -336,8 +336,10 @@ BOTH = ("ground", "a")
 JOINTS = [
     sj.Revolute(BOTH, "a.tip", AXIS),
     sj.Revolute(BOTH, (1.0, 2.0, 3.0), AXIS, HINGE),
+    sj.Revolute(BOTH, "a.tip", AXIS, sj.Ideal(sj.BrownMcPhee(), 0.01, sj.PointContact(), length=0.1, passes=5)),
     sj.Cylindrical(BOTH, "ground.hook", AXIS),
     sj.Prismatic(BOTH, (1.0, 2.0, 3.0), AXIS),
+    sj.Prismatic(BOTH, "a.tip", AXIS, sj.Ideal(sj.LuGre(), pressure=sj.PreloadAlone(), preload_force=2.0)),
     sj.Universal(BOTH, "a.tip", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), CROSS),
     sj.Fixed(BOTH, "a.tip"),
     sj.PointOnPlane("a.tip", (0.0, 0.0, 0.0), AXIS),

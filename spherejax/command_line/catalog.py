@@ -69,7 +69,7 @@ USUAL: Mapping[str, Usual] = {
 """Scenes that take other values than `Usual()`: those that their sources ask for."""
 
 JOINTS = {
-    "ideal": "ball and socket without any gap: constraint equations",
+    "ideal": "ball and socket without any gap: constraint equations; with friction in scene files",
     "dry": "dry contact with clearance, no friction unless --friction is given",
     "friction": "dry contact with clearance and Threlfall's friction, or another by --friction",
     "lubricated": "squeeze film in the clearance, dry contact beyond it",
@@ -106,6 +106,16 @@ BOUNDARIES = Parts(
         "sommerfeld": "spherejax:Sommerfeld",
     }
 )
+
+PRESSURES = Parts(
+    {
+        "cosine-pressure": "spherejax:CosinePressure",
+        "uniform-pressure": "spherejax:UniformPressure",
+        "point-contact": "spherejax:PointContact",
+        "preload-alone": "spherejax:PreloadAlone",
+    }
+)
+"""How the reaction of an ideal joint with friction is spread."""
 
 ELASTOMERS = Parts({"radial": "spherejax:RadialElastomer", "vector": "spherejax:VectorElastomer"})
 
@@ -175,6 +185,8 @@ def list_names(options: argparse.Namespace) -> int:
     print_table("Films (--film)", ("name", "what"), films)
     boundaries = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in BOUNDARIES.items()]
     print_table("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
+    pressures = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in PRESSURES.items()]
+    print_table("Pressures in ideal joints with friction (in scene files)", ("name", "what"), pressures)
     print_table("Elastomers (--elastomer)", ("name", "parameters and defaults"), _with_parameters(ELASTOMERS))
     print_table("Solvers (--solver)", ("name", "what"), list(SOLVERS.words.items()))
     print_table("Drift control (--drift)", ("name", "what"), list(DRIFT_CONTROLS.words.items()))

@@ -195,4 +195,7 @@ def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
         rows.append((f"largest eccentricity of {name} [mm]", f"{1e3 * distance.max():.6g}"))
     for name, onsets in zip(run.system.contact_joints, np.asarray(run.stats.n_onsets), strict=True):
         rows.append((f"contact onsets of {name}", f"{int(onsets)}"))
+    for name in run.system.friction_joints[:1] if run.system.friction_passes else ():
+        largest = float(np.max(np.asarray(run.part(name, "friction_contraction"))))
+        rows.append(("largest contraction of friction and reactions", f"{largest:.2e}"))
     return rows

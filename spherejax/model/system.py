@@ -50,7 +50,7 @@ class System(eqx.Module):
         gravity: world axes [m/s^2].
         drift: drift control.
         memory_slots: where the joints' memory is; empty where no law needs one.
-        tracks_work: whether the state carries the work that each non-ideal joint absorbs.
+        tracks_work: whether the state carries the work that each joint with a force or friction absorbs.
         tracks_supply: whether the state carries the work put in by parts that may add energy: drivers, applied forces,
             roads that move, bristles, parts of a user's own.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
@@ -75,13 +75,31 @@ class System(eqx.Module):
     def layout(self) -> Layout:
         """Where things are in the flat state."""
         n_memory = sum(len(slot.names) for slot in self.memory_slots)
-        n_work = (len(self.force_joints) if self.tracks_work else 0) + self.tracks_supply
+        n_work = (len(self.resisting_joints) if self.tracks_work else 0) + self.tracks_supply
         return Layout(len(self.bodies), n_memory, n_work)
 
     @property
     def force_joints(self) -> tuple[str, ...]:
         """Names of the joints that answer with a force."""
         return tuple(name for name, joint in self.joints.items() if joint.answers_with_force)
+
+    @property
+    def friction_joints(self) -> tuple[str, ...]:
+        """Names of the ideal joints with friction."""
+        return tuple(name for name, joint in self.joints.items() if joint.friction is not None)
+
+    @property
+    def friction_passes(self) -> int:
+        """Passes in which friction by reactions is found; none where no friction depends on a reaction (static)."""
+        models = [joint.friction.model for joint in self.joints.values() if joint.friction is not None]
+        return max((model.passes for model in models if model.follows_reaction), default=0)
+
+    @property
+    def resisting_joints(self) -> tuple[str, ...]:
+        """Names of the joints that take power from the bodies: those that answer with a force, or have friction."""
+        return tuple(
+            name for name, joint in self.joints.items() if joint.answers_with_force or joint.friction is not None
+        )
 
     @property
     def contact_joints(self) -> tuple[str, ...]:
@@ -153,7 +171,7 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
-        names = joint.model.memory_names if isinstance(joint, PlacedSpherical) else ()
+        names = joint.memory_names
         if names:
             slots.append(MemorySlot(name, start, names))
             start += len(names)

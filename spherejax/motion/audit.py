@@ -2,7 +2,7 @@
 
     energy      never rises by more than drivers, forces and other parts that may add some have put in
     flight      no ball is beyond its socket's surface while it counts as flying
-    constraints  the constraint equations hold
+    constraints  the constraint equations hold; friction that follows reactions agrees with them
     quaternions  have unit norm
     conformity   surfaces are pressed in by no more than their elastic law is for, e.g. with the stiffness of Eq. 24 by
                  little against their clearance; beyond that the run goes on, and says so
@@ -29,6 +29,7 @@ from spherejax.foundations.types import Number, Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set
+from spherejax.motion.friction_judgement import friction_found, friction_share, friction_trouble
 from spherejax.motion.loads import joint_loads
 from spherejax.motion.observables import kinetic_energy, potential_energy
 from spherejax.motion.programs import program_for
@@ -137,6 +138,8 @@ def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[st
     if gaps:
         worst = max(gaps, key=lambda name: gaps[name])
         found["constraints"] = f"joint {worst!r} gapes by {gaps[worst]:.3g} m or rad"
+    if system.friction_passes and (trouble := friction_trouble(system, jnp.asarray(t), jnp.asarray(y))):
+        found["constraints"] = trouble
     norms = np.abs(np.sum(np.asarray(state.quaternion) ** 2, axis=-1) - 1)
     found["quaternions"] = f"body {list(system.bodies)[int(np.argmax(norms))]!r}"
     return found
@@ -152,6 +155,7 @@ class Vitals(NamedTuple):
         violation: largest entry of the constraint equations [m or 1].
         norm: largest | |q|^2 - 1 |.
         pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
+        friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
     """
 
     potential: Scalar
@@ -160,6 +164,7 @@ class Vitals(NamedTuple):
     violation: Scalar
     norm: Scalar
     pressed: Scalar
+    friction: Scalar | None = None
 
 
 def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
@@ -183,6 +188,9 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     constraints = constraint_set(system, t, motions)
     residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
     norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
+    friction = None
+    if system.friction_passes:
+        friction = friction_share(*friction_found(system, t, y))
     return Vitals(
         potential_energy(system, t, motions, of_all=False) - put_in,
         kinetic_energy(system, motions) + stored,
@@ -190,6 +198,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(residual),
         jnp.max(jnp.abs(norms - 1)),
         jnp.max(jnp.stack(pressed)),
+        friction,
     )
 
 
@@ -251,10 +260,14 @@ class Limits(eqx.Module):
         bottom, top = jnp.minimum(watch.bottom, now.potential), jnp.maximum(watch.top, now.potential)
         agitation = jnp.maximum(watch.agitation, now.agitation)
         moving = jnp.maximum(agitation + (top - bottom), self.least)
+        equations = now.violation / self.violation
+        if now.friction is not None:
+            # Friction that follows reactions belongs to the joints' equations.
+            equations = jnp.maximum(equations, now.friction)
         shares = [
             jnp.where(jnp.isinf(self.energy), NOT_MADE, (energy - lowest) / (moving * self.energy)),
             jnp.maximum(now.outside, 0.0) / OUTSIDE,
-            now.violation / self.violation,
+            equations,
             now.norm / NORM,
             now.pressed,
         ]

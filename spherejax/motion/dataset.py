@@ -25,10 +25,10 @@ def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
     """A run as a labelled data set.
 
     Dimensions: `time`; `body` (all moving bodies); `joint` (all joints); `spherical_joint` (those with an
-    eccentricity); `clearance_joint` (those with a clearance); `force_joint` (those that answer with a force);
-    `contact_joint`; `axis` (x, y, z of the world); `component` (w, x, y, z of a quaternion); `memory`. The results of a
-    force element and the parts of a joint's answer are variables of their own: `shock.length`, `tyre.load`,
-    `elbow.normal_force`, `elbow.film_pressure`, ...
+    eccentricity); `clearance_joint` (those with a clearance); `force_joint` (those that answer with a force, or have
+    friction); `contact_joint`; `axis` (x, y, z of the world); `component` (w, x, y, z of a quaternion); `memory`. The
+    results of a force element and the parts of a joint's answer are variables of their own: `shock.length`,
+    `tyre.load`, `elbow.normal_force`, `elbow.film_pressure`, ...
 
     Args:
         run: a `Trajectory`, a single run; of a batch, take a lane first.
@@ -80,7 +80,7 @@ def _joint_coordinates(run: Any) -> dict:
     candidates = {
         "spherical_joint": _spherical(run),
         "clearance_joint": _with_clearance(run),
-        "force_joint": list(run.system.force_joints),
+        "force_joint": list(run.system.resisting_joints),
         "contact_joint": list(run.system.contact_joints),
         "memory": memory,
     }
@@ -152,25 +152,25 @@ def _of_joints(run: Any) -> dict[str, Column]:
         columns |= _named_parts(name, own, "joint")
     if seen.elastic_energy:
         columns["elastic_energy"] = (
-            ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.force_joints), "J",
+            ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.resisting_joints), "J",
             "energy stored in the joint"
         )  # fmt: skip
-    if system.tracks_work and system.force_joints:
+    if system.tracks_work and system.resisting_joints:
         dims = ("time", "force_joint")
         columns["absorbed_work"] = (
             dims,
-            run.state.work[..., : len(system.force_joints)],
+            run.state.work[..., : len(system.resisting_joints)],
             "J",
             "work that the joint has taken from the bodies",
         )
-        dissipated = _stack(run.dissipated_energy(name) for name in system.force_joints)
+        dissipated = _stack(run.dissipated_energy(name) for name in system.resisting_joints)
         columns["dissipated_energy"] = (dims, dissipated, "J", "energy that the joint has dissipated")
     if run.system.layout.n_memory:
         columns["joint_memory"] = (
             ("time", "memory"),
             run.state.memory,
             "m/s or m",
-            "what the contact laws remember",
+            "what contact and friction laws remember",
         )
     return columns
 

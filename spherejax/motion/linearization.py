@@ -33,7 +33,8 @@ from spherejax.model.groups import stacks_of
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import BodyMotions, body_motions
 from spherejax.motion.constraints import constraint_set, desired_accelerations
-from spherejax.motion.dynamics import evaluate, orientation_rate, work_rates
+from spherejax.motion.dynamics import evaluate, memory_rates, orientation_rate, work_rates
+from spherejax.motion.joint_friction import friction_under, wrenches_of
 from spherejax.motion.loads import BodyVectors, applied_wrenches, joint_loads
 from spherejax.motion.programs import Program
 from spherejax.physics.bodies import Body, inertia_in_world
@@ -83,10 +84,14 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
     applied = applied_wrenches(system, t, motions, loads)
     constraints = constraint_set(system, t, motions)
     by_body = accelerations.reshape(-1, VELOCITY_SIZE)
+    friction = friction_under(system, motions, memory, constraints, multipliers) if system.friction_joints else ()
+    if friction:
+        applied = applied + wrenches_of(system, friction)
     balance = _masses_times(system, motions, by_body) + constraints.transposed_times(multipliers) - applied
     violation = constraints.times(by_body) - desired_accelerations(system, motions, constraints)
-    powers = work_rates(system, t, motions, loads, constraints, multipliers)
-    return jnp.concatenate([balance.ravel(), -loads.memory_rates, *(-power for power in powers), violation])
+    powers = work_rates(system, t, motions, loads, friction, constraints, multipliers)
+    remembered = memory_rates(system, loads, friction)
+    return jnp.concatenate([balance.ravel(), -remembered, *(-power for power in powers), violation])
 
 
 Point = tuple[Float[Array, " size"], Float[Array, " n_v"], Float[Array, " n_c"], Float[Array, " n_v+n_x"]]
@@ -217,7 +222,7 @@ def stage_solver(pattern: Pattern):
         n_c = D.shape[0]
         by_own = h * (by_x + jnp.concatenate([by_position @ slaved, jnp.zeros((n_x + n_c, n_x - n_v))], 1))
         upper = jnp.concatenate(
-            [_generalized_mass(system, motions, n_x) + by_own[:n_x], _by_multipliers(system, constraints, D)], 1
+            [_generalized_mass(system, motions, n_x) + by_own[:n_x], _by_multipliers(system, t, y, constraints, D)], 1
         )
         lower = jnp.concatenate([D + by_own[n_x:], jnp.zeros((n_c, n_c))], 1)
         moved = [p.free(rhs[POSITION_SIZE * i : POSITION_SIZE * (i + 1)]) for i, p in enumerate(positions)]
@@ -308,8 +313,20 @@ def _constraint_matrix(system: System, constraints, n_x: int) -> Float[Array, "n
     return jnp.concatenate([D, jnp.zeros((D.shape[0], n_x - system.layout.n_velocity))], 1)
 
 
-def _by_multipliers(system: System, constraints, D: Float[Array, "n_c n_x"]) -> Float[Array, "n_x n_c"]:
-    """D^T; the last row, of the work that is put in, by the drivers' power lambda.Phi_t."""
+def _by_multipliers(system: System, t: Scalar, y, constraints, D: Float[Array, "n_c n_x"]) -> Float[Array, "n_x n_c"]:
+    """D^T; the last row, of the work that is put in, by the drivers' power lambda.Phi_t.
+
+    With friction in ideal joints, which follows the multipliers, less its derivative by them.
+    """
+    if system.friction_passes:
+        n_x = D.shape[1]
+        frozen = freeze(system, t, y)
+        still = jnp.zeros(system.layout.n_velocity + n_x)
+
+        def balance(multipliers):
+            return residuals(system, t, y, frozen.accelerations, multipliers, still)[:n_x]
+
+        return jax.jacfwd(balance)(frozen.multipliers)
     return D.T.at[-1].set(-constraints.rate_at_rest) if system.is_driven and system.tracks_supply else D.T
 
 

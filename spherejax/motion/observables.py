@@ -13,23 +13,12 @@ from spherejax.model.system import System
 from spherejax.motion.body_motions import BodyMotions, between, body_motions
 from spherejax.motion.constraints import velocity_violation
 from spherejax.motion.dynamics import Evaluation, evaluate
+from spherejax.motion.joint_friction import constraint_reaction, resistances
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce, power_on_bodies
-from spherejax.physics.joints import PlacedSpherical
-from spherejax.physics.kinematics import BodyMotion, RelativeMotion, point_motion
+from spherejax.physics.joints import PlacedSpherical, Reaction
+from spherejax.physics.kinematics import BodyMotion, RelativeMotion
 from spherejax.physics.state import unpack
-
-
-class Reaction(NamedTuple):
-    """What a joint exerts on its second body (of a spherical joint: the ball's).
-
-    Attributes:
-        force: world axes [N].
-        moment: about the joint's point on that body, world axes [N m].
-    """
-
-    force: Vector3
-    moment: Vector3
 
 
 class Observation(NamedTuple):
@@ -44,8 +33,8 @@ class Observation(NamedTuple):
         driving_power: power that each driver puts into the mechanism [W], by joint.
         eccentricity: socket center to ball center, world axes [m], by spherical joint.
         eccentricity_rate: its time derivative [m/s].
-        parts: named contributions of the joints that answer with a force, by joint.
-        elastic_energy: stored in each joint that answers with a force [J], by joint.
+        parts: named contributions of the joints that answer with a force or have friction, by joint.
+        elastic_energy: stored in each of these joints [J], by joint.
         forces: named results of the force elements, by element, each with `power` on the bodies [W] and
             `potential_energy` [J].
         kinetic_energy: of all bodies [J].
@@ -85,8 +74,8 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
         driving_power={name: _driving_power(evaluation, name) for name in driven},
         eccentricity={name: motion.eccentricity for name, motion in relative.items()},
         eccentricity_rate={name: motion.eccentricity_rate for name, motion in relative.items()},
-        parts={name: load.response.parts for name, load in evaluation.loads.items()},
-        elastic_energy={name: load.response.elastic_energy for name, load in evaluation.loads.items()},
+        parts=_parts(evaluation),
+        elastic_energy=_elastic_energies(system, evaluation),
         kinetic_energy=kinetic_energy(system, evaluation.motions),
         forces={name: _force_results(force, t, evaluation) for name, force in system.forces.items()},
         potential_energy=potential_energy(system, t, evaluation.motions),
@@ -128,7 +117,7 @@ def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
     found = {}
     for rows, multipliers in zip(constraints.groups, constraints.by_group(evaluation.solution.flat), strict=True):
         second = evaluation.motions.at(rows.group.second)
-        reaction = over_lanes(_constraint_reaction, rows.group.joint, second, rows.rows.jacobians[1], multipliers)
+        reaction = over_lanes(constraint_reaction, rows.group.joint, second, rows.rows.jacobians[1], multipliers)
         found |= _by_name(rows.group, reaction)
     for loads in evaluation.loads.groups:
         response = loads.load.response
@@ -136,13 +125,23 @@ def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
             # A journal is held by equations along its bearing, and by a force across it.
             held = found.get(name)
             found[name] = reaction if held is None else jax.tree.map(jnp.add, held, reaction)
+    for name, each in resistances(() if evaluation.friction is None else evaluation.friction.groups).items():
+        force, moment = found[name]
+        found[name] = Reaction(force + each.resistance.force, moment + each.resistance.moment)
     return dict(sorted(found.items()))
 
 
-def _constraint_reaction(joint, second: BodyMotion, jacobian, multipliers) -> Reaction:
-    wrench = -jacobian.T @ multipliers
-    arm = point_motion(second, jnp.asarray(joint.points[1])).arm
-    return Reaction(wrench[:3], wrench[3:] - jnp.cross(arm, wrench[:3]))
+def _parts(evaluation: Evaluation) -> dict[str, dict[str, Array]]:
+    parts = {name: load.response.parts for name, load in evaluation.loads.items()}
+    return parts if evaluation.friction is None else dict(sorted((parts | evaluation.friction.parts()).items()))
+
+
+def _elastic_energies(system: System, evaluation: Evaluation) -> dict[str, Scalar]:
+    stored = {name: load.response.elastic_energy for name, load in evaluation.loads.items()}
+    if evaluation.friction is not None:
+        rubbing = resistances(evaluation.friction.groups)
+        stored |= {name: each.resistance.bristle_energy for name, each in rubbing.items()}
+    return {name: stored[name] for name in system.resisting_joints}
 
 
 def _by_name(group: JointGroup, stacked: Any) -> dict[str, Any]:

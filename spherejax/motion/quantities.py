@@ -155,10 +155,10 @@ def _whole_quantity(name: str, system: System) -> "Quantity | str":
             return f"{name!r}: {kind!r} belongs to the mechanism as a whole; write {kind!r} alone"
         return Quantity(kind, None, *OF_THE_WHOLE[kind])
     element, _, part = name.rpartition(".")
-    if element in system.forces or element in system.force_joints:
+    if element in system.forces or element in system.resisting_joints:
         return _result(element, part, system)
     known = ", ".join([*OF_BODIES, *OF_JOINTS, *OF_THE_WHOLE])
-    others = [*(f"{each}.NAME" for each in (*system.forces, *system.force_joints))]
+    others = [*(f"{each}.NAME" for each in (*system.forces, *system.resisting_joints))]
     results = f", and results and parts {', '.join(others)}" if others else ""
     near = difflib.get_close_matches(kind, [*OF_BODIES, *OF_JOINTS, *OF_THE_WHOLE], n=1)
     meant = f"; did you mean {near[0]!r}?" if near else ""

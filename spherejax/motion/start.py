@@ -15,6 +15,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.assembly import Assembly, as_ideal, assemble_now
 from spherejax.motion.fighting_drivers import REMEDY, fighting_at, refuse_fighting_drivers
+from spherejax.motion.friction_judgement import refuse_unsolvable_friction
 from spherejax.motion.start_positions import moved_bodies
 from spherejax.motion.start_velocities import removed_velocities
 
@@ -80,6 +81,7 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
         ) from error
     if system.is_driven:
         refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
+    refuse_unsolvable_friction(system, t, np.asarray(start.y))
     common = system, structure, theta, t, start
     return KnownStart(start, tuple(filter(None, (moved_bodies(*common), removed_velocities(*common)))))
 

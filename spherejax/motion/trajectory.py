@@ -116,6 +116,8 @@ class Trajectory(eqx.Module):
         made = {check: share for check, share in zip(CHECKS, shares, strict=True) if share != NOT_MADE}
         worst = ", ".join(f"{check} {share:.1e}" for check, share in made.items())
         text = f"at every step, as shares of what is allowed: {worst}"
+        if self.system.friction_passes:
+            text += " (that friction agrees with reactions counts among the constraints)"
         if "energy" not in made:
             text += "; energy is not audited: this method knows too coarsely what drivers, forces or bristles put in"
         told = [said for said in (findings(shares) and self._found(()), cautions(shares), text) if said]
@@ -219,20 +221,22 @@ class Trajectory(eqx.Module):
         return clearance
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
-        """A named contribution of a joint that answers with a force, e.g. `"normal_force"`, `"film_force"` [N]."""
+        """A named contribution of a joint that resists, e.g. `"normal_force"`, `"film_force"` [N]."""
         parts = self.parts(joint)
         if name not in parts:
             raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
         return parts[name]
 
     def parts(self, joint: str) -> dict[str, Float[Array, "n ..."]]:
-        """All named contributions of a joint that answers with a force; of other joints none.
+        """All named contributions of a joint that answers with a force or has friction; of other joints none.
 
         Every contact has `penetration` [m], `normal_force` (a number), `friction_force` and `sliding_velocity` [m/s];
         films have `film_force` on the ball, `film_moment` [N m] about its center, `film_power` and `shear_power`
         that they absorb [W], `film_thickness` at the thinnest [m], `film_pressure`, the largest [Pa], and
         `film_pressure_place`, the unit vector from the socket's center to it; bushings have `deflection` [m] and
-        `rotation` [rad]; a user's own model what it returns. Vectors in world axes.
+        `rotation` [rad]; ideal joints with friction `friction_moment` [N m] and `friction_force` on the second body,
+        `friction_power` [W] that it takes, `bearing_load` [N], and of its fixed point `friction_contraction` and
+        `friction_remainder`; a user's own model what it returns. Vectors in world axes.
         """
         return self.observation.parts.get(self._joint(joint), {}) | self._looked_up.get(joint, {})
 
@@ -323,9 +327,9 @@ class Trajectory(eqx.Module):
 
     def absorbed_work(self, joint: str) -> Float[Array, " n"]:
         """Work that a joint has taken from the bodies since the start [J]; needs `track_work=True`."""
-        names = self.system.force_joints
+        names = self.system.resisting_joints
         if joint not in names:
-            raise SceneError(f"joint {self._joint(joint)!r} is ideal: it absorbs no work")
+            raise SceneError(f"joint {self._joint(joint)!r} is ideal, without friction: it absorbs no work")
         if not self.system.tracks_work:
             raise SceneError(
                 "the work absorbed by each joint was not integrated; pass track_work=True to simulate, or read the "

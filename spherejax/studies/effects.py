@@ -100,7 +100,7 @@ def effects(scene: Scene, *, timed: bool = True) -> Effects:
         SceneError: for a scene that cannot be simulated.
     """
     models = {name: getattr(joint, "model", Ideal()) for name, joint in scene.joints.items()}
-    modeled = {name: model for name, model in models.items() if not model.is_ideal}
+    modeled = {name: model for name, model in models.items() if model.effects}
     built = scene
     for name in modeled:
         built = _with_model(built, name, Ideal())

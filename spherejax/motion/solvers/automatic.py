@@ -8,6 +8,7 @@ import numpy as np
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.solvers.force_rates import force_rates
+from spherejax.motion.solvers.friction_rates import friction_rates
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.motion.tolerances import time_scale
@@ -47,6 +48,12 @@ LOOSE = StiffMethod(Ros34PW2(), 0.65, 3200.0, 2.0)
 TIGHT = StiffMethod(Rodas5P(), 2.25, 1800.0, 1.7)
 
 
+STEPS_WITH_FRICTION = 200.0
+"""Steps within the mechanism's own time (`tolerances.time_scale`) up to which an explicit method follows friction in
+ideal joints. Rodas5P makes some 40 of them on pendulums and chains with bristles at rtol 1e-8, where the explicit
+method makes 1,600; the rest is what it loses elsewhere, in derivatives and the account of the energy."""
+
+
 class Choice(NamedTuple):
     """A solver and the reason for it.
 
@@ -64,9 +71,9 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
     joint acts on the bodies that it joins (a film, an elastomer, or the friction of a contact that lasts under load),
-    or with which force elements act at the start. A stiff method needs the steps of its accuracy. Contacts and stops
-    that only come and go are left to the explicit method: they are short, and landed on or passed. Numbers that are
-    traced are not looked at: the choice then rests on the models alone.
+    or with which force elements, or friction in ideal joints, act at the start. A stiff method needs the steps of its
+    accuracy. Contacts and stops that only come and go are left to the explicit method: they are short, and landed on or
+    passed. Numbers that are traced are not looked at: the choice then rests on the models alone.
 
     Args:
         system: the system.
@@ -79,6 +86,13 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
         return Choice(diffrax.Dopri8(), "Dopri8: the linear systems of a stiff method would be dense and too large")
     known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
     by_joints = _choice_by_joints(system, known_rtol)
+    if system.friction_joints and isinstance(by_joints.solver, diffrax.Dopri8):
+        by_friction = _choice_by_friction(system)
+        if not isinstance(by_friction.solver, diffrax.Dopri8):
+            return by_friction
+        usual = "no joint has a film, an elastomer or friction"
+        said = "" if by_joints.reason.endswith(usual) else f"; {by_joints.reason}"
+        by_joints = Choice(by_friction.solver, f"{by_friction.reason}{said}")
     if not system.forces:
         return by_joints
     by_forces = _choice_by_forces(system, known_rtol)
@@ -125,6 +139,19 @@ def _choice_by_forces(system: System, rtol: float) -> Choice:
     if rate > limit:
         return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
     return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
+
+
+def _choice_by_friction(system: System) -> Choice:
+    """Rodas5P where friction in ideal joints is too fast for Dopri8: the W-method leaves it out of its Jacobian."""
+    structure, theta = flatten_system(system)
+    if not is_concrete(theta):
+        return Choice(diffrax.Dopri8(), "Dopri8: friction in ideal joints; numbers are traced")
+    limit = STABILITY_BOUND * TIGHT.price * STEPS_WITH_FRICTION / float(time_scale(system))
+    rate = friction_rates(system, structure, np.asarray(theta)).fastest
+    what = f"friction in ideal joints acts at about {rate:.1e} per second"
+    if rate > limit:
+        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more")
+    return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more")
 
 
 class _Rate(NamedTuple):

@@ -1,7 +1,7 @@
 """Joints: where two bodies meet, and the models of how they resist."""
 
 from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
-from spherejax.physics.joints.base import PART_UNITS, AbstractSphericalModel, Crossing, Response
+from spherejax.physics.joints.base import PART_UNITS, AbstractSphericalModel, Crossing, Reaction, Response
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.curves import AbstractCurve, Circle, ImplicitCurve, Line, PointOnCurve
 from spherejax.physics.joints.distance import Distance, DistanceDriver
@@ -12,6 +12,7 @@ from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.lubricated import Lubricated
 from spherejax.physics.joints.pairs import Fixed, PointOnPlane, Universal
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
+from spherejax.physics.joints.reaction_friction import AbstractJointFriction, Resistance
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
 
@@ -19,6 +20,7 @@ __all__ = [
     "PART_UNITS",
     "AbstractCurve",
     "AbstractJoint",
+    "AbstractJointFriction",
     "AbstractPlacedJoint",
     "AbstractSphericalModel",
     "Bushing",
@@ -41,6 +43,8 @@ __all__ = [
     "PointOnPlane",
     "PositionDriver",
     "Prismatic",
+    "Reaction",
+    "Resistance",
     "Response",
     "Revolute",
     "RotationDriver",

@@ -25,6 +25,7 @@ from spherejax.physics.joints.placing import (
     turned,
     unit,
 )
+from spherejax.physics.joints.reaction_friction import ShaftFriction
 
 
 class AbstractAxialJoint(AbstractPairJoint):
@@ -35,16 +36,18 @@ class AbstractAxialJoint(AbstractPairJoint):
         point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
         turns_freely: whether the joint turns about its axis (static).
         is_bearing: whether it may have clearance, as a journal in a bearing (static).
+        slides_freely: whether it slides along it (static).
 
     Classes below repeat the constructor's arguments: a type checker makes a constructor from the fields otherwise.
     """
 
     turns_freely: ClassVar[bool]
+    slides_freely: ClassVar[bool]
     is_bearing: ClassVar[bool] = False
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -78,7 +81,9 @@ class AbstractAxialJoint(AbstractPairJoint):
         return [
             *point_requirements(self.point),
             direction_requirement(self.axis),
-            *model_requirements(self.model, turns_freely=self.turns_freely, is_bearing=self.is_bearing),
+            *model_requirements(
+                self.model, turns_freely=self.turns_freely, slides=self.slides_freely, is_bearing=self.is_bearing
+            ),
         ]
 
     def placed(self, bodies, find):
@@ -90,7 +95,10 @@ class AbstractAxialJoint(AbstractPairJoint):
         axis_stays = tuple((b, on_second) for b in across)
         coincides, right_angles = self._equations(bodies, axis, axis_stays)
         normals = () if coincides else across
-        ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,))
+        rubbing = None
+        if isinstance(self.model, Ideal) and self.model.friction is not None:
+            rubbing = ShaftFriction(self.model, on_second, self.turns_freely, self.slides_freely)
+        ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,), rubbing)
         on_first = (turned(bodies, self.bodies[0], axis),)
         guide = PlacedPair(self.bodies, places, False, on_first, axis_stays, (on_second,)) if self.is_bearing else None
         return with_model(ideal, self.model, self.starts_concentric, bodies, axis, guide=guide)
@@ -118,8 +126,8 @@ class Revolute(AbstractAxialJoint):
         point: a point on the axis, world axes at the start [m], shape (3,); None where it is given by name.
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`; `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis; `Dry(...)`
-            with the contact of a cylinder (`conformity=sj.JohnsonCylinder(length)`) or a given stiffness;
+        model: `Ideal(...)`; `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis;
+            `Dry(...)` with the contact of a cylinder (`conformity=sj.JohnsonCylinder(length)`) or a given stiffness;
             `Lubricated(...)` with a bearing's film as well (`film=sj.ShortBearing(length)`).
         starts_concentric: whether a bushing starts relaxed and a journal in the middle, the start being assembled as if
             the joint were ideal; False leaves the bodies, and their velocities, as they are described.
@@ -127,6 +135,7 @@ class Revolute(AbstractAxialJoint):
 
     turns_freely = True
     is_bearing = True
+    slides_freely = False
 
     def __init__(
         self,
@@ -149,12 +158,13 @@ class Cylindrical(AbstractAxialJoint):
         bodies: names of the two bodies.
         point: a point on the axis, world axes at the start [m], shape (3,), or its name `"body.point"`.
         axis: direction of the axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = True
+    slides_freely = True
 
     def __init__(
         self,
@@ -178,12 +188,13 @@ class Prismatic(AbstractAxialJoint):
         point: where the bodies meet at the start, world axes at the start [m], shape (3,), or its name
             `"body.point"`; reactions are about it.
         axis: direction of sliding, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
     """
 
     turns_freely = False
+    slides_freely = True
 
     def __init__(
         self,

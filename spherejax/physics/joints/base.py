@@ -33,6 +33,18 @@ class Response(NamedTuple):
     parts: dict[str, Array]
 
 
+class Reaction(NamedTuple):
+    """What a joint exerts on its second body (of a spherical joint: the ball's).
+
+    Attributes:
+        force: world axes [N].
+        moment: about the joint's point on that body, world axes [N m].
+    """
+
+    force: Vector3
+    moment: Vector3
+
+
 PART_UNITS = {
     "penetration": "m",
     "normal_force": "N",
@@ -47,6 +59,11 @@ PART_UNITS = {
     "sliding_velocity": "m/s",
     "deflection": "m",
     "rotation": "rad",
+    "friction_moment": "N m",
+    "friction_power": "W",
+    "bearing_load": "N",
+    "friction_contraction": "1",
+    "friction_remainder": "1",
 }
 """Units of the named parts of a response; a part of a user's own model has none."""
 

@@ -9,9 +9,11 @@ from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.clearance import AbstractClearanceModel
 from spherejax.physics.joints.elementary import PlacedPair
+from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.journal import PlacedJournal
 from spherejax.physics.joints.places import AbstractPlacedJoint
 from spherejax.physics.joints.placing import frame_along, relative_start
+from spherejax.physics.joints.reaction_friction import friction_requirements
 from spherejax.physics.joints.spherical import PlacedSpherical
 
 
@@ -44,12 +46,17 @@ def with_model(
 
 
 def model_requirements(
-    model: AbstractSphericalModel, *, turns_freely: bool, is_bearing: bool = False
+    model: AbstractSphericalModel, *, turns_freely: bool, slides: bool, is_bearing: bool = False
 ) -> list[Requirement]:
     """What a joint that is not spherical asks of its model: ideal, or a bushing that holds its direction.
 
     A bearing may have clearance, with laws of a journal.
     """
+    if isinstance(model, Ideal):
+        if model.friction is not None and not (turns_freely or slides):
+            remedy = "Nothing moves in a fixed joint; leave friction out."
+            return [Requirement("friction", type(model.friction).__name__, False, "be left out", remedy)]
+        return [*model.requirements(), *friction_requirements(model, turns=turns_freely, slides=slides)]
     if model.is_ideal:
         return []
     if is_bearing and isinstance(model, AbstractClearanceModel):

@@ -8,6 +8,7 @@ from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.places import AbstractPlacedAtPoints
 from spherejax.physics.joints.placing import cross, perpendicular, turned, unit
+from spherejax.physics.joints.reaction_friction import AbstractJointFriction
 from spherejax.physics.joints.rows import coincidence_rows, perpendicularity_row, plane_row, stacked
 
 Directions = tuple[Numeric, ...]
@@ -28,6 +29,7 @@ class PlacedPair(AbstractPlacedAtPoints):
         right_angles: pairs of directions, on the first and on the second body, that stay perpendicular: one equation
             each.
         axes: the joint's axes on the second body, for whoever draws or drives it.
+        rubbing: friction by the joint's reaction, or None.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -36,6 +38,18 @@ class PlacedPair(AbstractPlacedAtPoints):
     normals: Directions
     right_angles: RightAngles
     axes: Directions
+    rubbing: AbstractJointFriction | None = None
+
+    @property
+    def friction(self) -> AbstractJointFriction | None:
+        """Friction, where the joint has some."""
+        return self.rubbing
+
+    def as_if_ideal(self):
+        """Without friction, which a start does not need: one program serves all."""
+        if self.rubbing is None:
+            return self
+        return PlacedPair(self.bodies, self.places, self.coincides, self.normals, self.right_angles, self.axes)
 
     @property
     def n_rows(self) -> int:

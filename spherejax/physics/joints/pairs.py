@@ -24,6 +24,7 @@ from spherejax.physics.joints.placing import (
     turned,
     unit,
 )
+from spherejax.physics.joints.reaction_friction import CrossFriction
 
 
 class Universal(AbstractPairJoint):
@@ -34,7 +35,7 @@ class Universal(AbstractPairJoint):
         point: the center of the cross, world axes at the start [m], shape (3,), or its name `"body.point"`.
         first_axis: the arm that is fixed in the first body, world axes at the start, any length, shape (3,).
         second_axis: the arm that is fixed in the second body, perpendicular to the first.
-        model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the first arm
+        model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the first arm
             and x along the second at the start.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
@@ -84,7 +85,7 @@ class Universal(AbstractPairJoint):
                 "be perpendicular to first_axis",
                 "Give the two arms of the cross at the start.",
             ),
-            *model_requirements(self.model, turns_freely=True),
+            *model_requirements(self.model, turns_freely=True, slides=False),
         ]
 
     def placed(self, bodies, find):
@@ -92,7 +93,10 @@ class Universal(AbstractPairJoint):
         places = places_of(bodies, find, self.bodies, self.point_name, self.point)
         first = turned(bodies, self.bodies[0], unit(self.first_axis))
         second = turned(bodies, self.bodies[1], unit(self.second_axis))
-        ideal = PlacedPair(self.bodies, places, True, (), ((first, second),), (second,))
+        rubbing = None
+        if isinstance(self.model, Ideal) and self.model.friction is not None:
+            rubbing = CrossFriction(self.model, first, second)
+        ideal = PlacedPair(self.bodies, places, True, (), ((first, second),), (second,), rubbing)
         return with_model(ideal, self.model, self.starts_concentric, bodies, self.first_axis, self.second_axis)
 
 
@@ -141,7 +145,7 @@ class Fixed(AbstractPairJoint):
 
     def requirements(self) -> list[Requirement]:
         """A finite point and a model."""
-        return [*point_requirements(self.point), *model_requirements(self.model, turns_freely=False)]
+        return [*point_requirements(self.point), *model_requirements(self.model, turns_freely=False, slides=False)]
 
     def placed(self, bodies, find):
         """The points coincide and three right angles stay."""

@@ -14,6 +14,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.bodies import Body
 from spherejax.physics.functions import AbstractFunction
+from spherejax.physics.joints.reaction_friction import AbstractJointFriction
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
 
@@ -64,9 +65,19 @@ class AbstractPlacedJoint(eqx.Module):
         return False
 
     @property
+    def friction(self) -> AbstractJointFriction | None:
+        """Friction by the joint's reaction; None for a joint without."""
+        return None
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """Names of the joint's memory entries (static); empty without memory."""
+        return () if self.friction is None else self.friction.memory_names
+
+    @property
     def never_adds_energy(self) -> bool:
         """Whether the joint only stores and dissipates, and reports all that it stores (static)."""
-        return not self.is_driven
+        return not self.is_driven and (self.friction is None or self.friction.model.never_adds_energy)
 
     def as_if_ideal(self) -> "Self | AbstractPlacedJoint | None":
         """The joint for assembly, without a model; None for one that leaves the start alone."""

@@ -13,6 +13,7 @@ from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
 from spherejax.physics.joints.placing import relative_start
+from spherejax.physics.joints.reaction_friction import BallFriction, friction_requirements
 from spherejax.physics.joints.rows import ConstraintRows, coincidence_rows
 from spherejax.physics.kinematics import PointMotion, RelativeMotion, point_motion
 
@@ -40,7 +41,10 @@ class Spherical(AbstractJoint):
     def requirements(self) -> list[Requirement]:
         """What the model requires, and that it is one of a ball in a socket."""
         of_ball = type(self.model).requirements_of(self.model, is_bearing=False)
-        return [*called(self.model, "requirements"), *of_ball]
+        required = [*called(self.model, "requirements"), *of_ball]
+        if isinstance(self.model, Ideal):
+            required = [*required, *friction_requirements(self.model, turns=True, slides=False, is_ball=True)]
+        return required
 
     def joined(self, find):
         """The bodies of socket and ball."""
@@ -94,6 +98,17 @@ class PlacedSpherical(AbstractPlacedJoint):
         return not self.model.is_ideal
 
     @property
+    def friction(self) -> BallFriction | None:
+        """Friction of the ideal joint, where its model has some."""
+        model = self.model
+        return BallFriction(model) if isinstance(model, Ideal) and model.friction is not None else None
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """Those of the model, or of its friction."""
+        return self.model.memory_names if self.friction is None else self.friction.memory_names
+
+    @property
     def never_adds_energy(self) -> bool:
         """As the model."""
         return self.model.never_adds_energy
@@ -112,7 +127,7 @@ class PlacedSpherical(AbstractPlacedJoint):
     def as_if_ideal(self):
         """The ideal joint; None where the ball stays where the user placed it."""
         if self.model.is_ideal:
-            return self
+            return self if self.friction is None else eqx.tree_at(lambda joint: joint.model, self, Ideal())
         if not self.starts_concentric:
             return None
         return self.ideal if self.ideal is not None else eqx.tree_at(lambda joint: joint.model, self, Ideal())

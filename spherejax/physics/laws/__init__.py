@@ -76,6 +76,13 @@ from spherejax.physics.laws.normal import (
     HuntCrossleyDissipation,
     LankaraniNikravesh,
 )
+from spherejax.physics.laws.pressure import (
+    AbstractPressure,
+    CosinePressure,
+    PointContact,
+    PreloadAlone,
+    UniformPressure,
+)
 
 __all__ = [
     "MINIMUM_ONSET_RATE",
@@ -88,10 +95,12 @@ __all__ = [
     "AbstractLaw",
     "AbstractNormalLaw",
     "AbstractPivotElastomer",
+    "AbstractPressure",
     "AbstractStaticFriction",
     "Ambrosio",
     "BengisuAkay",
     "BrownMcPhee",
+    "CosinePressure",
     "Coulomb",
     "CrossElastomer",
     "CurveElastomer",
@@ -116,6 +125,8 @@ __all__ = [
     "MatrixElastomer",
     "Pair",
     "PinkusSternlicht",
+    "PointContact",
+    "PreloadAlone",
     "PressedPair",
     "PressurePeak",
     "RadialElastomer",
@@ -125,6 +136,7 @@ __all__ = [
     "Sommerfeld",
     "SphericalProfile",
     "Threlfall",
+    "UniformPressure",
     "VectorElastomer",
     "WinklerLiner",
     "exact_hysteresis_factor",

@@ -48,6 +48,11 @@ class AbstractFrictionLaw(AbstractLaw):
             speed: sliding speed |v_t| [m/s], not negative.
         """
 
+    @property
+    def sliding_coefficient(self) -> Number | None:
+        """Coefficient of fast dry sliding [-], which measures a preload; None where the law has no such number."""
+        return None
+
     def bristle_energy(self, bristle: Vector3, normal_force: Number) -> Scalar:
         """Energy stored in the bristles [J]; zero unless the law says otherwise."""
         del bristle, normal_force
@@ -141,6 +146,11 @@ class Threlfall(AbstractStaticFriction):
     v1: Annotated[Number, Unit("m/s")] = 1e-3
     simulable: ClassVar[bool] = True
 
+    @property
+    def sliding_coefficient(self) -> Number:
+        """mu."""
+        return self.mu
+
     def secant(self, speed: Number) -> Scalar:
         """(mu/v1) tanh(v/v1)/(v/v1) [s/m]; mu/v1 at v = 0."""
         return self.mu / self.v1 * tanhc(speed / self.v1)
@@ -172,6 +182,11 @@ class BengisuAkay(AbstractStaticFriction):
     v0: Annotated[Number, Unit("m/s")] = 1e-4
     kappa: Annotated[Number, Unit("s/m")] = 1000.0
     simulable: ClassVar[bool] = True
+
+    @property
+    def sliding_coefficient(self) -> Number:
+        """mu_kinetic."""
+        return self.mu_kinetic
 
     def secant(self, speed: Number) -> Scalar:
         """mu(v)/v [s/m]; 2 mu_static/v0 at v = 0."""
@@ -213,6 +228,11 @@ class Ambrosio(AbstractStaticFriction):
     v1: Annotated[Number, Unit("m/s")] = 1e-3
     simulable: ClassVar[bool] = True
 
+    @property
+    def sliding_coefficient(self) -> Number:
+        """mu."""
+        return self.mu
+
     def secant(self, speed: Number) -> Scalar:
         """mu(v)/v [s/m]; 0 at v = 0."""
         sliding = speed > self.v0
@@ -250,6 +270,11 @@ class BrownMcPhee(AbstractStaticFriction):
     mu_static: Annotated[Number, Unit("1")] = 0.15
     stribeck_velocity: Annotated[Number, Unit("m/s")] = 1e-3
     simulable: ClassVar[bool] = True
+
+    @property
+    def sliding_coefficient(self) -> Number:
+        """mu_kinetic."""
+        return self.mu_kinetic
 
     def secant(self, speed: Number) -> Scalar:
         """mu(v)/v [s/m]; (4 mu_k + 16/9 (mu_s - mu_k))/v_s at v = 0."""
@@ -322,6 +347,11 @@ class LuGre(AbstractFrictionLaw):
     viscous: Annotated[Number, Unit("s/m")] = 0.0
     bristle_size: ClassVar[int] = 3
     simulable: ClassVar[bool] = True
+
+    @property
+    def sliding_coefficient(self) -> Number:
+        """mu_kinetic."""
+        return self.mu_kinetic
 
     def bristle_rate(self, bristle: Vector3, sliding_velocity: Vector3) -> Vector3:
         """z_rate = v_t - sigma_0 |v_t|/g(|v_t|) z [m/s].

@@ -74,7 +74,7 @@ class Program:
                 atol=atol,
                 solver=made(solver, rtol, atol),
                 max_steps=n_steps,
-                track_work=measures and bool(system.force_joints),
+                track_work=measures and bool(system.resisting_joints),
             )
             return motion if measures else Ending(motion.ys[-1], motion.stats, motion.status, motion.t_reached)
 

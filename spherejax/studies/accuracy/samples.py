@@ -66,7 +66,7 @@ def samples_of(run: Trajectory) -> Samples:
     bodies, joints, ts = list(run.system.bodies), list(run.system.joints), np.asarray(run.ts)
     gaps = [name for name in joints if hasattr(getattr(run.system.joints[name], "model", None), "clearance")]
     work, dissipated = np.zeros(ts.shape), np.zeros(ts.shape)
-    for name in run.system.force_joints:
+    for name in run.system.resisting_joints:
         work = work + np.asarray(run.absorbed_work(name))
         dissipated = dissipated + np.asarray(run.dissipated_energy(name))
     vectors = {
