@@ -5,6 +5,8 @@ requests.
 """
 
 import hard
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -146,6 +148,25 @@ def test_tolerances_from_coarse_to_the_limit(rtol):
     hard.assert_sound(found, rtol)
     # At 0.1 the ball still trembles on the wall, by less than a thousandth of the clearance.
     assert found.eccentricity[-1] - 1e-4 == pytest.approx(BOTTOM_DEPTH, rel=max(0.1, 10 * rtol))
+
+
+@pytest.mark.parametrize(
+    ("model", "floor"), [(sj.Ideal(), 5e-14), (sj.Bushing(1e6, 1e-4), 3e-13), (sj.Dry(1e-4), None)], ids=str
+)
+def test_a_tolerance_below_rounding_is_lifted_to_it_and_said(model, floor):
+    """Steps that follow rounding are many, and gain nothing: 53,130 where 7,954 gave the same digits."""
+    scene, ts = sj.gallery.four_bar(model), jnp.array([0.0, 0.02])
+    at_limit, below = (sj.simulate(scene, ts, rtol=rtol) for rtol in (2e-14, 1e-14))
+    assert int(at_limit.stats.n_steps) == int(below.stats.n_steps)
+    assert "in place of 1e-14, which is below rounding" in below.stats.explanation
+    if floor is not None:
+        assert f"rtol {floor:.0e} in place" in below.stats.explanation
+        assert "in place" not in sj.simulate(scene, ts, rtol=2 * floor).stats.explanation
+    # Traced, and with tolerances of the user's own.
+    traced = jax.jit(lambda rtol: sj.simulate(scene, ts, rtol=rtol).stats.n_steps)(1e-14)
+    assert int(traced) == pytest.approx(int(below.stats.n_steps), rel=0.1)
+    own = sj.simulate(scene, ts, rtol=1e-13, atol=1e-13)
+    assert own.stats.explanation.count("tolerances as asked for") == 1
 
 
 # Gradients ----------------------------------------------------------------------------------------------------------

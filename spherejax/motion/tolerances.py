@@ -25,6 +25,17 @@ ABSOLUTE_SHARE = 1e-2
 CLEARANCES = 1e4
 """Positions are judged as if they were at most this many clearances."""
 
+ROUNDING = float(np.finfo(np.float64).eps)
+
+LEAST_ROUNDING = 5e-14
+"""Relative tolerance below which any motion is solved for its rounding: the ideal four-bar takes 94 steps at 1e-13 and
+703 at 1e-14, to the same digits."""
+
+ELASTIC_ROUNDING = 3e-13
+"""Relative tolerance below which joints that answer with a force are solved for their rounding: deflections are small
+differences of positions. A bushing of 1e6 N/m on the four-bar takes 2,066 steps at 1e-12 and 8,962 at 1e-13, to the
+same digits."""
+
 SMALLEST_LENGTH = 1e-3
 """Scale [m] of a scene that shows no length of its own."""
 
@@ -53,8 +64,11 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
         quaternions  rtol, 1e-2 rtol
         velocities   rtol, 1e-2 rtol V;  angular velocities  rtol, 1e-2 rtol V / L
         memory       as velocities;  work  rtol, 1e-2 rtol m V^2
+
+    A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
     """
     length, speed, clearance = _scales(system)
+    asked, rtol = rtol, _lifted(rtol, rounding_floor(system))
     masses = [body.mass for body in system.bodies.values()]
     xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance, *masses)) else jnp
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
@@ -62,12 +76,34 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
     scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, speed, energy)
     text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"
+    if is_concrete(rtol) and rtol > asked:
+        text = f"rtol {rtol:.0e} in place of {asked:.0e}, which is below rounding"
     if xp is np:
         text += (
             f" (positions {rtol * float(fine):.0e}), atol {ABSOLUTE_SHARE * rtol * float(fine * length):.0e} m, "
             f"{ABSOLUTE_SHARE * rtol * float(speed):.0e} m/s, {ABSOLUTE_SHARE * rtol * float(speed / length):.0e} rad/s"
         )
     return Tolerances(rtol * relative, ABSOLUTE_SHARE * rtol * scales, text)
+
+
+def rounding_floor(system: System) -> Numeric:
+    """The relative tolerance below which steps follow rounding, and their number grows without gain.
+
+    A ball's place in its gap is the difference of positions of the length L: it is known to some eps L/c of the
+    clearance, and so are the forces. The dry four-bar takes 7,954 steps at 1e-12 and 53,130 at 1e-13, to the same
+    digits.
+    """
+    if not system.force_joints:
+        return LEAST_ROUNDING
+    length, _, clearance = _scales(system)
+    xp: Any = np if is_concrete(length) and is_concrete(clearance) else jnp
+    return xp.maximum(ELASTIC_ROUNDING, 3 * ROUNDING * length / clearance)
+
+
+def _lifted(rtol: Number, floor: Numeric) -> Any:
+    if is_concrete(rtol) and is_concrete(floor):
+        return max(float(rtol), float(floor))
+    return jnp.maximum(rtol, floor)
 
 
 def length_scale(system: System) -> Numeric:
