@@ -71,6 +71,14 @@ MODELS = {
     "lubricated_hertz": sj.Lubricated(clearance=C, normal=sj.Hertz()),
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
+    "bushing_rubber": sj.Bushing(
+        law=ELASTOMERS["vector"], branches=sj.Maxwell([5e5, 2e5], [1e-2, 1e-3]), friction=sj.Berg(50.0, 1e-5)
+    ),
+    "bushing_rubber_turning": sj.Bushing(
+        law=ELASTOMERS["matrix"],
+        branches=sj.Maxwell([[5e5, 5e5, 2e5]], [1e-2], rotational_stiffness=[1.0]),
+        friction=sj.Berg([50.0, 50.0, 20.0], 1e-5, rotational_limit=0.1, half_angle=1e-2),
+    ),
 }
 
 
@@ -143,8 +151,11 @@ def displaced_state(system: sj.System, assembly: sj.Assembly, seed: int, distanc
     q[:, 3:] /= np.linalg.norm(q[:, 3:], axis=1, keepdims=True)
     y[layout.n_position : layout.memory_start] = random.standard_normal(layout.n_velocity)
     for slot in system.memory_slots:
-        # An onset rate, then bristle deflections.
         start = layout.memory_start + slot.start
+        if slot.joint not in system.contact_joints:
+            y[start : start + len(slot.names)] = 1e-6 * random.standard_normal(len(slot.names))
+            continue
+        # An onset rate, then bristle deflections.
         y[start] = 0.05
         y[start + 1 : start + len(slot.names)] = 1e-6 * random.standard_normal(len(slot.names) - 1)
     return y

@@ -66,6 +66,7 @@ from spherejax.physics.laws.normal import (
     HuntCrossley,
     LankaraniNikravesh,
 )
+from spherejax.physics.laws.viscoelastic import Berg, Maxwell
 
 __all__ = [
     "MINIMUM_ONSET_RATE",
@@ -80,6 +81,7 @@ __all__ = [
     "AbstractStaticFriction",
     "Ambrosio",
     "BengisuAkay",
+    "Berg",
     "BrownMcPhee",
     "Coulomb",
     "CrossElastomer",
@@ -99,6 +101,7 @@ __all__ = [
     "LuGre",
     "Material",
     "MatrixElastomer",
+    "Maxwell",
     "PinkusSternlicht",
     "PressurePeak",
     "RadialElastomer",
