@@ -139,6 +139,7 @@ from .studies.bayes import Posterior, posterior
 from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
+from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
 from .studies.sweep import (
     Grid,
@@ -195,6 +196,7 @@ __all__ = [
     "Distance",
     "DistanceDriver",
     "Dry",
+    "DynamicStiffness",
     "Equilibrium",
     "ExactRestitution",
     "FilmAction",
@@ -271,6 +273,7 @@ __all__ = [
     "StartWarning",
     "Status",
     "Step",
+    "StiffnessFit",
     "StoreWarning",
     "Sum",
     "SweepError",
@@ -294,11 +297,13 @@ __all__ = [
     "constraint_report",
     "differentiated_rows",
     "draw",
+    "dynamic_stiffness",
     "effects",
     "equilibrium",
     "exact_hysteresis_factor",
     "film_force",
     "fit",
+    "fit_stiffness",
     "full_sphere_load",
     "gallery",
     "generalized_stiffness",

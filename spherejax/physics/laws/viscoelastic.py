@@ -143,8 +143,8 @@ class Berg(AbstractLaw):
     rest (mu = 0), with F_max/2 at x_2; they have the same limit, and for small amplitudes x_0 the same stiffness
     F_max/x_2 and loss per cycle (8/3) F_max x_0^3/x_2^2. But his needs the turning points, which are events. Without
     them the loop of an amplitude r = x_0/x_2 reaches F_max (sqrt(1 + 4 r^2) - 1)/(2 r), where his reaches
-    F_max (sqrt(1 + 6 r + r^2) - 1 - r)/2: at r = 1, 0.62 and 0.41 of the limit. Parameters found for one form are not
-    those of the other: fit them anew.
+    F_max (sqrt(1 + 6 r + r^2) - 1 - r)/2: at r = 1, 0.62 and 0.41 of the limit; softer by r^2 for small r, his by
+    2 r. Parameters found for one form are not those of the other: fit them anew.
 
     It is the model of Dahl with the exponent 2; the vector form keeps |z| <= x_2. Stored is (F_max/x_2) z.z/2,
     dissipated (F_max/x_2^2) z.z (2 |v| - z.v/x_2), which is never negative. Nothing depends on speed: the force follows
