@@ -322,6 +322,28 @@ def joint_friction() -> Figure:
     return figure
 
 
+def rubber() -> Figure:
+    """Dynamic stiffness of rubber at two amplitudes, beside a spring with a damper."""
+    frequencies = np.geomspace(0.5, 200.0, 121)
+    law = sj.VectorElastomer(2e5, 0.0)
+    branches = sj.Maxwell([6e4, 5e4, 6e4], [0.1, 0.01, 0.001])
+    bushings = {
+        "rubber": (
+            sj.Bushing(law=law, branches=branches, friction=sj.Berg(40.0, 1e-4)),
+            [5e-5, 1e-3],
+        ),
+        "Kelvin-Voigt, b = 10 ms": (
+            sj.Bushing(law=sj.VectorElastomer(2e5, 1e-2)),
+            [1e-3],
+        ),
+    }
+    tables = {
+        name: sj.dynamic_stiffness(bushing, frequencies, amplitudes).to_xarray()
+        for name, (bushing, amplitudes) in bushings.items()
+    }
+    return sj.plot.dynamic_stiffness(tables, "Rubber, and a spring with a damper")
+
+
 def suspension() -> Figure:
     """The paper's second mechanism over its bump."""
     ts = jnp.linspace(2.9, 4.4, 1501)
@@ -358,6 +380,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "piston": piston,
     "friction": friction,
     "joint_friction": joint_friction,
+    "rubber": rubber,
     "suspension_over_bump": suspension,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }

@@ -94,6 +94,7 @@ from .physics.laws import (
     AbstractStaticFriction,
     Ambrosio,
     BengisuAkay,
+    Berg,
     BrownMcPhee,
     CosinePressure,
     Coulomb,
@@ -118,6 +119,7 @@ from .physics.laws import (
     LuGre,
     Material,
     MatrixElastomer,
+    Maxwell,
     PinkusSternlicht,
     PointContact,
     PreloadAlone,
@@ -151,6 +153,7 @@ from .studies.bayes import Posterior, posterior
 from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
+from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
 from .studies.sweep import (
     Grid,
@@ -189,6 +192,7 @@ __all__ = [
     "Assembly",
     "Baumgarte",
     "BengisuAkay",
+    "Berg",
     "Block",
     "Body",
     "BrownMcPhee",
@@ -209,6 +213,7 @@ __all__ = [
     "Distance",
     "DistanceDriver",
     "Dry",
+    "DynamicStiffness",
     "Equilibrium",
     "EsduCylinder",
     "ExactRestitution",
@@ -239,6 +244,7 @@ __all__ = [
     "Lubricated",
     "Material",
     "MatrixElastomer",
+    "Maxwell",
     "Measured",
     "Mode",
     "NoDriftControl",
@@ -294,6 +300,7 @@ __all__ = [
     "StartWarning",
     "Status",
     "Step",
+    "StiffnessFit",
     "StoreWarning",
     "Sum",
     "SweepError",
@@ -319,11 +326,13 @@ __all__ = [
     "constraint_report",
     "differentiated_rows",
     "draw",
+    "dynamic_stiffness",
     "effects",
     "equilibrium",
     "exact_hysteresis_factor",
     "film_force",
     "fit",
+    "fit_stiffness",
     "full_sphere_load",
     "gallery",
     "generalized_stiffness",

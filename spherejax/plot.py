@@ -8,7 +8,7 @@ of a whole study come from its result: `fitted.figures()`, `study.figures(...)`;
 
 histories of runs           `curves_of` for `four_histories`, `phase_portraits`, `eccentricity_paths`
                             `Panel` for `model_histories`
-force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`
+force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
 sweeps                      `figures_of_sweep`
 figures of your own         `new_figure`, `letter`, `ordered_colors`, `MODEL_COLORS`, `LAW_COLORS`, `LAW_DASHES`
 
@@ -21,6 +21,7 @@ from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
 from spherejax.output.plot.panels import Panel, Shade, model_histories
 from spherejax.output.plot.phase import phase_portraits
+from spherejax.output.plot.stiffness import dynamic_stiffness
 from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, MODEL_COLORS, letter, new_figure, ordered_colors
 from spherejax.output.plot.swept import figures_of_sweep
 
@@ -32,6 +33,7 @@ __all__ = [
     "Panel",
     "Shade",
     "curves_of",
+    "dynamic_stiffness",
     "eccentricity_paths",
     "figures_of_sweep",
     "four_histories",

@@ -81,6 +81,14 @@ MODELS = {
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
     "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, pressure=sj.CosinePressure(), preload=0.01),
     "ideal_lugre": sj.Ideal(sj.LuGre(), radius=0.01, pressure=sj.UniformPressure(), passes=3),
+    "bushing_rubber": sj.Bushing(
+        law=ELASTOMERS["vector"], branches=sj.Maxwell([5e5, 2e5], [1e-2, 1e-3]), friction=sj.Berg(50.0, 1e-5)
+    ),
+    "bushing_rubber_turning": sj.Bushing(
+        law=ELASTOMERS["matrix"],
+        branches=sj.Maxwell([[5e5, 5e5, 2e5]], [1e-2], rotational_stiffness=[1.0]),
+        friction=sj.Berg([50.0, 50.0, 20.0], 1e-5, rotational_limit=0.1, half_angle=1e-2),
+    ),
 }
 
 

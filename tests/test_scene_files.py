@@ -305,7 +305,7 @@ FAMILIES = tuple(
     for family in (getattr(sj, name) for name in sj.__all__)
     if inspect.isclass(family) and family.__name__.startswith("Abstract")
 )
-NO_FAMILY = (sj.Body, sj.Material)
+NO_FAMILY = (sj.Body, sj.Material, sj.Maxwell, sj.Berg)
 NO_KIND = {sj.UserFunction: "holds a user's own function, which a file names instead"}
 PUBLIC = [
     cls

@@ -179,4 +179,5 @@ def _shape_text(shape: tuple[int, ...]) -> str:
         return "one number"
     if len(shape) == 1:
         return {-1: "a list of numbers", 1: "a list of one number"}.get(shape[0], f"{shape[0]} numbers")
-    return f"{shape[0]} rows of {shape[1]} numbers" if len(shape) == 2 else f"numbers of shape {shape}"
+    rows = "rows" if shape[0] == -1 else f"{shape[0]} rows"
+    return f"{rows} of {shape[1]} numbers" if len(shape) == 2 else f"numbers of shape {shape}"

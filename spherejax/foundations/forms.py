@@ -24,8 +24,15 @@ from spherejax.foundations.checks import Requirement, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Matrix3, Scalar, Shaped
 
-WORDS = {(): "one number", (3,): "three numbers", (4,): "four numbers", (3, 3): "three rows of three numbers"}
-"""Shapes in words."""
+WORDS = {
+    (): "one number",
+    (3,): "three numbers",
+    (4,): "four numbers",
+    (3, 3): "three rows of three numbers",
+    (-1,): "a list of numbers",
+    (-1, 3): "rows of three numbers",
+}
+"""Shapes in words; -1 stands for any length above zero."""
 
 EXAMPLES = {
     ((),): "Give the number alone, in SI units.",
@@ -75,7 +82,7 @@ def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
     shapes = _shapes_in(options)
     if shapes:
         given = _given(value)
-        if given.shape not in shapes:
+        if given.shape is None or not any(_fits(given.shape, shape) for shape in shapes):
             words = " or ".join(WORDS[shape] for shape in shapes)
             size = "" if given.shape is None else f", not of shape {given.shape}"
             remedy = EXAMPLES.get(shapes, IN_SI) if given.remedy == IN_SI else given.remedy
@@ -90,6 +97,13 @@ def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
         yield Requirement(name, value, False, "be True or False", "Give one of the two.")
     elif get_origin(annotation) is Mapping:
         yield from _entries(name, value, get_args(annotation)[1])
+
+
+def _fits(shape: tuple[int, ...], allowed: tuple[int, ...]) -> bool:
+    """Whether a shape is one that is allowed."""
+    return len(shape) == len(allowed) and all(
+        n == a or (a == -1 and n > 0) for n, a in zip(shape, allowed, strict=True)
+    )
 
 
 def is_numeric(value: Any) -> bool:

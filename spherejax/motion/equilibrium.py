@@ -226,7 +226,7 @@ def _at_rest(structure: Structure, theta) -> Any:
     xp: Any = np if is_concrete(theta) else jnp
     quaternions = [body.quaternion / xp.sqrt(xp.sum(xp.asarray(body.quaternion) ** 2)) for body in bodies]
     places = [xp.concatenate([xp.asarray(b.position), q]) for b, q in zip(bodies, quaternions, strict=True)]
-    return xp.concatenate([*places, xp.zeros(VELOCITY_SIZE * len(bodies))])
+    return xp.concatenate([*places, xp.zeros(VELOCITY_SIZE * len(bodies) + system.layout.n_memory)])
 
 
 def _moved(y, step, xp: Any):

@@ -63,7 +63,8 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
         positions    rtol min(1, 1e4 c / L) relative, 1e-2 of that times L absolute; c is the smallest clearance
         quaternions  rtol, 1e-2 rtol
         velocities   rtol, 1e-2 rtol V;  angular velocities  rtol, 1e-2 rtol V / L
-        memory       as velocities;  work  rtol, 1e-2 rtol m V^2
+        memory       as velocities; deflections that a bushing remembers as positions, rotations as quaternions
+        work         rtol, 1e-2 rtol m V^2
 
     A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
     """
@@ -74,7 +75,8 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
     energy = sum(masses) * speed * speed
     relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
-    scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, speed, energy)
+    memory = _memory_scales(system, xp, {"m": fine * length, "rad": 1.0}, speed)
+    scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, memory, energy)
     text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"
     if is_concrete(rtol) and rtol > asked:
         text = f"rtol {rtol:.0e} in place of {asked:.0e}, which is below rounding"
@@ -130,6 +132,14 @@ def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocit
     q = xp.concatenate([position * xp.ones((n, 3)), quaternion * xp.ones((n, 4))], 1).ravel()
     v = xp.concatenate([velocity * xp.ones((n, 3)), angular_velocity * xp.ones((n, 3))], 1).ravel()
     return xp.concatenate([q, v, memory * xp.ones(layout.n_memory), work * xp.ones(layout.n_work)])
+
+
+def _memory_scales(system: System, xp, scales: dict[str, Any], usual) -> Any:
+    """What counts as one for each memory entry, by its unit."""
+    units: list[str] = []
+    for slot in system.memory_slots:
+        units += system.spherical(slot.joint).model.memory_units or [""] * len(slot.names)
+    return xp.stack([xp.asarray(scales.get(unit, usual)) for unit in units]) if units else usual
 
 
 def _scales(system: System):

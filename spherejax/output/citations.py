@@ -158,6 +158,16 @@ WORKS: Mapping[str, Work] = {
         "Fritsch, F. N. and Carlson, R. E.", "Monotone piecewise cubic interpolation",
         "SIAM Journal on Numerical Analysis", "17", "238-246", 1980,
     ),
+    "Ferry (1980)": Work(
+        "Ferry, J. D.", "Viscoelastic properties of polymers", "Wiley", "", "", 1980, "book",
+    ),
+    "Berg (1998)": Work(
+        "Berg, M.", "A non-linear rubber spring model for rail vehicle dynamics analysis",
+        "Vehicle System Dynamics", "30", "197-212", 1998,
+    ),
+    "Dahl (1976)": Work(
+        "Dahl, P. R.", "Solid friction damping of mechanical vibrations", "AIAA Journal", "14", "1675-1682", 1976,
+    ),
     "Baumgarte (1972)": Work(
         "Baumgarte, J.", "Stabilization of constraints and integrals of motion in dynamical systems",
         "Computer Methods in Applied Mechanics and Engineering", "1", "1-16", 1972,
@@ -217,6 +227,7 @@ WORKS: Mapping[str, Work] = {
 
 _PLACES = {
     "article": "journal",
+    "book": "publisher",
     "incollection": "booktitle",
     "misc": "url",
     "phdthesis": "school",

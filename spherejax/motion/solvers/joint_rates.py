@@ -52,9 +52,9 @@ def rates_under_load(structure: Structure, theta: np.ndarray, patience: float) -
 @lru_cache(maxsize=1024)
 def _rates_in_clearance(structure: Structure, numbers: bytes) -> np.ndarray:
     theta = np.frombuffer(numbers)
-    found = program_for(joint_actions, structure).compute(theta, 0.0, _described(structure, theta))
+    *found, forgetting = program_for(joint_actions, structure).compute(theta, 0.0, _described(structure, theta))
     decay, frequency = (np.max(np.abs(np.linalg.eigvals(matrices)), axis=1) for matrices in found)
-    return np.nan_to_num(np.maximum(decay, np.sqrt(frequency)), nan=np.inf)
+    return np.nan_to_num(np.max([decay, np.sqrt(frequency), forgetting], axis=0), nan=np.inf)
 
 
 @lru_cache(maxsize=1024)
@@ -76,20 +76,29 @@ def _described(structure: Structure, theta: np.ndarray) -> np.ndarray:
     return y
 
 
-def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[Float[Array, "n 3 3"], ...]:
-    """How each force joint acts on the relative motion of ball and socket at the start.
+class JointActions(NamedTuple):
+    """How each force joint acts on the relative motion of ball and socket.
 
-    Returns:
-        m^-1 C [1/s] and m^-1 K [1/s^2] of each joint, with C = -df/d(e_dot), K = -df/de, and m^-1 the relative
-        acceleration of ball and socket for a unit force between them, under the constraints. The ball is looked at
-        where the weights of the bodies would press it.
+    Attributes:
+        decays: m^-1 C [1/s], with C = -df/d(e_dot), and m^-1 the relative acceleration of ball and socket for a unit
+            force between them, under the constraints, shape (n, 3, 3).
+        squares: m^-1 K [1/s^2], with K = -df/de, and what the deflections that a bushing remembers add to it at once.
+        forgetting: rate [1/s] at which these deflections fade, at most, shape (n,).
     """
+
+    decays: Float[Array, "n 3 3"]
+    squares: Float[Array, "n 3 3"]
+    forgetting: Float[Array, " n"]
+
+
+def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> JointActions:
+    """How each force joint acts at the start, its ball where the weights of the bodies would press it."""
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     weights = applied_wrenches(system, t, motions, None)
     falling = by_body(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
-    decays, squares = [], []
+    decays, squares, forgetting = [], [], []
     for name in system.force_joints:
         joint = system.spherical(name)
         motion = joint.relative_motion(motions)
@@ -99,14 +108,22 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> tuple[
 
         memory = state.memory[system.memory_of(name)]
 
-        def force(e, rate, joint=joint, motion=motion, memory=memory):
-            return joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory).force
+        def answer(e, rate, memory, joint=joint, motion=motion):
+            response = joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory)
+            return response.force, response.memory_rate
 
-        stiffness, damping = jax.jacfwd(force, (0, 1))(distance * outward, CREEP * outward)
+        at = (distance * outward, CREEP * outward, memory)
+        fades = bool(joint.model.memory_names) and not joint.model.detects_onsets
+        (stiffness, damping, *by_memory), slopes = jax.jacfwd(answer, (0, 1, 2) if fades else (0, 1))(*at)
+        if fades:
+            stiffness = stiffness + by_memory[0] @ slopes[1]
+            forgetting.append(jnp.max(jnp.sum(jnp.abs(slopes[2]), 1)))
+        else:
+            forgetting.append(jnp.zeros(()))
         mobility = _mobility(system, motions, constraints, masses, joint)
         decays.append(mobility @ damping)
         squares.append(mobility @ stiffness)
-    return jnp.stack(decays), jnp.stack(squares)
+    return JointActions(jnp.stack(decays), jnp.stack(squares), jnp.stack(forgetting))
 
 
 class PressedActions(NamedTuple):

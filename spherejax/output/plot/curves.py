@@ -67,7 +67,7 @@ def curves_of(run: Trajectory, label: str, *, body: str, joint: str) -> Curves:
     model = getattr(run.system.joints[joint], "model", None)
     clearance = getattr(model, "clearance", None)
     sliding = None
-    if getattr(model, "friction", None) is not None:
+    if clearance is not None and getattr(model, "friction", None) is not None:
         sliding = np.linalg.norm(np.asarray(run.part(joint, "sliding_velocity")), axis=1)
     energy = np.asarray(run.mechanical_energy)
     return Curves(

@@ -64,6 +64,8 @@ PART_UNITS = {
     "bearing_load": "N",
     "friction_contraction": "1",
     "friction_remainder": "1",
+    "branch_force": "N",
+    "branch_moment": "N m",
 }
 """Units of the named parts of a response; a part of a user's own model has none."""
 
@@ -107,6 +109,11 @@ class AbstractSphericalModel(eqx.Module):
     @property
     def memory_names(self) -> tuple[str, ...]:
         """Names of the memory entries (static); empty for a model without memory."""
+        return ()
+
+    @property
+    def memory_units(self) -> tuple[str, ...]:
+        """SI units of the memory entries (static), by which their errors are judged; none: as velocities are."""
         return ()
 
     @property

@@ -83,6 +83,7 @@ from spherejax.physics.laws.pressure import (
     PreloadAlone,
     UniformPressure,
 )
+from spherejax.physics.laws.viscoelastic import Berg, Maxwell
 
 __all__ = [
     "MINIMUM_ONSET_RATE",
@@ -99,6 +100,7 @@ __all__ = [
     "AbstractStaticFriction",
     "Ambrosio",
     "BengisuAkay",
+    "Berg",
     "BrownMcPhee",
     "CosinePressure",
     "Coulomb",
@@ -123,6 +125,7 @@ __all__ = [
     "LuGre",
     "Material",
     "MatrixElastomer",
+    "Maxwell",
     "Pair",
     "PinkusSternlicht",
     "PointContact",

@@ -15,7 +15,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import non_negative
 from spherejax.foundations.numerics import radial_projection
 from spherejax.foundations.rotation import rotation_vector
-from spherejax.foundations.types import Number, Quaternion, Scalar, Unit, Vector3
+from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import AbstractLaw
 
 
@@ -50,6 +50,17 @@ class AbstractElastomer(AbstractLaw):
         The rotation vector jumps at half a turn. A law for a joint that turns many times has a measure that does not.
         """
         return rotation_vector(relative_quaternion)
+
+    def resisted_rotation(self, rotation: Vector3) -> Matrix3:
+        """B: what of an angular velocity the law resists, as B w; relaxation and inner friction act on that alone.
+
+        All of it, unless a law leaves a turn free.
+
+        Args:
+            rotation: as `measure_of_rotation` has it.
+        """
+        del rotation
+        return jnp.eye(3)
 
     @abc.abstractmethod
     def moment(self, rotation: Vector3, rotation_rate: Vector3) -> Vector3:

@@ -113,6 +113,10 @@ class HingeElastomer(AbstractAxisElastomer):
         """a: the ball's z axis in socket axes."""
         return turned_axis(relative_quaternion, 2)
 
+    def resisted_rotation(self, rotation: Vector3) -> Matrix3:
+        """I - a a^T: rotation across the ball's axis."""
+        return jnp.eye(3) - rotation[:, None] * rotation[None, :]
+
     def moment(self, rotation: Vector3, rotation_rate: Vector3) -> Vector3:
         """-(k_c alpha t + d_c (w - a (a . w)) + d_t a (a . w)) [N m]."""
         a = rotation
@@ -173,14 +177,15 @@ class CrossElastomer(AbstractAxisElastomer):
         """a: the ball's x axis, which is the second arm, in socket axes."""
         return turned_axis(relative_quaternion, 0)
 
+    def resisted_rotation(self, rotation: Vector3) -> Matrix3:
+        """n^T in the first row: the turn beta is one number, whatever the turns of the arms."""
+        normal, _ = _across_the_cross(rotation)
+        return jnp.array([1.0, 0.0, 0.0])[:, None] * normal[None, :]
+
     def moment(self, rotation: Vector3, rotation_rate: Vector3) -> Vector3:
         """-(k_s beta + d_s w . n) n [N m]."""
-        a = rotation
-        cosine_squared = a[0] * a[0] + a[1] * a[1]
-        regular = cosine_squared > _HALF_TURN**2
-        cosine = jnp.sqrt(jnp.where(regular, cosine_squared, 1.0))
-        normal = jnp.where(regular, 1.0, 0.0) * jnp.stack([a[1], -a[0], jnp.zeros_like(a[0])]) / cosine
-        beta = jnp.arctan2(a[2], cosine)
+        normal, cosine = _across_the_cross(rotation)
+        beta = jnp.arctan2(rotation[2], cosine)
         return -(self.torsional_stiffness * beta + self.torsional_damping * (rotation_rate @ normal)) * normal
 
     def tilt_energy(self, axis: Vector3) -> Scalar:
@@ -198,6 +203,14 @@ class CrossElastomer(AbstractAxisElastomer):
             non_negative("torsional_stiffness", self.torsional_stiffness, "N m/rad"),
             non_negative("torsional_damping", self.torsional_damping, "N m s/rad"),
         ]
+
+
+def _across_the_cross(a: Vector3) -> tuple[Vector3, Scalar]:
+    """n = a x z/|a x z| and |a x z|. Limits: 0 and 1 where a points along z."""
+    cosine_squared = a[0] * a[0] + a[1] * a[1]
+    regular = cosine_squared > _HALF_TURN**2
+    cosine = jnp.sqrt(jnp.where(regular, cosine_squared, 1.0))
+    return jnp.where(regular, 1.0, 0.0) * jnp.stack([a[1], -a[0], jnp.zeros_like(a[0])]) / cosine, cosine
 
 
 def turned_axis(quaternion: Quaternion, index: int) -> Vector3:

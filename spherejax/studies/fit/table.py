@@ -23,7 +23,7 @@ from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 
 MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}
 TIMES = {"time", "t"}
-_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
+WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
 
 
 def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str, np.ndarray]:
@@ -37,7 +37,7 @@ def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str
     Raises:
         SceneError: for a file that cannot be read, naming the line and the column.
     """
-    lines = _lines_of(path)
+    lines = lines_of(path)
     number, head = lines[0]
     chosen = list(range(len(head)))
     if columns is not None:
@@ -60,7 +60,7 @@ def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str
     return {name: column for name, column in zip(names, table.T, strict=True) if not name.endswith("_violation")}
 
 
-def _lines_of(path: Path) -> list[tuple[int, list[str]]]:
+def lines_of(path: Path) -> list[tuple[int, list[str]]]:
     """Numbered rows of cells, without comments and empty lines."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -79,15 +79,15 @@ def _lines_of(path: Path) -> list[tuple[int, list[str]]]:
 
 def _renamed(head: list[str], columns: Mapping[str, str], path: Path, number: int) -> tuple[list[str], list[int]]:
     """The heads of the columns that are read, by the names of observables, and where they stand."""
-    bare = [found["name"] if (found := _WITH_UNIT.match(cell)) else cell for cell in head]
+    bare = [found["name"] if (found := WITH_UNIT.match(cell)) else cell for cell in head]
     renamed, chosen = [], []
     for own, observable in columns.items():
         at = [i for i, cell in enumerate(head) if own in (cell, bare[i])]
         if len(at) != 1:
             what = one_of(bare, own) if not at else f"{len(at)} columns have that name"
             raise SceneError(f"{path.name}:{number}: there is no column {own!r}; {what}")
-        unit = _WITH_UNIT.match(head[at[0]])
-        has_unit = _WITH_UNIT.match(observable) is not None
+        unit = WITH_UNIT.match(head[at[0]])
+        has_unit = WITH_UNIT.match(observable) is not None
         renamed.append(observable if has_unit or unit is None else f"{observable} [{unit['unit']}]")
         chosen.append(at[0])
     if not any(name.partition(" [")[0].lower() in TIMES for name in renamed):
@@ -101,7 +101,7 @@ def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.nd
     """Names of the columns, and what their numbers are multiplied by."""
     names, factors = [], []
     for cell in head:
-        found = _WITH_UNIT.match(cell)
+        found = WITH_UNIT.match(cell)
         name, unit = (found["name"], found["unit"].strip()) if found else (cell, "")
         name = "time" if name.lower() in TIMES else ".".join(name.split())
         if not name:
