@@ -150,6 +150,7 @@ from .studies.sweep import (
     sweep,
     zipped,
 )
+from .studies.wear import Wear, WearWarning, wear
 
 __all__ = [
     "SOLVERS",
@@ -281,6 +282,8 @@ __all__ = [
     "Universal",
     "UserFunction",
     "VectorElastomer",
+    "Wear",
+    "WearWarning",
     "Whole",
     "WorkPrecision",
     "Wrench",
@@ -327,6 +330,7 @@ __all__ = [
     "squeeze_factor",
     "sweep",
     "view",
+    "wear",
     "work_precision",
     "zipped",
 ]
