@@ -7,11 +7,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter
 
-from spherejax.output.plot.style import LAW_COLORS, letter, new_figure
+from spherejax.output.plot.style import LAW_COLORS, letter, new_figure, typeset_number
 
 SHOWN = 0.999
 """Share of the volume that a map shows."""
+
+OUTLINE = [withStroke(linewidth=2.0, foreground="white", alpha=0.8)]
+"""Of words on a map."""
 
 FAINTEST = 0.005
 """Depth that is drawn, as a share of the largest."""
@@ -40,7 +45,9 @@ class WearMap(NamedTuple):
 
 
 def wear_figure(maps: Sequence[WearMap], cycles: np.ndarray, title: str) -> Figure:
-    """A map of each side in Lambert's azimuthal projection of equal area, centered on its wear; volumes and depths.
+    """A map of each side that wears, centered there, and volumes and depths along the cycles.
+
+    The maps are Lambert's azimuthal projections, which keep areas.
 
     Args:
         maps: the sides.
@@ -48,6 +55,7 @@ def wear_figure(maps: Sequence[WearMap], cycles: np.ndarray, title: str) -> Figu
         title: what is shown.
     """
     along = len(cycles) > 1
+    maps = [one for one in maps if np.any(one.depths > 0)] or maps
     figure, axes = new_figure(1, len(maps) + along, 4.2 * (len(maps) + along), 3.9, title)
     for ax, one in zip(axes[0], maps, strict=False):
         _draw_map(figure, ax, one)
@@ -85,15 +93,16 @@ def _draw_map(figure: Figure, ax: Axes, one: WearMap) -> None:
     bar = figure.colorbar(shown, ax=ax, shrink=0.7, pad=0.02)
     bar.set_label("depth [$\\mu$m]", fontsize=8)
     bar.ax.tick_params(labelsize=7.5)
+    said: dict = {"fontsize": 6.5, "ha": "center", "va": "center", "zorder": 4, "path_effects": OUTLINE}
     step = next(s for s in (1, 2, 5, 10, 20, 30, 60) if np.degrees(angle) / s <= 4 or s == 60)
     turn = np.linspace(0, 2 * np.pi, 200)
     for degrees in np.arange(step, np.degrees(angle) + 1e-6, step):
         r = 2 * np.sin(np.radians(degrees) / 2)
         ax.plot(r * np.cos(turn), r * np.sin(turn), color="0.55", lw=0.5, zorder=3)
-        ax.text(0.5 * r, -0.866 * r, f"{degrees:g}°", color="0.35", fontsize=6.5, ha="center", va="center", zorder=4)
+        ax.text(0.5 * r, -0.866 * r, f"{degrees:g}°", **said)
     _mark_axes(ax, center, right, up, angle)
     ax.set(xlim=(-1.12 * edge, 1.12 * edge), ylim=(-1.12 * edge, 1.12 * edge))
-    words = ", ".join(f"{value:+.2f}" for value in center)
+    words = ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in center)
     ax.set_xlabel(f"from the center along ({words})\nup: {_named(up)}", fontsize=7.5)
 
 
@@ -108,14 +117,10 @@ def _mark_axes(ax: Axes, center, right, up, angle: float) -> None:
             size = np.linalg.norm(along)
             at = 2 * np.sin(away / 2) * along / size if size > 0 else np.zeros(2)
             ax.plot(*at, "+", color="black", ms=6, mew=1.0, zorder=4)
-            ax.annotate(
-                f"{'-' if sign < 0 else ''}{name}",
-                (float(at[0]), float(at[1])),
-                (4, 4),
-                textcoords="offset points",
-                fontsize=8,
-                zorder=4,
-            )
+            name_there = f"{'-' if sign < 0 else ''}{name}"
+            place = float(at[0]), float(at[1])
+            offset = {"xytext": (4, 4), "textcoords": "offset points", "fontsize": 8, "zorder": 4}
+            ax.annotate(name_there, place, **offset, path_effects=OUTLINE)
 
 
 def _draw_cycles(ax: Axes, maps: Sequence[WearMap], cycles: np.ndarray) -> None:
@@ -124,6 +129,7 @@ def _draw_cycles(ax: Axes, maps: Sequence[WearMap], cycles: np.ndarray) -> None:
     for one, color in zip(maps, LAW_COLORS, strict=False):
         ax.plot(cycles, one.volumes, color=color, lw=1.3, label=one.name)
         depths.plot(cycles, one.deepest, ".", color=color, ms=4)
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: typeset_number(value)))
     ax.set_xlabel("cycles")
     ax.set_ylabel("volume [mm$^3$]")
     ax.set(xlim=(0, None), ylim=(0, None))

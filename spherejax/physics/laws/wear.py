@@ -121,19 +121,20 @@ def surface_sliding(u: Float[Array, "q 3"], contact: WearContact, radius: Number
 def approach(
     x: Float[Array, " q"], gap: Float[Array, " q"], areas: Float[Array, " q"], force: Number, stiffness: Number
 ) -> Scalar:
-    """The approach s [m] at which the foundation carries the force along the contact's direction.
+    """How far the ball goes beyond the clearance, s - c [m], for the foundation to carry the force along n.
 
-        sum_q k_w max(0, s x_q - gap_q) x_q A_q = F
+        sum_q k_w max(0, (s - c) x_q - gap_q) x_q A_q = F
 
     Args:
         x: n.u at the points, positive.
-        gap: c + h_i + h_j there [m].
+        gap: c (1 - n.u) + h_i + h_j there [m], of the ball that just touches its unworn socket: without the digits that
+            s n.u - c would lose where the ball goes a billionth of the clearance beyond it.
         areas: of the points' shares of the surface [m^2].
         force: [N], positive.
         stiffness: k_w [N/m^3].
 
-    Limits: the sum is convex and piecewise linear in s, so Newton's iteration from an s at which every point touches
-    ends at the root after finitely many steps.
+    Limits: the sum is convex and piecewise linear, so Newton's iteration from where every point
+    touches ends at the root after finitely many steps.
     """
     weights = stiffness * areas * x
 

@@ -32,6 +32,10 @@ overlap by that much are even to 1 %."""
 MOST_PARTS = 4096
 """Of one step."""
 
+CREEPING = 1e-8
+"""Mean speed of sliding [m/s] below which the error of the rubbing work is related to this speed, not to the work: the
+rounding of a joint at rest is no error to speak of."""
+
 _NODES = np.array([0.0, *SHARES])
 """Of the polynomial through a step: its beginning, with what the events there changed, and its inside. The end belongs
 to what comes after the events there."""
@@ -256,6 +260,7 @@ def _gathered(system: System, joint: str, pieces, rough, missed, window, foundat
     slid = np.linalg.norm(middle_sliding(contact, radius), axis=-1) @ (all_seen.force * duration)
     # Of steps that were cut into parts, what the parts tell otherwise.
     missed = np.where(fine == rough, missed, np.abs(fine - rough))
-    error = float(missed.sum() / fine.sum()) if fine.sum() > 0 else 0.0
+    scale = max(float(fine.sum()), CREEPING * float(np.asarray(all_seen.force) @ duration))
+    error = float(missed.sum()) / scale if scale > 0 else 0.0
     rows = gathered(contact, np.concatenate(half_angles), duration, radius)
     return Contacts(*rows, float(slid), len(duration), error, window)

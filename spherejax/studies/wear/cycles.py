@@ -19,7 +19,7 @@ import numpy as np
 
 from spherejax.studies.wear.deposit import Maps
 
-LARGEST_CHANGE = 0.3
+LARGEST_CHANGE = 0.2
 """By how much the rate may change within a block, as a share of its largest; beyond, the block is made again."""
 
 MOST_BLOCKS = 2000

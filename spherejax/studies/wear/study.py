@@ -20,8 +20,11 @@ from spherejax.studies.wear.sphere import cell_solid_angle
 CELLS_PER_PATCH = 4.0
 """Cells from the middle of a patch to its edge, where the number of cells is chosen."""
 
-FEWEST_CELLS, MOST_CELLS = 32, 512
-"""Along each side of a map; fewer tell nothing, more take gigabytes."""
+USUAL_CELLS = (96, 512)
+"""Fewest and most along each side of a map, where the number is chosen."""
+
+POSSIBLE_CELLS = (16, 2048)
+"""Fewer tell nothing, more take gigabytes."""
 
 LOST = 1e-9
 """What may be missing of the rubbing work on a map, as a share of it: rounding of sums."""
@@ -161,9 +164,10 @@ def _check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_b
             "tables in mm^3/(N m) are to be multiplied by 1e-9"
         )
     is_whole = isinstance(cells, int | np.integer) and not isinstance(cells, bool)
-    if cells is not None and not (is_whole and FEWEST_CELLS <= cells <= 2 * MOST_CELLS):
+    if cells is not None and not (is_whole and POSSIBLE_CELLS[0] <= cells <= POSSIBLE_CELLS[1]):
         raise SceneError(
-            f"wear of joint {joint!r}: cells = {cells!r} must be a whole number from {FEWEST_CELLS} to {2 * MOST_CELLS}"
+            f"wear of joint {joint!r}: cells = {cells!r} must be a whole number from {POSSIBLE_CELLS[0]} to "
+            f"{POSSIBLE_CELLS[1]}, or None"
         )
 
 
@@ -183,11 +187,11 @@ def _checked_window(run: Trajectory, window) -> tuple[float, float] | None:
 def _cells_for(contacts: Contacts) -> int:
     """As many as give a typical patch, the mean over the load, `CELLS_PER_PATCH` from its middle to its edge."""
     if not len(contacts.duration):
-        return FEWEST_CELLS
+        return USUAL_CELLS[0]
     impulse = np.asarray(contacts.contact.force) * contacts.duration
     typical = float(impulse @ contacts.half_angle / impulse.sum())
     needed = CELLS_PER_PATCH * np.sqrt(4 * np.pi) / typical
-    return int(np.clip(16 * np.ceil(needed / 16), FEWEST_CELLS, MOST_CELLS))
+    return int(np.clip(16 * np.ceil(needed / 16), *USUAL_CELLS))
 
 
 # What is checked ------------------------------------------------------------------------------------------------------
