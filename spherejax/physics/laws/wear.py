@@ -104,17 +104,19 @@ def matched_stiffness(force: Numeric, penetration: Numeric, clearance: Number, r
 def surface_sliding(u: Float[Array, "q 3"], contact: WearContact, radius: Number) -> Float[Array, "q 3"]:
     """Velocity of the ball's material against the socket's at points of the surface [m/s], in the tangential planes.
 
-        v_s = (I - u u^T) (e_dot - w_j x e + (w_j - w_i) x R u)
+        v_s = (I - u u^T) ((I - n n^T) (e_dot - w_j x e) + (w_j - w_i) x R u)
 
     Both materials are taken at one common place, R u from the socket's center. The term w_j x e is what makes a pair
-    that turns as one rigid body slide nowhere.
+    that turns as one rigid body slide nowhere. The approach along n is left out: it compresses the surfaces, and bodies
+    that are pressed together without sliding in the middle do not slide at the edges (Hertz, like materials).
 
     Args:
         u: unit vectors.
         contact: the contact.
         radius: R of the socket [m].
     """
-    v = contact.velocity + jnp.cross(contact.spin, radius * u)
+    n = contact.direction
+    v = contact.velocity - (contact.velocity @ n) * n + jnp.cross(contact.spin, radius * u)
     return v - jnp.sum(v * u, axis=-1, keepdims=True) * u
 
 

@@ -32,6 +32,9 @@ overlap by that much are even to 1 %."""
 MOST_PARTS = 4096
 """Of one step."""
 
+COARSER = 2.0
+"""How much wider the bins are in which alike instants are gathered a second time."""
+
 CREEPING = 1e-8
 """Mean speed of sliding [m/s] below which the error of the rubbing work is related to this speed, not to the work: the
 rounding of a joint at rest is no error to speak of."""
@@ -65,7 +68,9 @@ class Contacts(NamedTuple):
         contact: force, place, motion and foundation.
         half_angle: of the patch on unworn surfaces [rad].
         duration: weight of the instant in integrals over time [s].
+        coarser: contacts and durations, gathered more coarsely, to compare with.
         slid: integral of F_n |v_s| at the contacts' middles [J].
+        expected: the same with the spin of the patches, of all instants [J].
         looked_at: how many instants of contact there were, before alike ones were gathered.
         error: of the rubbing work by the integration over time, as a share; an estimate that is rather too large.
         span: beginning and end of what was looked at [s].
@@ -74,7 +79,9 @@ class Contacts(NamedTuple):
     contact: WearContact
     half_angle: Float[np.ndarray, " m"]
     duration: Float[np.ndarray, " m"]
+    coarser: tuple[WearContact, np.ndarray]
     slid: float
+    expected: float
     looked_at: int
     error: float
     span: tuple[float, float]
@@ -262,5 +269,8 @@ def _gathered(system: System, joint: str, pieces, rough, missed, window, foundat
     missed = np.where(fine == rough, missed, np.abs(fine - rough))
     scale = max(float(fine.sum()), CREEPING * float(np.asarray(all_seen.force) @ duration))
     error = float(missed.sum()) / scale if scale > 0 else 0.0
-    rows = gathered(contact, np.concatenate(half_angles), duration, radius)
-    return Contacts(*rows, float(slid), len(duration), error, window)
+    angles = np.concatenate(half_angles)
+    expected = float(power(contact, angles, radius) @ duration)
+    rows = gathered(contact, angles, duration, radius)
+    coarser, _, lasting = gathered(contact, angles, duration, radius, COARSER)
+    return Contacts(*rows, (coarser, lasting), float(slid), expected, len(duration), error, window)

@@ -42,7 +42,11 @@ def middle_sliding(contact: WearContact, radius: float) -> Float[np.ndarray, "m 
 
 
 def gathered(
-    contact: WearContact, half_angle: Float[np.ndarray, " m"], duration: Float[np.ndarray, " m"], radius: float
+    contact: WearContact,
+    half_angle: Float[np.ndarray, " m"],
+    duration: Float[np.ndarray, " m"],
+    radius: float,
+    times: float = 1.0,
 ) -> tuple[WearContact, np.ndarray, np.ndarray]:
     """Contacts, half angles and durations with one row for alike ones.
 
@@ -51,23 +55,25 @@ def gathered(
         half_angle: of their patches on unworn surfaces [rad].
         duration: [s].
         radius: R of the socket [m].
+        times: how much wider than usual the bins are.
     """
     work = power(contact, half_angle, radius) * duration
     own = np.flatnonzero(work > 0)
     if not own.size:
         return contact, half_angle, np.zeros_like(duration)
-    level = np.floor(np.log(np.asarray(contact.force)[own]) / np.log(FORCE))
+    force = np.log(np.asarray(contact.force)[own]) / (times * np.log(FORCE))
     # All of one level of force have bins of one size, whatever the few percent by which their patches differ.
-    size = PLACE * FORCE ** np.floor(np.log(half_angle[own]) / np.log(FORCE))
+    size = times * PLACE * FORCE ** np.floor(np.log(half_angle[own]) / np.log(FORCE))
     n, turned = np.asarray(contact.direction)[own], np.asarray(contact.turned)[own]
     place = np.concatenate([n, np.einsum("mij,mi->mj", turned, n)], axis=1) / size[:, None]
-    twist = turned.reshape(own.size, 9) / TWIST
-    key = np.concatenate([level[:, None], np.log(size)[:, None].round(6), np.floor(place), np.floor(twist)], axis=1)
+    twist = turned.reshape(own.size, 9) / (times * TWIST)
+    key = np.concatenate(
+        [np.floor(force)[:, None], np.log(size)[:, None].round(6), np.floor(place), np.floor(twist)], axis=1
+    )
     _, group = np.unique(key, axis=0, return_inverse=True)
     group = group.ravel()
     total = np.bincount(group, weights=work[own])
     # The one nearest to the middle of its group by force and place stands for it.
-    force = np.log(np.asarray(contact.force)[own]) / np.log(FORCE)
     off = np.zeros(own.size)
     for column in (force, *place.T):
         mean = np.bincount(group, weights=work[own] * column) / total

@@ -34,6 +34,7 @@ class Checks(NamedTuple):
         rubbed: integral of p |v_s| dA dt over the patches [J]: `slid` for small ones; a wide patch presses with more
             than its resultant, and a ball that spins rubs although its middle rests.
         time_error: of the integrals over time, as a share of `slid`.
+        gathering: share of the rubbing work that lies in other cells if instants are gathered in bins twice as wide.
         cells_per_patch: from the middle of a typical patch to its edge.
         instants: of contact in the steps of the run.
         gathered: patches that stand for them, see `spherejax.studies.wear.gathering`.
@@ -44,6 +45,7 @@ class Checks(NamedTuple):
     slid: float
     rubbed: float
     time_error: float
+    gathering: float
     cells_per_patch: float
     instants: int
     gathered: int
@@ -234,7 +236,8 @@ def _text_of(worn: Wear) -> str:
     )
     lines.append(
         f"a cycle's sliding {checks.slid:.4g} J (to {100 * checks.time_error:.1g} %), over the patches "
-        f"{checks.rubbed:.4g} J; maps hold it to {checks.lost:.0e}; a patch is {checks.cells_per_patch:.2g} cells from "
+        f"{checks.rubbed:.4g} J, all on the maps; {100 * checks.gathering:.2g} % of it lies elsewhere if alike "
+        f"instants are gathered more coarsely; a patch is {checks.cells_per_patch:.2g} cells from "
         "middle to edge"
     )
     return "\n".join(lines + [f"warning: {text}" for text in worn.remarks])

@@ -11,7 +11,7 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.motion.status import SimulationError
 from spherejax.motion.trajectory import Trajectory
 from spherejax.physics.laws.base import non_negative, positive
-from spherejax.studies.wear.contacts import Contacts, contacts_of
+from spherejax.studies.wear.contacts import CREEPING, Contacts, contacts_of
 from spherejax.studies.wear.cycles import Rate, over_cycles
 from spherejax.studies.wear.deposit import Joint, Maps, Told, rubbed
 from spherejax.studies.wear.result import Checks, Wear, WearWarning
@@ -32,8 +32,15 @@ LOST = 1e-9
 UNBALANCED = 1e-6
 """What the pressure's resultant along the contact's direction may differ from the normal force by, as a share."""
 
+NARROWEST, WIDEST = 0.8, 1.6
+"""Rubbing work of patches over that of their resultants: 1 for small patches, 3/2 for a hemisphere pressed along its
+axis, less than 1 where it is rubbed across."""
+
 POORLY_INTEGRATED = 0.01
 """Error of the rubbing work by the integration over time, as a share, from which it is warned."""
+
+POORLY_GATHERED = 0.15
+"""Share of the rubbing work in other cells, if instants are gathered more coarsely, from which it is warned."""
 
 POORLY_RESOLVED = 1.0
 """Cells from the middle of the mean patch to its edge, below which it is warned."""
@@ -103,10 +110,11 @@ def wear(
     nothing = Maps(jnp.zeros(n * n), jnp.zeros(n * n))
     if not len(contacts.duration):
         states, diagnosis = over_cycles(lambda _: Rate(nothing, 0.0, 0.0), nothing, float(cycles), 1.0)
-        checks = Checks(0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
+        checks = Checks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
         return _result(run, joint, model, (k_socket, k_ball), contacts, n, states, diagnosis, checks)
     work, first = rubbed(nothing, contacts.contact, contacts.duration, geometry, n)
-    checks = _checks(joint, work, first, contacts, n)
+    elsewhere = _elsewhere(work, rubbed(nothing, *contacts.coarser, geometry, n)[0])
+    checks = _checks(joint, work, first, contacts, n, elsewhere)
     coefficients = k_socket, k_ball
 
     def rate(depth: Maps) -> Rate:
@@ -212,13 +220,34 @@ def _conserved(joint: str, rubbing: Maps, told: Told, contacts: Contacts) -> tup
     return lost, unbalanced
 
 
-def _checks(joint: str, work: Maps, told: Told, contacts: Contacts, n: int) -> Checks:
+def _require_expected(joint: str, rubbing: float, contacts: Contacts) -> None:
+    """Whether those that stand for alike instants rub as much as all instants do."""
+    slow = CREEPING * float(np.asarray(contacts.contact.force) @ contacts.duration)
+    if contacts.expected > slow and not NARROWEST < rubbing / contacts.expected < WIDEST:
+        raise SimulationError(
+            f"wear of joint {joint!r}: patches that stand for alike instants rub {rubbing:.4g} J, and all instants "
+            f"{contacts.expected:.4g} J. This is a fault of the program; please report it, with the scene"
+        )
+
+
+def _elsewhere(work: Maps, other: Maps) -> float:
+    """Share of the work that lies in other cells, on the map where that is more."""
+    return max(
+        float(jnp.sum(jnp.abs(one - two)) / jnp.maximum(2 * jnp.sum(one), np.finfo(float).tiny))
+        for one, two in zip(work, other, strict=True)
+    )
+
+
+def _checks(joint: str, work: Maps, told: Told, contacts: Contacts, n: int, elsewhere: float) -> Checks:
     lost, unbalanced = _conserved(joint, work, told, contacts)
+    _require_expected(joint, float(told.power @ contacts.duration), contacts)
     weights = told.power * contacts.duration
     total = float(weights.sum())
     radius = float(weights @ told.radius) / total if total > 0 else float(np.mean(told.radius))
     cells = float(radius / np.sqrt(cell_solid_angle(n)))
-    return Checks(lost, unbalanced, contacts.slid, total, contacts.error, cells, contacts.looked_at, len(weights))
+    return Checks(
+        lost, unbalanced, contacts.slid, total, contacts.error, elsewhere, cells, contacts.looked_at, len(weights)
+    )
 
 
 def _result(run, joint, model, coefficients, contacts: Contacts, n: int, states, diagnosis: str, checks) -> Wear:
@@ -230,6 +259,12 @@ def _result(run, joint, model, coefficients, contacts: Contacts, n: int, states,
         remarks.append(
             f"wear of joint {joint!r}: the rubbing work is known to {100 * checks.time_error:.2g} % alone, for the "
             "steps of the run are long against the contacts; simulate with a smaller rtol"
+        )
+    if checks.gathering > POORLY_GATHERED:
+        remarks.append(
+            f"wear of joint {joint!r}: {100 * checks.gathering:.2g} % of the rubbing work lie in other cells if alike "
+            "instants are gathered more coarsely; volumes are right, depths are known as well as that. Simulate with a "
+            "smaller rtol, or ask for fewer cells"
         )
     if checks.cells_per_patch < POORLY_RESOLVED:
         remarks.append(
