@@ -365,6 +365,16 @@ def suspension() -> Figure:
     return figure
 
 
+def wear() -> Figure:
+    """Wear of a cup of polyethylene over a million steps of walking."""
+    cup = sj.HuntCrossley(restitution=0.5, stiffness=1.2e10)
+    joint = sj.Dry(clearance=1e-4, socket_radius=0.014, normal=cup)
+    run = sj.simulate(sj.gallery.hip(joint), jnp.linspace(0.0, 2.0, 201))
+    liner = 0.8e9 * 0.54 / (1.46 * 0.08 * 8e-3)
+    options = {"cycles": 3e5, "window": (1.0, 2.0), "foundation": liner}
+    return sj.wear(run, "cup", k_socket=1e-15, k_ball=0.0, **options).figure()
+
+
 def scene(name: str) -> Callable[[], Figure]:
     """A picture of a scene of the gallery, assembled at its start."""
     return lambda: sj.draw(getattr(sj.gallery, name)())
@@ -382,6 +392,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "joint_friction": joint_friction,
     "rubber": rubber,
     "suspension_over_bump": suspension,
+    "wear": wear,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }
 

@@ -167,6 +167,7 @@ from .studies.sweep import (
     sweep,
     zipped,
 )
+from .studies.wear import Wear, WearWarning, wear
 
 __all__ = [
     "SOLVERS",
@@ -316,6 +317,8 @@ __all__ = [
     "Universal",
     "UserFunction",
     "VectorElastomer",
+    "Wear",
+    "WearWarning",
     "Whole",
     "WinklerLiner",
     "WorkPrecision",
@@ -365,6 +368,7 @@ __all__ = [
     "squeeze_factor",
     "sweep",
     "view",
+    "wear",
     "work_precision",
     "zipped",
 ]

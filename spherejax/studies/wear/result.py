@@ -1,0 +1,262 @@
+"""What a study of wear returns: maps of depth, volumes along the cycles, and what was checked."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from spherejax.foundations.errors import SceneError
+from spherejax.motion.dataset import AXES
+from spherejax.studies.wear.cycles import Worn
+from spherejax.studies.wear.sphere import cell_solid_angle, centers, sampled
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+SIDES = ("socket", "ball")
+
+
+class WearWarning(UserWarning):
+    """Something that should be known of a computed wear: what it is known to, or where it ends."""
+
+
+class Checks(NamedTuple):
+    """What was checked of the first cycle.
+
+    Attributes:
+        lost: rubbing work that is missing on a map, as a share.
+        unbalanced: largest difference of the pressure's resultant from the normal force, as a share.
+        slid: integral of F_n |v_s| dt, with the sliding velocity in the middle of each contact [J].
+        rubbed: integral of p |v_s| dA dt over the patches [J]: `slid` for small ones; a wide patch presses with more
+            than its resultant, and a ball that spins rubs although its middle rests.
+        time_error: of the integrals over time, as a share of `slid`.
+        gathering: share of the rubbing work that lies in other cells if instants are gathered in bins twice as wide.
+        cells_per_patch: from the middle of a typical patch to its edge.
+        instants: of contact in the steps of the run.
+        gathered: patches that stand for them, see `spherejax.studies.wear.gathering`.
+    """
+
+    lost: float
+    unbalanced: float
+    slid: float
+    rubbed: float
+    time_error: float
+    gathering: float
+    cells_per_patch: float
+    instants: int
+    gathered: int
+
+
+@dataclass(frozen=True)
+class Wear:
+    """Wear of ball and socket; prints as text.
+
+    Attributes:
+        joint: its name.
+        bodies: names of the socket's and the ball's body.
+        coefficients: k of the socket's and the ball's material [m^2/N].
+        clearance: c of the unworn joint [m].
+        radius: R of the socket [m].
+        cells: of a map along each side.
+        span: first and last instant of the cycle [s].
+        states: of wear, after each block of cycles.
+        checks: what was checked of the first cycle.
+        diagnosis: why not all cycles were reached; empty where they were.
+        remarks: what else should be known.
+    """
+
+    joint: str
+    bodies: tuple[str, str]
+    coefficients: tuple[float, float]
+    clearance: float
+    radius: float
+    cells: int
+    span: tuple[float, float]
+    states: tuple[Worn, ...]
+    checks: Checks
+    diagnosis: str
+    remarks: tuple[str, ...]
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all cycles were reached."""
+        return not self.diagnosis
+
+    @property
+    def cycles(self) -> Float[np.ndarray, " b"]:
+        """Numbers of cycles after which the wear is told."""
+        return np.array([state.cycles for state in self.states])
+
+    def depth(self, side: str, block: int = -1) -> Float[np.ndarray, "n n"]:
+        """Depth of wear of each cell [m].
+
+        Args:
+            side: "socket" or "ball".
+            block: number of the state; the last one where it is not given.
+
+        Raises:
+            SceneError: for another side.
+        """
+        return np.asarray(self.states[block].depth[_number(side)]).reshape(self.cells, self.cells)
+
+    @property
+    def directions(self) -> Float[np.ndarray, "n n 3"]:
+        """Unit vectors to the cells: from the socket's center in axes of its body, from the ball's in those of its."""
+        return centers(self.cells)
+
+    def depth_at(self, side: str, u: Float[np.ndarray, "q 3"], block: int = -1) -> Float[np.ndarray, " q"]:
+        """Depth of wear at unit vectors in the axes of the side's body [m], interpolated between the cells."""
+        u = np.asarray(u, float)
+        u = u / np.linalg.norm(u, axis=-1, keepdims=True)
+        found = sampled(np.asarray(self.depth(side, block)).ravel(), u.reshape(-1, 3), self.cells)
+        return np.asarray(found).reshape(u.shape[:-1])
+
+    def volumes(self, side: str) -> Float[np.ndarray, " b"]:
+        """What was rubbed off until each of `cycles` [m^3]."""
+        return self._of_all(side, np.sum) * self.radius**2 * cell_solid_angle(self.cells)
+
+    def deepest(self, side: str) -> Float[np.ndarray, " b"]:
+        """Largest depth at each of `cycles` [m]."""
+        return self._of_all(side, np.max)
+
+    def _of_all(self, side: str, measure) -> np.ndarray:
+        number = _number(side)
+        return np.array([float(measure(np.asarray(state.depth[number]))) for state in self.states])
+
+    @property
+    def volume_per_cycle(self) -> dict[str, float]:
+        """What the first cycle rubs off each side [m^3]."""
+        area = self.radius**2 * cell_solid_angle(self.cells)
+        return {s: float(np.sum(np.asarray(self.states[0].rate.depth[_number(s)]))) * area for s in SIDES}
+
+    def depth_per_cycle(self, side: str, block: int = 0) -> Float[np.ndarray, "n n"]:
+        """What a cycle deepens each cell by [m]; of the first cycle where no block is given."""
+        return np.asarray(self.states[block].rate.depth[_number(side)]).reshape(self.cells, self.cells)
+
+    @property
+    def effective_clearance(self) -> Float[np.ndarray, " b"]:
+        """Clearance of an unworn joint in which the ball goes as far for the same load, the mean over the work [m]."""
+        return self.clearance + np.array([state.rate.approach for state in self.states])
+
+    @property
+    def aside(self) -> Float[np.ndarray, " b"]:
+        """Resultant of the pressure across the contact's direction over the normal force, the mean over the work."""
+        return np.array([state.rate.aside for state in self.states])
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Maps, and volumes and depths along the cycles, with units."""
+        import xarray
+
+        rows = np.arange(self.cells)
+        columns = {}
+        for name, values, unit, what in (
+            ("volume", self.volumes, "m^3", "rubbed off"),
+            ("deepest", self.deepest, "m", "largest depth of wear"),
+        ):
+            columns[name] = ("cycle", "side"), np.stack([values(s) for s in SIDES], axis=1), _words(unit, what)
+        columns["effective_clearance"] = (
+            ("cycle",), self.effective_clearance, _words("m", "clearance of an unworn joint that gives way as far")
+        )  # fmt: skip
+        columns["aside"] = ("cycle",), self.aside, _words("1", "unbalanced resultant across, over the normal force")
+        on_map = "side", "row", "column"
+        depths = np.stack([self.depth(s) for s in SIDES])
+        columns["depth"] = on_map, depths, _words("m", "depth of wear after all cycles")
+        rates = np.stack([self.depth_per_cycle(s) for s in SIDES])
+        columns["depth_per_cycle"] = on_map, rates, _words("m", "depth of wear of the first cycle")
+        columns["direction"] = (
+            ("row", "column", "axis"), self.directions, _words("1", "unit vector to the cell, axes of the side's body")
+        )  # fmt: skip
+        coordinates = {
+            "cycle": ("cycle", self.cycles, _words("1", "number of cycles")),
+            "side": list(SIDES),
+            "body": ("side", list(self.bodies)),
+            "k": ("side", np.array(self.coefficients), _words("m^2/N", "wear coefficient")),
+            "row": rows,
+            "column": rows,
+            "axis": list(AXES),
+        }
+        attributes = {
+            "joint": self.joint,
+            "clearance": self.clearance,
+            "socket_radius": self.radius,
+            "cycle_begins": self.span[0],
+            "cycle_ends": self.span[1],
+            "cell_area": self.radius**2 * cell_solid_angle(self.cells),
+            **{f"check_{name}": value for name, value in self.checks._asdict().items()},
+            "remarks": " ".join(self.remarks) or "none",
+        }
+        return xarray.Dataset(columns, coordinates, attributes)
+
+    def save(self, path: str | os.PathLike, *, overwrite: bool = False) -> Path:
+        """Write the data set: everything to netCDF (.nc), or a row for each of `cycles` to a table (.csv).
+
+        Raises:
+            SceneError: for another suffix, or a file that exists, unless `overwrite`.
+        """
+        from spherejax.output.io import save
+
+        return save(self.to_xarray(), path, overwrite=overwrite)
+
+    def figure(self) -> "Figure":
+        """The maps of both bodies, of equal area, seen at where they are worn; volumes and depths along the cycles."""
+        return _figure_of(self)
+
+    def __str__(self) -> str:
+        return _text_of(self)
+
+
+def _number(side: str) -> int:
+    if side not in SIDES:
+        raise SceneError(f"wear has the sides 'socket' and 'ball', and not {side!r}")
+    return SIDES.index(side)
+
+
+def _words(unit: str, what: str) -> dict[str, str]:
+    return {"units": unit, "long_name": what}
+
+
+def _text_of(worn: Wear) -> str:
+    checks, until = worn.checks, worn.cycles[-1]
+    lines = [
+        f"Wear of joint {worn.joint} in {until:.6g} cycles of {worn.span[1] - worn.span[0]:.4g} s, "
+        f"{len(worn.states) - 1} blocks, maps of {worn.cells} x {worn.cells} cells"
+    ]
+    for side, body, k in zip(SIDES, worn.bodies, worn.coefficients, strict=True):
+        lines.append(
+            f"{side} ({body}, k = {k:.3g} m^2/N): {worn.volumes(side)[-1]:.4g} m^3 rubbed off, "
+            f"{worn.deepest(side)[-1]:.4g} m deep; the first cycle {worn.volume_per_cycle[side]:.4g} m^3"
+        )
+    lines.append(
+        f"effective clearance {worn.effective_clearance[-1]:.4g} m, at first {worn.clearance:.4g} m; force across the "
+        f"contacts' directions {100 * worn.aside[-1]:.2g} % of the normal one"
+    )
+    lines.append(
+        f"a cycle's sliding {checks.slid:.4g} J (to {100 * checks.time_error:.1g} %), over the patches "
+        f"{checks.rubbed:.4g} J, all on the maps; {100 * checks.gathering:.2g} % of it lies elsewhere if alike "
+        f"instants are gathered more coarsely; a patch is {checks.cells_per_patch:.2g} cells from "
+        "middle to edge"
+    )
+    return "\n".join(lines + [f"warning: {text}" for text in worn.remarks])
+
+
+def _figure_of(worn: Wear) -> "Figure":
+    from spherejax.output.plot.wear import WearMap, wear_figure
+
+    maps = []
+    for side, body in zip(SIDES, worn.bodies, strict=True):
+        maps.append(
+            WearMap(
+                f"{side}, body {body!r}",
+                lambda u, side=side: 1e6 * worn.depth_at(side, u),
+                worn.directions.reshape(-1, 3),
+                1e6 * worn.depth(side).ravel(),
+                1e9 * worn.volumes(side),
+                1e6 * worn.deepest(side),
+            )
+        )
+    title = f"Wear of joint {worn.joint} in {worn.cycles[-1]:.4g} cycles"
+    return wear_figure(maps, worn.cycles, title)
