@@ -255,7 +255,7 @@ def test_derivatives_forward_reverse_and_by_differences_agree(boundary):
     value = jax.jit(force)
     motion = motions(40)
     keep = np.linalg.norm(motion.e, axis=1) < 0.9 * C
-    for e, rate, spin, _ in np.asarray(jnp.stack(motion, 1))[keep]:
+    for e, rate, spin, _ in np.asarray(jnp.stack(motion[:4], 1))[keep]:
         point = (e, rate, spin, C)
         forward, reverse = (jacobian(*point) for jacobian in jacobians)
         for i, scale in enumerate((1e-5 * C, 1e-8, 1e-4, 1e-5 * C)):
