@@ -240,6 +240,32 @@ def test_joint_words_become_models():
     assert (bushing.law.stiffness, bushing.law.damping) == (2e5, 1e-2)
 
 
+def test_a_bearing_has_a_length_and_laws_of_cylinders():
+    dry = model_from(parsed("--joint", "dry", "--length", "20 mm"))
+    assert isinstance(dry.conformity, sj.JohnsonCylinder)
+    assert dry.conformity.length == pytest.approx(0.02)
+    short = model_from(parsed("--joint", "lubricated", "--length", "0.02"))
+    long = model_from(parsed("--joint", "lubricated", "--length", "0.02", "--film", "long"))
+    assert (type(short.film), type(long.film)) == (sj.ShortBearing, sj.LongBearing)
+    for words, said in (
+        (("--joint", "lubricated", "--film", "short"), "needs --length"),
+        (("--joint", "lubricated", "--film", "full", "--length", "0.02"), "leave --length out"),
+        (("--joint", "bushing", "--length", "0.02"), "--length means nothing"),
+    ):
+        with pytest.raises(sj.SceneError, match=said):
+            model_from(parsed(*words))
+
+
+def test_a_piston_runs_with_play_in_its_pin(tmp_path, capsys):
+    words = ["--joint", "dry", "--clearance", "0.5 mm", "--length", "20 mm", "--t1", "2 ms", "--samples", "5"]
+    assert (
+        cli.main(["run", "piston", *words, "--out", str(tmp_path / "run.nc"), "--impacts", str(tmp_path / "i.csv")])
+        == 0
+    )
+    assert "pin" in capsys.readouterr().out
+    assert len((tmp_path / "i.csv").read_text().splitlines()) > 2
+
+
 @pytest.mark.parametrize("name", NORMAL_LAWS)
 def test_every_normal_law_can_be_named(name):
     assert isinstance(model_from(parsed("--joint", "dry", "--normal", name)).normal, NORMAL_LAWS[name])

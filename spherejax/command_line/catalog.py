@@ -99,6 +99,7 @@ FRICTION_LAWS = Parts(
 )
 
 FILMS = Parts({"radial": "spherejax:RadialFilm", "full": "spherejax:FullFilm"})
+BEARING_FILMS = Parts({"short": "spherejax:ShortBearing", "long": "spherejax:LongBearing"})
 BOUNDARIES = Parts(
     {
         "guembel": "spherejax:Guembel",
@@ -181,8 +182,8 @@ def list_names(options: argparse.Namespace) -> int:
     print_table("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
     print_table("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))
     print_table("Friction laws (--friction)", ("name", "parameters and defaults"), _with_parameters(FRICTION_LAWS))
-    films = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in FILMS.items()]
-    print_table("Films (--film)", ("name", "what"), films)
+    films = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in (*FILMS.items(), *BEARING_FILMS.items())]
+    print_table("Films (--film; short and long of a revolute joint, with --length)", ("name", "what"), films)
     boundaries = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in BOUNDARIES.items()]
     print_table("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
     pressures = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in PRESSURES.items()]

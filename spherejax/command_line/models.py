@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import spherejax as sj
 from spherejax.command_line.catalog import (
+    BEARING_FILMS,
     BOUNDARIES,
     ELASTOMERS,
     FILMS,
@@ -44,6 +45,13 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         "--socket-radius", type=measured_in("m"), metavar="M", help="inner radius of the socket [m] (default: 0.010)"
     )
     gap.add_argument(
+        "--length",
+        type=measured_in("m"),
+        metavar="M",
+        help="of the bearing, where the studied joint is revolute [m]: contact of cylinders by Johnson, and with "
+        "--joint lubricated the film of a short bearing, or --film long",
+    )
+    gap.add_argument(
         "--youngs-modulus", type=measured_in("Pa"), metavar="PA", help="of ball and socket [Pa] (default: 207e9)"
     )
     gap.add_argument(
@@ -67,7 +75,11 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     film.add_argument(
         "--viscosity", type=measured_in("Pa s"), metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)"
     )
-    film.add_argument("--film", choices=FILMS, help="full, or the paper's radial one (default: full)")
+    film.add_argument(
+        "--film",
+        choices=[*FILMS, *BEARING_FILMS],
+        help="full, or the paper's radial one (default: full); with --length short or long (default: short)",
+    )
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
     bushing.add_argument(
@@ -107,12 +119,13 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
         "friction": _friction_from(options),
         "socket_material": material,
         "ball_material": material,
+        "conformity": None if options.length is None else sj.JohnsonCylinder(options.length),
     }
     clearance = _or(options.clearance, 1e-4)
     if options.joint == "lubricated":
         boundary = BOUNDARIES[options.boundary or "guembel"]()
-        viscosity, film = _or(options.viscosity, 0.4), FILMS[options.film]() if options.film else None
-        return sj.Lubricated(clearance, viscosity=viscosity, boundary=boundary, film=film, **contact)
+        viscosity = _or(options.viscosity, 0.4)
+        return sj.Lubricated(clearance, viscosity=viscosity, boundary=boundary, film=_film_from(options), **contact)
     return sj.Dry(clearance, **contact)
 
 
@@ -121,6 +134,7 @@ USED_BY: Mapping[str, tuple[str, ...]] = {
         (
             "clearance",
             "socket_radius",
+            "length",
             "youngs_modulus",
             "normal",
             "restitution",
@@ -140,6 +154,17 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         if getattr(options, name) is not None and options.joint not in joints:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(f"{flag} means nothing with --joint {options.joint}; it belongs to {', '.join(joints)}")
+
+
+def _film_from(options: argparse.Namespace) -> sj.AbstractFilm | None:
+    name = options.film or ("short" if options.length is not None else None)
+    if name is None:
+        return None
+    is_bearing = name in BEARING_FILMS
+    if is_bearing != (options.length is not None):
+        what = "needs --length, of the bearing" if is_bearing else "is of a ball; leave --length out"
+        raise sj.SceneError(f"--film {name} {what}")
+    return cast(Any, BEARING_FILMS[name])(options.length) if is_bearing else FILMS[name]()
 
 
 def _normal_from(options: argparse.Namespace) -> sj.AbstractNormalLaw:
