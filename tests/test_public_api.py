@@ -100,6 +100,7 @@ ARGUMENTS = {
     sj.view: ("run", "view", "magnified"),
     sj.animate: ("run", "path", "fps", "slow", "view", "magnified", "overwrite", "report"),
     sj.work_precision: ("scene", "t1", "solvers", "tolerances", "n_repeats"),
+    sj.wear: ("run", "joint", "k_socket", "k_ball", "cycles", "window", "foundation", "cells", "largest_block"),
     sj.scalarize: ("function",),
     sj.load_scene: ("path", "allow_code"),
     sj.read_scene_file: ("path", "allow_code"),

@@ -415,6 +415,11 @@ def test_wear_widens_the_patch_and_the_volume_goes_on(rolling):
 # Results and input ----------------------------------------------------------------------------------------------------
 
 
+def test_a_foundation_in_a_wrong_unit_is_pointed_out(rolling):
+    with pytest.warns(sj.WearWarning, match="Check the unit of foundation"):
+        sj.wear(rolling, "joint", **GOOD, cells=32, foundation=1e8)
+
+
 @pytest.fixture(scope="module")
 def worn(rolling):
     return sj.wear(rolling, "joint", k_socket=K[0], k_ball=K[1], cycles=20.0, cells=96, foundation=1e12)

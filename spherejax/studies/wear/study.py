@@ -45,6 +45,9 @@ POORLY_GATHERED = 0.15
 POORLY_RESOLVED = 1.0
 """Cells from the middle of the mean patch to its edge, below which it is warned."""
 
+WIDE = 1.3
+"""Half angle of a typical patch on unworn surfaces [rad] from which it is warned: some 75 degrees."""
+
 DEEP = 0.5
 """Deepest wear as a share of the clearance, from which it is warned that the motion is that of the unworn joint."""
 
@@ -94,8 +97,8 @@ def wear(
     Limits: the order of c/R is left out. Along the contact's direction the pressure carries the run's normal force;
     what is left across it on worn surfaces is told, not balanced. Force, direction and sliding are those of the unworn
     joint for all cycles: once the wear is as deep as a good part of the clearance, simulate again with
-    `effective_clearance`.
-    Rubbed off material is gone.
+    `effective_clearance`. Rubbed off material is gone. The numbers are concrete ones, and the result is not traced: for
+    derivatives by k take differences, one run serves all of them.
 
     Source: Archard (1953); blocks of cycles after Mukras et al. (2009), see `spherejax.studies.wear.cycles`.
     """
@@ -196,10 +199,14 @@ def _cells_for(contacts: Contacts) -> int:
     """As many as give a typical patch, the mean over the load, `CELLS_PER_PATCH` from its middle to its edge."""
     if not len(contacts.duration):
         return USUAL_CELLS[0]
-    impulse = np.asarray(contacts.contact.force) * contacts.duration
-    typical = float(impulse @ contacts.half_angle / impulse.sum())
-    needed = CELLS_PER_PATCH * np.sqrt(4 * np.pi) / typical
+    needed = CELLS_PER_PATCH * np.sqrt(4 * np.pi) / _typical_half_angle(contacts)
     return int(np.clip(16 * np.ceil(needed / 16), *USUAL_CELLS))
+
+
+def _typical_half_angle(contacts: Contacts) -> float:
+    """Mean half angle of the patches over the load [rad]."""
+    impulse = np.asarray(contacts.contact.force) * contacts.duration
+    return float(impulse @ contacts.half_angle / impulse.sum()) if impulse.any() else float(contacts.half_angle.mean())
 
 
 # What is checked ------------------------------------------------------------------------------------------------------
@@ -270,6 +277,11 @@ def _result(run, joint, model, coefficients, contacts: Contacts, n: int, states,
         remarks.append(
             f"wear of joint {joint!r}: a typical patch is {checks.cells_per_patch:.2g} cells from its middle to its "
             "edge; volumes are right, depths are means over what cells cover. Ask for more cells"
+        )
+    if len(contacts.duration) and (typical := _typical_half_angle(contacts)) > WIDE:
+        remarks.append(
+            f"wear of joint {joint!r}: a typical patch reaches {np.degrees(typical):.3g} degrees from its middle, "
+            "almost a hemisphere: the surfaces are soft for their load. Check the unit of foundation=, N/m^3"
         )
     clearance = float(model.clearance)
     deepest = max(float(jnp.max(each)) for each in states[-1].depth)
