@@ -34,6 +34,7 @@ CLOSURES = ("plane", "line", "circle", "distance", "driver", None, None, None)
 FORCES = ("spring", "absorber", "stop", "torsion", "tyre", "push", None, None)
 MODELS = ("ideal", "dry", "dry", "dry", "dry", "lubricated", "bushing", "matrix")
 RUBBER = ("bushing", "vector", "curve", "matrix", "hinge", "cross")
+REMEMBERED = ((), (), ("branches",), ("friction",), ("branches", "friction"))
 DRIVERS = ("driver", "translation", "position", "distance driver")
 STARTS = ("concentric", "flight", "contact")
 
@@ -50,6 +51,7 @@ class Link:
     boundary: str
     start: str
     film: str = "RadialFilm"
+    remembers: tuple[str, ...] = ()
 
     @property
     def is_contact(self) -> bool:
@@ -119,11 +121,13 @@ def structure(seed: int) -> Structure:
                 pick(STARTS),
             )
         )
-    # Streams of their own: which film; which rubber, which driver.
+    # Streams of their own: which film; which rubber, which driver; what rubber remembers.
     films = np.random.default_rng([seed, 3])
     links = [replace(x, film=FILMS[films.integers(2) if x.boundary != "PinkusSternlicht" else 0]) for x in links]
     others = np.random.default_rng([seed, 2])
     links = [replace(x, model=RUBBER[others.integers(len(RUBBER))]) if x.model in RUBBER else x for x in links]
+    memories = np.random.default_rng([seed, 4])
+    links = [replace(x, remembers=REMEMBERED[memories.integers(len(REMEMBERED))]) for x in links]
     closure = None if is_free else pick(CLOSURES)
     if closure == "driver":
         possible = _drivers_of(links[-1])
@@ -271,31 +275,8 @@ def _model(link, i, x, length, speed):
         return sj.Ideal()
     if link.model in RUBBER:
         stiffness = x["stiffness"][i] * mass * GRAVITY / length
-        damping = x["damping"][i] * jnp.sqrt(mass / stiffness)
-        if link.model == "bushing":
-            return sj.Bushing(stiffness, damping)
-        turning = stiffness * (0.1 * length) ** 2
-        if link.model == "vector":
-            return sj.Bushing(law=sj.VectorElastomer(stiffness, damping))
-        if link.model == "curve":
-            bends = jnp.array([0.01, 0.03, 0.1])
-            return sj.Bushing(
-                law=sj.CurveElastomer(bends * length, bends * length * stiffness * (1 + 10 * bends), damping)
-            )
-        across = jnp.diag(jnp.array([1.0, 1.0, 0.3])) * stiffness
-        if link.model == "hinge":
-            return sj.Bushing(law=sj.HingeElastomer(across, damping * across, turning, damping * turning))
-        if link.model == "cross":
-            return sj.Bushing(law=sj.CrossElastomer(across, damping * across, turning, damping * turning))
-        law = sj.MatrixElastomer.cylindrical(
-            x["axis"][i],
-            radial_stiffness=stiffness,
-            axial_stiffness=0.3 * stiffness,
-            conical_stiffness=turning,
-            torsional_stiffness=0.3 * turning,
-            damping=damping,
-        )
-        return sj.Bushing(law=law)
+        law = _elastomer(link, i, x, length, stiffness)
+        return sj.Bushing(law=law, **_remembered(link, i, x, length, speed, stiffness, law.resists_rotation))
     clearance, radius = x["clearance"][i] * length, 0.1 * length
     stiffness = mass * speed**2 / (x["depth"][i] * clearance) ** 2.5
     law = getattr(sj, link.normal)
@@ -326,6 +307,46 @@ def _model(link, i, x, length, speed):
         boundary=getattr(sj, link.boundary)(),
         film=getattr(sj, link.film)(),
     )
+
+
+def _elastomer(link, i, x, length, stiffness):
+    damping = x["damping"][i] * jnp.sqrt(x["mass"][i] / stiffness)
+    turning = stiffness * (0.1 * length) ** 2
+    if link.model == "bushing":
+        return sj.RadialElastomer(stiffness, damping)
+    if link.model == "vector":
+        return sj.VectorElastomer(stiffness, damping)
+    if link.model == "curve":
+        bends = jnp.array([0.01, 0.03, 0.1])
+        return sj.CurveElastomer(bends * length, bends * length * stiffness * (1 + 10 * bends), damping)
+    across = jnp.diag(jnp.array([1.0, 1.0, 0.3])) * stiffness
+    if link.model == "hinge":
+        return sj.HingeElastomer(across, damping * across, turning, damping * turning)
+    if link.model == "cross":
+        return sj.CrossElastomer(across, damping * across, turning, damping * turning)
+    return sj.MatrixElastomer.cylindrical(
+        x["axis"][i],
+        radial_stiffness=stiffness,
+        axial_stiffness=0.3 * stiffness,
+        conical_stiffness=turning,
+        torsional_stiffness=0.3 * turning,
+        damping=damping,
+    )
+
+
+def _remembered(link, i, x, length, speed, stiffness, turns):
+    """Branches half as stiff as the elastomer; friction as stiff, up to a share of the weight."""
+    found, lever = {}, 0.1 * length
+    if "branches" in link.remembers:
+        k, time = 0.5 * stiffness, length / (x["film"][i] * speed)
+        of_turning = jnp.stack([k * lever**2, 0.3 * k * lever**2]) if turns else None
+        found["branches"] = sj.Maxwell(jnp.stack([k, 0.3 * k]), jnp.stack([time, 0.1 * time]), of_turning)
+    if "friction" in link.remembers:
+        limit = x["mu"][i] * x["mass"][i] * GRAVITY
+        half = limit / stiffness
+        of_turning = (limit * lever, half / lever) if turns else (None, None)
+        found["friction"] = sj.Berg(limit, half, *of_turning)
+    return found
 
 
 def _closure(kind, last, x, place, length):

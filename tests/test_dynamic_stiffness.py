@@ -139,6 +139,16 @@ def test_it_differentiates_and_maps():
     assert float(mapped[1]) == pytest.approx(float(stiffness(at, 8.0)), rel=1e-13)
 
 
+def test_traced_numbers_that_make_no_sense_give_nan():
+    def stiffness(time, frequency):
+        return sj.dynamic_stiffness(
+            sj.Bushing(law=SPRING, branches=sj.Maxwell([1e5], [time])), frequency, 1e-3
+        ).stiffness
+
+    found = jax.vmap(stiffness)(jnp.array([0.1, -0.1, 0.1]), jnp.array([1.0, 1.0, 0.0]))
+    assert np.isfinite(np.asarray(found)).ravel().tolist() == [True, False, False]
+
+
 # Tables and figures ---------------------------------------------------------------------------------------------------
 
 RUBBER = sj.Bushing(law=SPRING, branches=sj.Maxwell([6e4, 5e4, 6e4], [0.1, 0.01, 1e-3]), friction=sj.Berg(LIMIT, HALF))

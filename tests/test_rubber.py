@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.linalg import expm
 
 import spherejax as sj
@@ -70,6 +70,19 @@ def test_creep_under_a_constant_load():
     # It begins as stiff as all springs together, and ends as stiff as the elastomer alone.
     assert exact[-1, 0] == pytest.approx(30.0 / K, rel=2e-2)
     assert np.asarray(run.parts("joint")["branch_force"])[:, 0] == pytest.approx(-exact[:, 2:] @ STIFFNESSES, abs=1e-6)
+
+
+def test_what_branches_dissipate_is_accounted_for():
+    """The balance of a vibration without another damper, against the integral of sum k e^2/tau of the exact motion."""
+    ts = np.linspace(0.0, 0.05, 401)
+    scene = cases.ball_in_socket(sj.Bushing(law=SPRING, branches=BRANCHES), mass=MASS, velocity=(0.05, 0.0, 0.0))
+    run = sj.simulate(scene, ts, rtol=1e-10, track_work=True).require_success()
+    powers = linear_motion(ts, (0.0, 0.05))[:, 2:] ** 2 @ (STIFFNESSES / TIMES)
+    lost = np.asarray(run.dissipated_energy("joint"))
+    assert lost == pytest.approx(cumulative_simpson(powers, x=ts, initial=0.0), abs=1e-6 * lost[-1])
+    energy = np.asarray(run.mechanical_energy)
+    assert energy + lost == pytest.approx(energy[0], rel=1e-7)
+    assert lost[-1] > 0.1 * energy[0]
 
 
 def test_relaxation_after_a_step():
@@ -364,9 +377,25 @@ def test_a_fast_branch_gets_a_stiff_method(rtol):
     assert np.asarray(run.eccentricity("joint"))[:, 0] == pytest.approx(exact[:, 0], abs=10 * rtol * 1e-3 + 1e-9)
 
 
+def test_friction_of_a_short_reach_gets_a_stiff_method():
+    explanations = []
+    for half in (1e-4, 1e-9):
+        model = sj.Bushing(law=sj.VectorElastomer(K, 1e-3), friction=sj.Berg(0.1, half))
+        run = sj.simulate(sj.gallery.four_bar(model), np.linspace(0.0, 0.01, 3), max_steps=5000).require_success()
+        explanations.append(run.stats.explanation.partition(":")[0])
+    assert explanations == ["Dopri8", "Rodas5P"]
+
+
 def test_slow_branches_keep_the_explicit_method():
     run = sj.simulate(pressed(sj.Bushing(law=SPRING, branches=BRANCHES), 30.0), np.linspace(0.0, 0.01, 2))
     assert run.stats.explanation.startswith("Dopri8")
+
+
+def test_histories_of_rubber_can_be_drawn():
+    run = sj.simulate(sj.gallery.four_bar(MODELS["vector"]), np.linspace(0.0, 0.01, 5)).require_success()
+    curves = sj.plot.curves_of(run, "rubber", body="rocker", joint="coupler_rocker")
+    assert curves.sliding_speed is None
+    assert run.to_xarray()["memory"].values[0] == "coupler_rocker.branch_1_x"
 
 
 def test_errors_of_remembered_deflections_are_judged_as_those_of_positions():

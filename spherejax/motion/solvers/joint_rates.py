@@ -83,7 +83,8 @@ class JointActions(NamedTuple):
         decays: m^-1 C [1/s], with C = -df/d(e_dot), and m^-1 the relative acceleration of ball and socket for a unit
             force between them, under the constraints, shape (n, 3, 3).
         squares: m^-1 K [1/s^2], with K = -df/de, and what the deflections that a bushing remembers add to it at once.
-        forgetting: rate [1/s] at which these deflections fade, at most, shape (n,).
+        forgetting: rate [1/s] at which these deflections fade, at most, with the ball as fast as it gets when it is let
+            go into the rubber, shape (n,).
     """
 
     decays: Float[Array, "n 3 3"]
@@ -112,18 +113,26 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> JointA
             response = joint.model.respond(motion._replace(eccentricity=e, eccentricity_rate=rate), memory)
             return response.force, response.memory_rate
 
-        at = (distance * outward, CREEP * outward, memory)
+        place = distance * outward
         fades = bool(joint.model.memory_names) and not joint.model.detects_onsets
-        (stiffness, damping, *by_memory), slopes = jax.jacfwd(answer, (0, 1, 2) if fades else (0, 1))(*at)
+        mobility = _mobility(system, motions, constraints, masses, joint)
+        by = (0, 1, 2) if fades else (0, 1)
+        (stiffness, damping, *by_memory), slopes = jax.jacfwd(answer, by)(place, CREEP * outward, memory)
+        fastest = jnp.zeros(())
         if fades:
             stiffness = stiffness + by_memory[0] @ slopes[1]
-            forgetting.append(jnp.max(jnp.sum(jnp.abs(slopes[2]), 1)))
-        else:
-            forgetting.append(jnp.zeros(()))
-        mobility = _mobility(system, motions, constraints, masses, joint)
+            frequency = jnp.sqrt(_largest_row(mobility @ stiffness) + SMALLEST)
+            speed = safe_norm(separation) / frequency
+            fastest = _largest_row(jax.jacfwd(answer, 2)(place, speed * outward, memory)[1])
+        forgetting.append(fastest)
         decays.append(mobility @ damping)
         squares.append(mobility @ stiffness)
     return JointActions(jnp.stack(decays), jnp.stack(squares), jnp.stack(forgetting))
+
+
+def _largest_row(matrix: Float[Array, "n m"]) -> Scalar:
+    """Largest sum of magnitudes in a row: a bound of the eigenvalues."""
+    return jnp.max(jnp.sum(jnp.abs(matrix), 1))
 
 
 class PressedActions(NamedTuple):

@@ -71,7 +71,8 @@ class Bushing(AbstractSphericalModel):
         kind = "translation and rotation" if self.law.resists_rotation else "translation"
         found = [Effect(f"elastomer, {kind} ({type(self.law).__name__})", Bushing(law=self.law))]
         if self.branches is not None:
-            what = f"relaxation, {self.branches.n_branches} branches (Maxwell)"
+            n = self.branches.n_branches
+            what = f"relaxation, {n} branch{'es' if n > 1 else ''} (Maxwell)"
             found.append(Effect(what, Bushing(law=self.law, branches=self.branches)))
         if self.friction is not None:
             found.append(Effect("friction in the rubber (Berg)", self))

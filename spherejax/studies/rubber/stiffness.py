@@ -2,6 +2,7 @@
 
 import csv
 import os
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -136,7 +137,8 @@ def dynamic_stiffness(
     """Dynamic stiffness and loss angle of a bushing in steady harmonic motion, over frequency and amplitude.
 
     Of a nonlinear law the first harmonic of the force counts, as on a test stand. Branches and friction are taken in
-    closed form and the elastomer over one cycle; nothing is integrated in time. Works under `jit`, `vmap` and `grad`.
+    closed form and the elastomer over one cycle; nothing is integrated in time. Works under `jit`, `vmap` and `grad`,
+    where numbers that make no sense give NaN.
 
     Args:
         model: a bushing, or an elastomer alone.
@@ -155,10 +157,11 @@ def dynamic_stiffness(
     Raises:
         SceneError: for a model without a stiffness, numbers that make no sense, rotation that the law leaves free.
     """
-    bushing = checked(model, rotation)
+    bushing, conditions = checked(model, rotation)
     f, x = _positive("frequencies", frequencies), _positive("amplitudes", amplitudes)
-    along = unit_vector(direction)
-    return DynamicStiffness(f, x, _table(bushing, f, x, along, jnp.asarray(mean, float), rotation=rotation), rotation)
+    table = _table(bushing, f, x, unit_vector(direction), jnp.asarray(mean, float), rotation=rotation)
+    conditions = [(f > 0)[:, None] & (x > 0), *conditions]
+    return DynamicStiffness(f, x, jnp.where(reduce(jnp.logical_and, conditions), table, jnp.nan), rotation)
 
 
 def _all_stiffnesses(model: Bushing, frequencies, amplitudes, direction, mean, *, rotation: bool):
@@ -171,19 +174,19 @@ def _all_stiffnesses(model: Bushing, frequencies, amplitudes, direction, mean, *
 _table = jax.jit(_all_stiffnesses, static_argnames="rotation")
 
 
-def checked(model: Any, rotation: bool) -> Bushing:
-    """The bushing, its numbers judged."""
+def checked(model: Any, rotation: bool) -> tuple[Bushing, list]:
+    """The bushing, its numbers judged, and conditions on those that are traced."""
     bushing = Bushing(law=model) if isinstance(model, AbstractElastomer) else model
     if not isinstance(bushing, Bushing):
         raise SceneError(
             f"dynamic_stiffness: {type(model).__name__} has no dynamic stiffness; give a Bushing, or an elastomer"
         )
     enforce("dynamic_stiffness", misformed(bushing))
-    enforce("dynamic_stiffness", bushing.requirements())
+    conditions = enforce("dynamic_stiffness", bushing.requirements())
     if rotation and not bushing.law.resists_rotation:
         law = type(bushing.law).__name__
         raise SceneError(f"dynamic_stiffness: {law} leaves rotation free; leave out rotation=True, or take another law")
-    return bushing
+    return bushing, conditions
 
 
 def _positive(name: str, value: Any) -> Array:
