@@ -20,6 +20,7 @@ from .motion.programs import ArrayPathWarning
 from .motion.redundancy import ConstraintReport, constraint_report
 from .motion.simulate import simulate
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
+from .motion.spectra import SpectrumWarning
 from .motion.start import StartWarning
 from .motion.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from .motion.steps import PartingWarning
@@ -295,6 +296,7 @@ __all__ = [
     "SmoothStep",
     "SmoothTable",
     "Sommerfeld",
+    "SpectrumWarning",
     "Spherical",
     "SphericalProfile",
     "SpringDamper",

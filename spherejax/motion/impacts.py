@@ -3,7 +3,6 @@
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -14,7 +13,7 @@ from spherejax.motion.body_motions import body_motions
 from spherejax.motion.loads import joint_loads
 from spherejax.motion.quantities import magnitudes
 from spherejax.motion.steps import SHARE_WEIGHTS, SHARES, Steps, seen_at
-from spherejax.physics.joints.contact import direction_of
+from spherejax.physics.joints.contact import direction_of, sliding_velocity
 from spherejax.physics.state import unpack
 
 COLUMNS = {
@@ -56,22 +55,15 @@ def _touch_of(joint: str):
         load = joint_loads(system, motions, state.memory)[joint]
         placed = system.spherical(joint)
         motion = placed.relative_motion(motions)
-        n = direction_of(motion.eccentricity)
         model: Any = placed.model
-        ball, socket = model.surfaces.ball_radius, model.surfaces.socket_radius
-        sliding = (
-            motion.eccentricity_rate
-            + jnp.cross(motion.ball_angular_velocity, ball * n)
-            - jnp.cross(motion.socket_angular_velocity, socket * n)
-        )
         return _Touch(
             state.memory[system.memory_of(joint)][0],
             load.response.force,
             model.penetration(motion),
             load.absorbed_power,
             load.response.elastic_energy,
-            sliding - (sliding @ n) * n,
-            motion.socket_rotation.T @ n,
+            sliding_velocity(motion, model.surfaces),
+            motion.socket_rotation.T @ direction_of(motion.eccentricity),
         )
 
     return touch

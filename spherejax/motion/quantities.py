@@ -203,6 +203,11 @@ def magnitudes(system: System, t: Scalar, y: Float[Array, " size"], names: tuple
     return jnp.stack([safe_norm(value) if value.ndim else jnp.abs(value) for value in values])
 
 
+def value_at(system: System, t: Scalar, y: Float[Array, " size"], name: str) -> Array:
+    """A quantity at one state: a vector, or a number."""
+    return _at_instant(system, observe(system, t, y), y, quantity(name, system))
+
+
 def _at_instant(system: System, observation: Observation, y, what: Quantity) -> Array:
     found = _whole_at_instant(system, observation, y, what)
     return found if what.component is None else found[what.component]

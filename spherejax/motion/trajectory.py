@@ -25,6 +25,7 @@ from spherejax.motion.observables import Observation, looked_up, observe
 from spherejax.motion.programs import program_for
 from spherejax.motion.quantities import quantity
 from spherejax.motion.redundancy import ConstraintReport, report_at, singular_joints
+from spherejax.motion.spectra import spectrum
 from spherejax.motion.statistics import Statistics
 from spherejax.motion.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
 from spherejax.motion.steps import Steps, steps_of
@@ -296,6 +297,27 @@ class Trajectory(eqx.Module):
         """
         steps = self._steps
         return table_of(impacts(self.system, steps, joint, self.scalar), joint)
+
+    def spectrum(self, name: str, frequencies: Float[np.ndarray, " m"] | None = None) -> "xarray.Dataset":
+        """Amplitudes and phases of a quantity by frequency, e.g. `run.spectrum("reaction.elbow.z")`.
+
+        The steps of the run are integrated, not its samples: nothing is folded back from beyond half of a sampling
+        rate, as tones of impacts would be. The mean is taken off, and Hann's window applied, so that a tone of the
+        amplitude A shows A at its frequency, and half of that one line, 1/T, beside it. The names are those of
+        `sj.sweep`; a vector has the dimension `axis`.
+
+        Args:
+            name: of the quantity.
+            frequencies: [Hz], shape (m,); by default the first 400 multiples of 1/T, with the length T of the run.
+
+        Returns:
+            `amplitude` and `phase` [rad] by `frequency`, the mean among the attributes. The run is made once more, see
+            `impacts`.
+
+        Raises:
+            SceneError: for an unknown name, a batched or traced run, or a run that cannot be repeated.
+        """
+        return spectrum(self.system, self._steps, quantity(name, self.system).name, frequencies, self.scalar)
 
     def peak(self, name: str) -> Peak:
         """Largest magnitude of a quantity over the whole run and when, e.g. `run.peak("reaction.elbow").value` [N].
