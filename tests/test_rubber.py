@@ -157,6 +157,34 @@ def test_friction_is_berg_s_curve_from_rest_and_stiffer_for_small_amplitudes():
     assert berg_loss(1e-2) == pytest.approx(8 / 3 * 1e-2**3, rel=1e-3)  # as Berg's own loop
 
 
+def bergs_own(u, start):
+    """F/F_max at u x_2 from a turning point where it is `start`, as x rises: the published law."""
+    return start + u / (1 - start + u) * (1 - start)
+
+
+def test_how_it_differs_from_berg_s_own_law_is_as_the_docstring_says():
+    u = np.linspace(0.0, 5.0, 11)
+    assert bergs_own(u, 0.0) == pytest.approx(u / (1 + u), abs=1e-15)  # one curve from rest
+    for r, share in ((1e-3, None), (1.0, 0.41), (30.0, None)):
+        end = 0.0
+        for _ in range(2000):  # cycles until the loop is closed: the force at one end is minus that at the other
+            end = 0.5 * (end + bergs_own(2 * r, -end))
+        assert end == pytest.approx((np.sqrt(1 + 6 * r + r * r) - 1 - r) / 2, rel=1e-9)
+        if share is not None:
+            assert end == pytest.approx(share, abs=0.005)
+            assert berg_peak(r) == pytest.approx(0.62, abs=0.005)
+        if r < 0.1:
+            assert 1 - end / r == pytest.approx(2 * r, rel=0.01)
+            assert 1 - berg_peak(r) / r == pytest.approx(r * r, rel=0.01)
+            x = np.linspace(-r, r, 2001)
+            rising = bergs_own(x + r, -end)
+            loss = 2 * np.trapezoid(rising, x)  # the falling curve is the rising one turned about the origin
+            assert loss == pytest.approx(8 / 3 * r**3, rel=0.01)
+    # Its slope is that of `sj.Berg` over (1 - mu)^2.
+    slope = (bergs_own(0.3 + 1e-6, -0.5) - bergs_own(0.3 - 1e-6, -0.5)) / 2e-6
+    assert slope == pytest.approx((1 - bergs_own(0.3, -0.5)) ** 2 / 1.5**2, rel=1e-8)
+
+
 def test_free_vibration_with_friction_against_another_integrator():
     model = sj.Bushing(law=SPRING, friction=FRICTION)
     scene = cases.ball_in_socket(model, mass=MASS, velocity=(0.05, 0.03, 0.0))
@@ -436,6 +464,20 @@ def test_derivatives_of_a_run_by_stiffness_and_time():
         h = 1e-3 * at[i] * seed
         difference = (end(at - 2 * h) - 8 * end(at - h) + 8 * end(at + h) - end(at + 2 * h)) / (12e-3 * at[i])
         assert gradient[i] == pytest.approx(float(difference), rel=1e-5)
+
+
+def test_branches_are_found_in_a_record_of_creep():
+    def build(stiffness, time):
+        return pressed(sj.Bushing(law=SPRING, branches=sj.Maxwell(stiffness, time)), 30.0)
+
+    ts = np.linspace(0.0, 0.3, 61)
+    exact = linear_motion(ts, (0.0, 0.0), 30.0)[:, 0]
+    measured = {"time": ts, "position.ball.x": exact + 1e-7 * np.random.default_rng(0).standard_normal(61)}
+    start = {"stiffness": [8e4, 8e4], "time": [0.15, 0.006]}
+    fit = sj.fit(build, start, measured, noise=1e-7, progress=False)
+    assert fit.succeeded
+    assert fit.estimates["stiffness"] == pytest.approx(STIFFNESSES, rel=0.02)
+    assert fit.estimates["time"] == pytest.approx(TIMES, rel=0.02)
 
 
 # Bad input ------------------------------------------------------------------------------------------------------------

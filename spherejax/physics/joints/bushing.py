@@ -96,20 +96,26 @@ class Bushing(AbstractSphericalModel):
                 field = f"{name}.{rotational}"
                 required.append(Requirement(field, given, False, "be None for a law without moments", remedy))
         if self.branches is not None:
-            required += self._sliding_requirements("branches.stiffness", self.branches.stiffness)
+            required += self._sliding_requirements("branches.stiffness", self.branches.stiffness, 1)
         if self.friction is not None:
-            required += self._sliding_requirements("friction.limit", self.friction.limit)
+            required += self._sliding_requirements("friction.limit", self.friction.limit, 0)
         return required
 
-    def _sliding_requirements(self, field: str, value) -> list[Requirement]:
-        """Nothing along an axis on which a law by matrices leaves the joint to slide."""
+    def _sliding_requirements(self, field: str, value, n_axes: int) -> list[Requirement]:
+        """Nothing along an axis on which a law by matrices leaves the joint to slide.
+
+        Args:
+            field: name of the numbers.
+            value: of them.
+            n_axes: how many axes the array has where its numbers are alike in all directions.
+        """
         law: Any = self.law
         if not hasattr(law, "stiffness") or np.shape(law.stiffness) != (3, 3):
             return []
         given = numeric(value)
-        along = (
-            given if given.shape[-1:] == (3,) and (field == "friction.limit" or given.ndim == 2) else given[..., None]
-        )
+        along = given if given.ndim > n_axes else given[..., None]
+        if along.shape[-1] not in (1, 3):
+            return []  # the part itself says so
         free = free_directions(law.stiffness, law.damping)
         remedy = "The law lets the joint slide along that axis; give three numbers along the axes, with a zero there."
         return [Requirement(field, value, ~free | (along == 0), "be zero where the law has no stiffness", remedy)]
