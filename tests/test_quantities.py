@@ -8,6 +8,8 @@ import spherejax as sj
 from spherejax.model.system import compile_scene
 from spherejax.motion.quantities import quantity
 
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
+
 TIMES = np.linspace(0.0, 0.004, 5)
 NAMES = (
     "position.ball.z",
