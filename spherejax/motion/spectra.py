@@ -49,7 +49,25 @@ class SpectrumWarning(UserWarning):
 def spectrum(
     system: System, steps: Steps, name: str, frequencies: Float[np.ndarray, " m"] | None, scalar: bool | None
 ) -> "xarray.Dataset":
-    """See `Trajectory.spectrum`."""
+    """Amplitudes and phases of a quantity by frequency.
+
+    The steps of the run are integrated, not its samples: nothing is folded back from beyond half of a sampling rate, as
+    tones of impacts would be. The mean is taken off, and Hann's window applied, so that a tone of the amplitude A shows
+    A at its frequency, and half of that one line, 1/T, beside it.
+
+    Args:
+        system: what was run.
+        steps: of the run, which is made once more for them, see `Trajectory.impacts`.
+        name: of the quantity, as for `sj.sweep`; a vector has the dimension `axis`.
+        frequencies: [Hz], shape (m,); None: the first 400 multiples of 1/T, with the length T of the run.
+        scalar: whether the run was on scalar programs.
+
+    Returns:
+        `amplitude` and `phase` [rad] by `frequency`, the mean among the attributes.
+
+    Raises:
+        SceneError: for an unknown name or frequencies that are none.
+    """
     import xarray
 
     what = quantity(name, system)

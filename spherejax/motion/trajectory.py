@@ -299,24 +299,7 @@ class Trajectory(eqx.Module):
         return table_of(impacts(self.system, steps, joint, self.scalar), joint)
 
     def spectrum(self, name: str, frequencies: Float[np.ndarray, " m"] | None = None) -> "xarray.Dataset":
-        """Amplitudes and phases of a quantity by frequency, e.g. `run.spectrum("reaction.elbow.z")`.
-
-        The steps of the run are integrated, not its samples: nothing is folded back from beyond half of a sampling
-        rate, as tones of impacts would be. The mean is taken off, and Hann's window applied, so that a tone of the
-        amplitude A shows A at its frequency, and half of that one line, 1/T, beside it. The names are those of
-        `sj.sweep`; a vector has the dimension `axis`.
-
-        Args:
-            name: of the quantity.
-            frequencies: [Hz], shape (m,); by default the first 400 multiples of 1/T, with the length T of the run.
-
-        Returns:
-            `amplitude` and `phase` [rad] by `frequency`, the mean among the attributes. The run is made once more, see
-            `impacts`.
-
-        Raises:
-            SceneError: for an unknown name, a batched or traced run, or a run that cannot be repeated.
-        """
+        """Amplitude and phase by frequency [Hz], e.g. of "reaction.elbow.z", from all steps: see `motion.spectra`."""
         return spectrum(self.system, self._steps, quantity(name, self.system).name, frequencies, self.scalar)
 
     def peak(self, name: str) -> Peak:
