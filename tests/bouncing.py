@@ -53,9 +53,10 @@ def _rates(values, onset_rate):
         if onset_rate is None or depth <= 0:
             return [vx, vy, 0.0, 0.0, 0.0]
         normal = stiffness * depth**1.5 * max(0.0, 1 + chi * (vx * nx + vy * ny) / onset_rate)
-        friction = -mu * normal * np.tanh((vy * nx - vx * ny + spin * ball) / V1)
+        arm = ball - depth / 2  # the surfaces meet half-way
+        friction = -mu * normal * np.tanh((vy * nx - vx * ny + spin * arm) / V1)
         ax, ay = -normal * nx - friction * ny, -normal * ny + friction * nx
-        return [vx, vy, ax / mass, ay / mass, ball * friction / INERTIA]
+        return [vx, vy, ax / mass, ay / mass, arm * friction / INERTIA]
 
     return rates
 

@@ -114,12 +114,15 @@ class Case:
         build: makes the scene.
         length: a typical length of the mechanism [m].
         studied: name of the joint whose model varies, or None.
+        is_overconstrained: whether constraint equations depend on each other: off the constraints they contradict
+            each other, and what moves how then is a matter of rounding.
     """
 
     name: str
     build: Callable[[], sj.Scene]
     length: float = 0.1
     studied: str | None = "coupler_rocker"
+    is_overconstrained: bool = False
 
 
 def pendulum() -> sj.Scene:
@@ -157,7 +160,7 @@ def pushed_pair() -> sj.Scene:
 CASES = [
     *(Case(f"four_bar_{name}", lambda model=model: sj.gallery.four_bar(model)) for name, model in MODELS.items()),
     *(
-        Case(f"piston_{name}", lambda model=model: sj.gallery.piston(model), studied="pin")
+        Case(f"piston_{name}", lambda model=model: sj.gallery.piston(model), 0.1, "pin", True)
         for name, model in JOURNALS.items()
     ),
     Case("pendulum", pendulum, studied=None),

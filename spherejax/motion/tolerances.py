@@ -138,7 +138,7 @@ def _memory_scales(system: System, xp, scales: dict[str, Any], usual) -> Any:
     """What counts as one for each memory entry, by its unit."""
     units: list[str] = []
     for slot in system.memory_slots:
-        units += system.spherical(slot.joint).model.memory_units or [""] * len(slot.names)
+        units += system.joints[slot.joint].memory_units or [""] * len(slot.names)
     return xp.stack([xp.asarray(scales.get(unit, usual)) for unit in units]) if units else usual
 
 

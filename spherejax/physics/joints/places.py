@@ -75,6 +75,11 @@ class AbstractPlacedJoint(eqx.Module):
         return () if self.friction is None else self.friction.memory_names
 
     @property
+    def memory_units(self) -> tuple[str, ...]:
+        """SI units of the memory entries (static), by which their errors are judged; none: as velocities are."""
+        return ()
+
+    @property
     def never_adds_energy(self) -> bool:
         """Whether the joint only stores and dissipates, and reports all that it stores (static)."""
         return not self.is_driven and (self.friction is None or self.friction.model.never_adds_energy)

@@ -109,6 +109,11 @@ class PlacedSpherical(AbstractPlacedJoint):
         return self.model.memory_names if self.friction is None else self.friction.memory_names
 
     @property
+    def memory_units(self) -> tuple[str, ...]:
+        """Those of the model; friction of an ideal joint says none."""
+        return self.model.memory_units
+
+    @property
     def never_adds_energy(self) -> bool:
         """As the model."""
         return self.model.never_adds_energy
