@@ -150,8 +150,8 @@ def test_the_wheel_moves_as_with_an_ideal_joint(name):
 def test_the_automatic_choice_takes_few_steps():
     """Stability alone would hold an explicit method to 1e5 and 3e5 steps with friction and with a film.
 
-    Under the film the contact of a default without memory rings, 600 times a second under 20 kN, and all its periods are
-    resolved.
+    Under the film the contact of a default without memory rings, 600 times a second under 20 kN, and all its periods
+    are resolved.
     """
     limits = {"ideal": 600, "dry": 20_000, "friction": 15_000, "lubricated": 22_000, "bushing": 10_000}
     for name, n_most in limits.items():
