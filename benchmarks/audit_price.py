@@ -2,8 +2,9 @@
 
     python benchmarks/audit_price.py            # six minutes
 
-Energy, flight, constraints and quaternions are looked at at the end of every step (`spherejax.motion.audit`). There is
-no switch for it; here the function that makes it is replaced. Calls are compiled by `jax.jit`, so both are traced anew.
+Energy, flight, constraints and quaternions are looked at at the end of every step
+(`spherejax.motion.integration.audit`). There is no switch for it; here the function that makes it is replaced. Calls
+are compiled by `jax.jit`, so both are traced anew.
 Two programs that do the same differ by up to 4 % by where they come to lie in memory, so each pair is compiled five
 times: the ratio is the median of the five, with the lowest and the highest beside it.
 """
@@ -62,7 +63,7 @@ def turns(function, number):
     """Seconds with and without audit in turns, and the steps; both compiled anew."""
     with_audit, without = (jax.jit(lambda x, function=function: function(x)) for _ in range(2))
     steps = with_audit(number)[1]
-    with mock.patch("spherejax.motion.jobs.audit_of", return_value=None):
+    with mock.patch("spherejax.motion.integration.jobs.audit_of", return_value=None):
         assert np.array_equal(without(number)[1], steps)
     return np.array([[seconds(each, number) for each in (with_audit, without)] for _ in range(TURNS)]), steps
 

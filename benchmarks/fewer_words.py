@@ -22,7 +22,7 @@ def measured(with_all_words: bool) -> str:
     import numpy as np
 
     import spherejax as sj
-    from spherejax.motion import integrate
+    from spherejax.motion.integration import integrate
 
     if with_all_words:
         integrate.FEWER_WORDS.clear()

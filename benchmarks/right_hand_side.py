@@ -12,10 +12,10 @@ import jax.numpy as jnp  # noqa: E402
 
 import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene, flatten_system  # noqa: E402
-from spherejax.motion.assembly import assemble_now  # noqa: E402
-from spherejax.motion.dynamics import state_rate  # noqa: E402
-from spherejax.motion.integrate import as_ideal, initial_state  # noqa: E402
-from spherejax.motion.programs import program_for  # noqa: E402
+from spherejax.motion.equations.dynamics import state_rate  # noqa: E402
+from spherejax.motion.equations.programs import program_for  # noqa: E402
+from spherejax.motion.integration.integrate import as_ideal, initial_state  # noqa: E402
+from spherejax.motion.start.assembly import assemble_now  # noqa: E402
 
 MODELS = {
     "ideal": sj.Ideal(),

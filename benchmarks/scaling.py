@@ -18,9 +18,9 @@ import numpy as np  # noqa: E402
 
 import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene, flatten_system  # noqa: E402
-from spherejax.motion.assembly import described_state  # noqa: E402
-from spherejax.motion.dynamics import state_rate  # noqa: E402
-from spherejax.motion.programs import LARGEST_SCALAR_PROGRAM, program_for  # noqa: E402
+from spherejax.motion.equations.dynamics import state_rate  # noqa: E402
+from spherejax.motion.equations.programs import LARGEST_SCALAR_PROGRAM, program_for  # noqa: E402
+from spherejax.motion.start.assembly import described_state  # noqa: E402
 
 SIZES = (2, 5, 10, 20, 50, 100)
 LARGEST_COMPILED = 30_000

@@ -4,7 +4,8 @@
 
 Dry four-bar with friction, 0.2 s, thirty onsets, rtol 1e-8; the rocker's last position by clearance, friction
 coefficient and restitution together, each scaled by its number, against the same at an rtol of 1e-12. A factor is how
-much larger the errors of sensitivities may be than the state's (`spherejax.motion.lanes.landing.SLOPES_TOLERANCE`).
+much larger the errors of sensitivities may be than the state's
+(`spherejax.motion.integration.lanes.landing.SLOPES_TOLERANCE`).
 """
 
 import jax
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 from machine import write
 
 import spherejax as sj
-from spherejax.motion.lanes import landing
+from spherejax.motion.integration.lanes import landing
 
 TS = jnp.linspace(0.0, 0.2, 3)
 NUMBERS = jnp.array([1e-4, 0.1, 0.9])

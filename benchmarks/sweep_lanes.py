@@ -19,8 +19,8 @@ from machine import write
 from sweep_scenes import dry
 
 import spherejax as sj
-from spherejax.motion.many import many, method_for
-from spherejax.motion.widths import block_for
+from spherejax.motion.integration.widths import block_for
+from spherejax.motion.runs.many import many, method_for
 
 WIDTHS = (100, 1_000, 10_000, 100_000, 1_000_000)
 DURATION = 0.02

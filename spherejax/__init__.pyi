@@ -9,22 +9,22 @@ from .foundations.types import Unit
 from .model.drift import AbstractDriftControl, Baumgarte, NoDriftControl, PostStabilization, Projection
 from .model.scene import Scene
 from .model.system import System, compile_scene
-from .motion.assembly import Assembly
-from .motion.equilibrium import Equilibrium, equilibrium
-from .motion.impacts import Peak
-from .motion.lanes import Block
-from .motion.lanes.operation import SerialRunsWarning
-from .motion.many import Runs, simulate_many
-from .motion.modes import Mode
-from .motion.programs import ArrayPathWarning
-from .motion.redundancy import ConstraintReport, constraint_report
-from .motion.simulate import simulate
+from .motion.equations.programs import ArrayPathWarning
+from .motion.integration.lanes import Block
+from .motion.integration.lanes.operation import SerialRunsWarning
+from .motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from .motion.results.impacts import Peak
+from .motion.results.modes import Mode
+from .motion.results.spectra import SpectrumWarning
+from .motion.results.steps import PartingWarning
+from .motion.results.trajectory import Trajectory
+from .motion.runs.many import Runs, simulate_many
+from .motion.runs.simulate import simulate
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
-from .motion.spectra import SpectrumWarning
-from .motion.start import StartWarning
-from .motion.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
-from .motion.steps import PartingWarning
-from .motion.trajectory import Trajectory
+from .motion.start.assembly import Assembly
+from .motion.start.equilibrium import Equilibrium, equilibrium
+from .motion.start.redundancy import ConstraintReport, constraint_report
+from .motion.start.start_now import StartWarning
 from .output.citations import cite
 from .output.drawing import animate, draw, view
 from .physics.bodies import Body

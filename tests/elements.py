@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import spherejax as sj
-from spherejax.motion.body_motions import body_motions
+from spherejax.motion.equations.body_motions import body_motions
 from spherejax.physics.forces import power_on_bodies
 from spherejax.physics.state import unpack
 

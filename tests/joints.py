@@ -11,7 +11,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
 from spherejax.model.system import flatten_system
-from spherejax.motion.assembly import as_ideal, assemble_now
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 
 POINT = (0.1, -0.2, 0.3)
 AXIS = (1.0, 2.0, -0.5)

@@ -9,7 +9,7 @@ import pytest
 from identification import ball_in_socket
 
 import spherejax as sj
-from spherejax.motion import adjoint
+from spherejax.motion.derivatives import adjoint
 from spherejax.studies.fit import Whole, problem_of
 
 

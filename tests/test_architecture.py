@@ -10,6 +10,8 @@ import spherejax
 
 PACKAGE = Path(spherejax.__file__).parent
 ORDER = ["foundations", "physics", "model", "gallery", "motion", "files", "output", "studies", "command_line", "top"]
+ROOMS = ["equations", "start", "solvers", "integration", "derivatives", "results", "runs"]
+"""Of `motion`, in the order of a run."""
 LONGEST = 450
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -71,6 +73,22 @@ def test_imports_go_down(path):
         assert is_runtime or ORDER.index(other) <= ORDER.index(own), f"{path.name} imports upwards: {name}"
 
 
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE / "motion").parts[0]
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in FILES if folder_of(p) == "motion"], ids=lambda path: str(path.relative_to(PACKAGE))
+)
+def test_rooms_of_motion_follow_the_run(path):
+    if path == PACKAGE / "motion" / "__init__.py":
+        return
+    assert room_of(path) in ROOMS, "every file of motion/ stands in a room"
+    for name in imported(path):
+        if name.startswith("spherejax.motion."):
+            assert ROOMS.index(room_of(MODULES[name])) <= ROOMS.index(room_of(path)), f"imports upwards: {name}"
+
+
 def test_runtime_imports_nothing_of_the_package():
     assert not [name for name in imported(PACKAGE / "runtime.py") if name.startswith("spherejax")]
 
@@ -116,6 +134,6 @@ def test_files_are_short(path):
 def test_checks_can_fail(tmp_path):
     bad = tmp_path / "bad.py"
     late = "def late():\n    from spherejax.physics.bodies import Body\n"
-    bad.write_text("from spherejax.motion import simulate\nimport matplotlib.pyplot as plt\n" + late)
-    assert {"spherejax.motion.simulate", "matplotlib.pyplot", "spherejax.physics.bodies"} <= imported(bad)
+    bad.write_text("from spherejax.motion.runs import simulate\nimport matplotlib.pyplot as plt\n" + late)
+    assert {"spherejax.motion.runs.simulate", "matplotlib.pyplot", "spherejax.physics.bodies"} <= imported(bad)
     assert late_imports(bad) == {"spherejax.physics.bodies"}

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.assembly import described_state
-from spherejax.motion.audit import CHECKS, NOT_MADE, OUTSIDE, Limits, Vitals, cautions, findings, suspects
-from spherejax.motion.many import simulate_many
-from spherejax.motion.status import Status
+from spherejax.motion.integration.audit import CHECKS, NOT_MADE, OUTSIDE, Limits, Vitals, cautions, findings, suspects
+from spherejax.motion.integration.status import Status
+from spherejax.motion.runs.many import simulate_many
+from spherejax.motion.start.assembly import described_state
 
 TIMES = jnp.linspace(0.0, 0.5, 6)
 

@@ -11,7 +11,7 @@ from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.solvers.automatic import choose_solver, explicit_rate_limit
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.tolerances import component_tolerances
+from spherejax.motion.start.tolerances import component_tolerances
 
 
 def system_of(model, **options):

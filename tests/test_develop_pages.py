@@ -55,12 +55,10 @@ def test_files_and_names_on_a_page_exist(page):
 
 
 def test_a_wrong_path_or_name_is_seen():
-    right = (
-        "`motion/simulate.py::simulate` or `::checked_times`, `tests/test_laws_*.py`, `physics/laws/`, `mu`, `sj.fit`"
-    )
+    right = "`motion/runs/simulate.py::simulate`, `::simulate`, `tests/test_laws_*.py`, `physics/laws/`, `mu`, `sj.fit`"
     assert not wrong_in(right)
     assert wrong_in("`motion/simulates.py`") == ["motion/simulates.py"]
-    assert wrong_in("`motion/simulate.py::simulates`, `::no`") == ["motion/simulate.py::simulates", "::no"]
+    assert wrong_in("`motion/runs/simulate.py::simulates`, `::no`") == ["motion/runs/simulate.py::simulates", "::no"]
     assert wrong_in("`no_such_folder/`, `NOTHING.md`") == ["no_such_folder/", "NOTHING.md"]
 
 

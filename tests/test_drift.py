@@ -14,13 +14,13 @@ import pytest
 import spherejax as sj
 from spherejax import cli
 from spherejax.model.system import flatten_system
-from spherejax.motion.assembly import assemble_now
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.constraints import constraint_set, velocity_violation
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.integrate import as_ideal
-from spherejax.motion.programs import program_for
-from spherejax.motion.projection import corrected
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constraint_set, velocity_violation
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.projection import corrected
+from spherejax.motion.integration.integrate import as_ideal
+from spherejax.motion.start.assembly import assemble_now
 from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.state import unpack
 

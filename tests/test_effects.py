@@ -9,8 +9,8 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import flatten_system
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
 
 
 def program_of(scene):
@@ -165,7 +165,7 @@ def test_an_effect_adds_and_takes_nothing_from_the_others():
 
 
 def _start(system):
-    from spherejax.motion.assembly import assemble_now
-    from spherejax.motion.integrate import as_ideal
+    from spherejax.motion.integration.integrate import as_ideal
+    from spherejax.motion.start.assembly import assemble_now
 
     return assemble_now(*flatten_system(as_ideal(system)))

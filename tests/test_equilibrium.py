@@ -8,9 +8,9 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import flatten_system
-from spherejax.motion.equilibrium import rest_conditions
-from spherejax.motion.programs import program_for
-from spherejax.motion.start import start_now
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.start.equilibrium import rest_conditions
+from spherejax.motion.start.start_now import start_now
 
 
 def hanging(stiffness, x=0.0, starts_concentric=False, **options):

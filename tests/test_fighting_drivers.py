@@ -9,8 +9,8 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import CLOSING_TOLERANCE, as_ideal, assemble
-from spherejax.motion.start import known_start
+from spherejax.motion.start.assembly import CLOSING_TOLERANCE, as_ideal, assemble
+from spherejax.motion.start.start_now import known_start
 
 TS = np.linspace(0.0, 1.0, 11)
 Y = (0.0, 1.0, 0.0)

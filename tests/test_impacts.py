@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.impacts import peak_of
-from spherejax.motion.steps import SHARES, PartingWarning, steps_of
+from spherejax.motion.results.impacts import peak_of
+from spherejax.motion.results.steps import SHARES, PartingWarning, steps_of
 
 COARSE = np.array([0.0, 0.004, 0.01])
 pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # 0.5 m/s press beyond Eq. 24's range

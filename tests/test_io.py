@@ -9,7 +9,7 @@ import pytest
 import xarray
 
 import spherejax as sj
-from spherejax.motion.dataset import to_dataset
+from spherejax.motion.results.dataset import to_dataset
 from spherejax.output.io import load, save
 
 TS = jnp.linspace(0.0, 0.02, 5)

@@ -11,15 +11,15 @@ from scipy.optimize import brentq, root
 
 import spherejax as sj
 from spherejax.model.system import flatten_system
-from spherejax.motion import dynamics
-from spherejax.motion.assembly import as_ideal, assemble_now
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.constraints import constrained_accelerations, constraint_set
-from spherejax.motion.implicit import hooks_of
-from spherejax.motion.integrate import Parameters
-from spherejax.motion.loads import applied_wrenches, joint_loads
-from spherejax.motion.programs import program_for
-from spherejax.motion.quantities import quantity
+from spherejax.motion.equations import dynamics
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constrained_accelerations, constraint_set
+from spherejax.motion.equations.loads import applied_wrenches, joint_loads
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.quantities import quantity
+from spherejax.motion.integration.integrate import Parameters
+from spherejax.motion.solvers.implicit import hooks_of
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.state import unpack
 
 MU, RADIUS, G = 0.1, 0.01, 9.81

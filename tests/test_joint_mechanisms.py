@@ -12,8 +12,8 @@ from joints import assembled
 import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
 from spherejax.model.system import flatten_system
-from spherejax.motion.observables import Observation, observe
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.observables import Observation, observe
+from spherejax.motion.equations.programs import program_for
 
 # Bodies are given general velocities, and those that the joints allow are left to them.
 pytestmark = pytest.mark.filterwarnings("ignore::spherejax.StartWarning")

@@ -10,10 +10,10 @@ from joints import KINDS, pair
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import described_state
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.constraints import constraint_set
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constraint_set
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.start.assembly import described_state
 from spherejax.physics.state import unpack
 
 TIME = 0.37

@@ -22,10 +22,10 @@ from spherejax.foundations.bounded_jit import bounded_jit, found_by_jax
 from spherejax.foundations.fingerprints import known_fingerprint, value_fingerprint
 from spherejax.foundations.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion import jobs
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.lanes import landing
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration import jobs
+from spherejax.motion.integration.lanes import landing
 
 RUN = """
 import sys, jax

@@ -16,10 +16,10 @@ import spherejax as sj
 from spherejax import runtime
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.fingerprints import program_fingerprint, value_fingerprint
-from spherejax.motion.integrate import integrate
-from spherejax.motion.jobs import integrated
-from spherejax.motion.many import many, simulate_many
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import integrate
+from spherejax.motion.integration.jobs import integrated
+from spherejax.motion.runs.many import many, simulate_many
 from spherejax.studies.sweep.chunks import _program
 
 PACKAGE = Path(sj.__file__).parent

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion import known_scenes
-from spherejax.motion.known_scenes import prepared, values_of
+from spherejax.motion.runs import known_scenes
+from spherejax.motion.runs.known_scenes import prepared, values_of
 
 TS = jnp.array([0.0, 0.1, 0.2])
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.lanes.inside import extension, trees_of
-from spherejax.motion.lanes.stages import ExplicitStages
+from spherejax.motion.integration.lanes.inside import extension, trees_of
+from spherejax.motion.integration.lanes.stages import ExplicitStages
 from spherejax.runtime import _with_flags
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.many import simulate_many
+from spherejax.motion.runs.many import simulate_many
 from spherejax.physics.functions.base import room_between
 
 G = 9.81

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 import spherejax as sj
-from spherejax.motion.dynamics import state_rate
+from spherejax.motion.equations.dynamics import state_rate
 from spherejax.physics.state import State, pack
 
 ENERGY = 0.05  # exchanged between weight and motion of the four-bar [J]

@@ -160,7 +160,7 @@ def test_trajectory_offers(name):
 
 @pytest.mark.parametrize("name", ["n_steps", "n_rejected", "n_evaluations", "n_onsets"])
 def test_statistics_offer(name):
-    from spherejax.motion.trajectory import Statistics
+    from spherejax.motion.results.trajectory import Statistics
 
     assert name in Statistics.__dataclass_fields__
 

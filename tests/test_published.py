@@ -17,11 +17,11 @@ import spherejax as sj
 from spherejax import cli
 from spherejax.gallery.hip import Gait
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import as_ideal, assemble_now, described_state
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.constraints import constraint_set
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constraint_set
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.start.assembly import as_ideal, assemble_now, described_state
 from spherejax.physics.state import unpack
 
 G = 9.81

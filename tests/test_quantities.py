@@ -6,7 +6,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene
-from spherejax.motion.quantities import quantity
+from spherejax.motion.equations.quantities import quantity
 
 pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
 

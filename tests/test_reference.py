@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 import spherejax as sj
 from spherejax.model.system import flatten_system
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
 
 TIMES = np.array([0.0, 0.2, 0.5, 1.0, 2.0])
 # An exact reduction to one degree of freedom, printed digits: crank [deg], rocker z [m], z_dot [m/s], z_ddot [m/s^2].

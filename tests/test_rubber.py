@@ -427,7 +427,7 @@ def test_histories_of_rubber_can_be_drawn():
 
 
 def test_errors_of_remembered_deflections_are_judged_as_those_of_positions():
-    from spherejax.motion.tolerances import component_tolerances
+    from spherejax.motion.start.tolerances import component_tolerances
 
     system = sj.compile_scene(sj.gallery.four_bar(MODELS["six"])).system
     tolerances = component_tolerances(system, 1e-8)

@@ -16,12 +16,12 @@ from spherejax.foundations.scalar_graph import FLOAT, Graph
 from spherejax.foundations.scalar_solves import _minimum_degree_order
 from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.model.system import flatten_system
-from spherejax.motion.contacts import crossings, memory_after_step, onset_slopes, relative_motions
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.observables import observe
-from spherejax.motion.programs import program_for
-from spherejax.motion.projection import corrected
-from spherejax.motion.start import start_now
+from spherejax.motion.equations.contacts import crossings, memory_after_step, onset_slopes, relative_motions
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.observables import observe
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.projection import corrected
+from spherejax.motion.start.start_now import start_now
 
 AGREEMENT = 1e-12  # of the largest component
 SCALAR = jax.ShapeDtypeStruct((), jnp.float64)

@@ -12,13 +12,13 @@ from spherejax.foundations.block_solve import block_solve
 from spherejax.foundations.lanes import rows_at, sums_by_index
 from spherejax.model.groups import stacks_from, stacks_of
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion import programs
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.integrate import initial_state
-from spherejax.motion.paths import path_of
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations import programs
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.paths import path_of
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import initial_state
 from spherejax.motion.solvers.automatic import choose_solver
-from spherejax.motion.start import start_now
+from spherejax.motion.start.start_now import start_now
 
 AGREEMENT = 1e-12  # of the largest component
 
@@ -130,7 +130,7 @@ def test_a_run_switches_by_itself_and_says_so(monkeypatch):
     scene, ts = sj.gallery.chain(3, drift=sj.NoDriftControl()), jnp.array([0.0, 0.05])
     asked = sj.simulate(scene, ts, scalar=True)
     monkeypatch.setattr(programs, "LARGEST_SCALAR_PROGRAM", 500)
-    monkeypatch.setattr("spherejax.motion.paths.LARGEST_SCALAR_PROGRAM", 500)
+    monkeypatch.setattr("spherejax.motion.equations.paths.LARGEST_SCALAR_PROGRAM", 500)
     program_for.cache_clear()
     run = sj.simulate(scene, ts)
     program_for.cache_clear()

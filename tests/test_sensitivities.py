@@ -11,7 +11,7 @@ import reduction
 from bouncing import SCALE, VALUES
 
 import spherejax as sj
-from spherejax.motion.sensitivities import has_controlled_sensitivities
+from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
 
 IMPACTS = (1, 2, 10)
 AFTER = {1: 0.0040, 2: 0.0085, 10: 0.0600}

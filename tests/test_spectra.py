@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import quad
 
 import spherejax as sj
-from spherejax.motion.spectra import fourier, windowed
-from spherejax.motion.steps import SHARES, Steps
+from spherejax.motion.results.spectra import fourier, windowed
+from spherejax.motion.results.steps import SHARES, Steps
 
 STIFFNESS, MASS = 1e4, 0.2
 TONE = math.sqrt(STIFFNESS / MASS) / (2 * math.pi)

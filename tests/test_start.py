@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.start import start_now
+from spherejax.motion.start.start_now import start_now
 from spherejax.physics.state import unpack
 
 Z, Y = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)

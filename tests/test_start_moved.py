@@ -11,8 +11,8 @@ import spherejax as sj
 from spherejax.cli import main
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import as_ideal, assemble_now
-from spherejax.motion.start import changed_starts, known_start
+from spherejax.motion.start.assembly import as_ideal, assemble_now
+from spherejax.motion.start.start_now import changed_starts, known_start
 
 TS = np.array([0.0, 1e-3])
 PRINTED = {

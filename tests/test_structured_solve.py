@@ -9,11 +9,11 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import assemble_now
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.implicit import hooks_of, with_structure
-from spherejax.motion.integrate import Parameters, as_ideal
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import Parameters, as_ideal
+from spherejax.motion.solvers.implicit import hooks_of, with_structure
+from spherejax.motion.start.assembly import assemble_now
 
 MODELS = {
     "ideal": sj.Ideal(),

@@ -17,7 +17,7 @@ from spherejax import cli
 from spherejax.command_line.figures import figures_of
 from spherejax.command_line.scenes import chosen
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.longest_step import longest_step
+from spherejax.motion.integration.longest_step import longest_step
 from spherejax.studies.compare import compare
 from spherejax.studies.subject import Length
 from spherejax.studies.subjects.suspension import SUSPENSION, differences

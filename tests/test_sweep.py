@@ -17,9 +17,9 @@ import zarr
 from sweeping import elastic, hanging, pendulum
 
 import spherejax as sj
-from spherejax.motion.lanes import Block
-from spherejax.motion.many import simulate_many
-from spherejax.motion.status import Status
+from spherejax.motion.integration.lanes import Block
+from spherejax.motion.integration.status import Status
+from spherejax.motion.runs.many import simulate_many
 from spherejax.output.io import load, save
 from spherejax.studies.sweep.grids import product, random_samples, sobol_samples, zipped
 

@@ -7,7 +7,7 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.cli import main
-from spherejax.motion.status import Status
+from spherejax.motion.integration.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
 from spherejax.studies.sweep import product, sobol_samples, zipped
 from spherejax.studies.sweep.dataset import COUNTED, Account, Column, coordinates_of, dataset_of

@@ -12,8 +12,8 @@ import pytest
 from sweeping import elastic, hanging, pendulum
 
 import spherejax as sj
-from spherejax.motion.lanes import Block
-from spherejax.motion.many import simulate_many
+from spherejax.motion.integration.lanes import Block
+from spherejax.motion.runs.many import simulate_many
 
 TS = np.linspace(0.0, 0.05, 3)
 GRID = {"clearance": np.array([0.8e-4, 1.0e-4, 1.2e-4]), "mu": np.array([0.05, 0.1])}

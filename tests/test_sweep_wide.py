@@ -8,10 +8,10 @@ import pytest
 from sweeping import pendulum
 
 import spherejax as sj
-from spherejax.motion import widths
-from spherejax.motion.lanes import Block
-from spherejax.motion.many import many, method_for, simulate_many
-from spherejax.motion.status import Status
+from spherejax.motion.integration import widths
+from spherejax.motion.integration.lanes import Block
+from spherejax.motion.integration.status import Status
+from spherejax.motion.runs.many import many, method_for, simulate_many
 from spherejax.studies.sweep.run import LARGEST_SAMPLES, _chunk_size
 
 TS = np.array([0.0, 0.5])

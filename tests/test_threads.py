@@ -18,8 +18,8 @@ from sweeping import hanging, pendulum
 
 import spherejax as sj
 from spherejax.files import robot
-from spherejax.motion.many import many, method_for
-from spherejax.motion.widths import block_for
+from spherejax.motion.integration.widths import block_for
+from spherejax.motion.runs.many import many, method_for
 from spherejax.runtime import interrupts_kept
 
 TS = jnp.linspace(0.0, 0.1, 3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.lanes.landing import _bend
-from spherejax.motion.lanes.stages import own_time
-from spherejax.motion.status import Status
+from spherejax.motion.integration.lanes.landing import _bend
+from spherejax.motion.integration.lanes.stages import own_time
+from spherejax.motion.integration.status import Status
 
 TS = jnp.linspace(0.0, 0.03, 4)
 """Through three contacts of the dry four-bar."""

@@ -11,11 +11,11 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.implicit import hooks_of, inexact_hooks_of, with_structure
-from spherejax.motion.integrate import Parameters
-from spherejax.motion.low_rank import inexact_product, solve_inexact_stage
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import Parameters
+from spherejax.motion.solvers.implicit import hooks_of, inexact_hooks_of, with_structure
+from spherejax.motion.solvers.low_rank import inexact_product, solve_inexact_stage
 from spherejax.motion.solvers.rosenbrock_tableaus import ROS34PW2
 
 Y0 = np.array([1.0, 0.5])

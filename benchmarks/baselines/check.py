@@ -15,7 +15,7 @@ from baselines import parameters as at
 from baselines.equations import rate_function
 from baselines.parameters import N_STATE, problem
 from spherejax.model.system import compile_scene
-from spherejax.motion.dynamics import state_rate
+from spherejax.motion.equations.dynamics import state_rate
 
 MODELS = {
     "ideal": sj.Ideal(),

@@ -98,7 +98,7 @@ def print_comparison(comparison: Comparison) -> None:
 def _write(comparison: Comparison, folder: Path, report) -> list[str]:
     """Table, netCDF files and figures; returns the figures' names."""
     from spherejax.command_line.figures import figures_of
-    from spherejax.motion.dataset import to_dataset
+    from spherejax.motion.results.dataset import to_dataset
     from spherejax.output.io import save
 
     _write_table(comparison.rows, folder / "table.csv")

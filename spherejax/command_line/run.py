@@ -76,7 +76,7 @@ def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
     import jax
 
-    from spherejax.motion.quantities import quantity
+    from spherejax.motion.equations.quantities import quantity
     from spherejax.output.io import save, writable
 
     found = chosen(options)
@@ -165,7 +165,7 @@ def _with_contact(studied: str | None, contacts: tuple[str, ...]) -> str:
 
 
 def _peaks(run: sj.Trajectory, names: list[str]) -> list[tuple[str, str]]:
-    from spherejax.motion.quantities import quantity
+    from spherejax.motion.equations.quantities import quantity
 
     system, found = run.system, []
     for name in names:

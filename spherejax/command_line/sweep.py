@@ -222,7 +222,7 @@ def _print(found: Chosen, options: argparse.Namespace, names: dict[str, str], re
 
 def _print_failures(result) -> None:
     """Why runs failed, for which values, and what to do."""
-    from spherejax.motion.status import REMEDIES, Status
+    from spherejax.motion.integration.status import REMEDIES, Status
 
     status = result["status"]
     rows, remedies = [], []

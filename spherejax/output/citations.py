@@ -10,8 +10,8 @@ import equinox as eqx
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.solvers import rosenbrock
-from spherejax.motion.trajectory import Trajectory
 
 
 class Work(NamedTuple):

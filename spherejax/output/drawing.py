@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spherejax.model.scene import Scene
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.dataset import to_dataset
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.dataset import to_dataset
+from spherejax.motion.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import xarray

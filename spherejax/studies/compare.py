@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.model.scene import Scene
-from spherejax.motion.simulate import simulate
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.simulate import simulate
 from spherejax.output.plot.curves import Curves, curves_of
 from spherejax.physics.joints import Ideal
 from spherejax.studies.cases import Case, LimitStudy, Study

@@ -10,10 +10,10 @@ import numpy as np
 
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.assembly import assemble_now
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.integrate import as_ideal, initial_state
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import as_ideal, initial_state
+from spherejax.motion.start.assembly import assemble_now
 from spherejax.physics.joints import AbstractSphericalModel, Ideal
 
 _REPEATS = 5

@@ -13,7 +13,7 @@ import diffrax
 import numpy as np
 
 from spherejax.model.scene import Scene
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.physics.joints import AbstractSphericalModel
 from spherejax.physics.laws import AbstractFilm

@@ -11,7 +11,7 @@ from spherejax.motion.solvers.force_rates import force_rates
 from spherejax.motion.solvers.friction_rates import friction_rates
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
-from spherejax.motion.tolerances import time_scale
+from spherejax.motion.start.tolerances import time_scale
 from spherejax.physics.joints import Bushing, Lubricated
 
 STABILITY_BOUND = 6.0

@@ -17,9 +17,9 @@ from spherejax.foundations.checks import concretely
 from spherejax.foundations.rotation import quaternion_rate
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.constraints import constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constraint_set, inverse_masses, solve_augmented
+from spherejax.motion.equations.programs import program_for
 from spherejax.physics.state import VELOCITY_SIZE, unpack
 
 N_PRODUCTS = 12

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import concretely
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.dynamics import state_rate
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.force_rates import Rates
-from spherejax.motion.tolerances import length_scale, time_scale
+from spherejax.motion.start.tolerances import length_scale, time_scale
 from spherejax.physics.state import VELOCITY_SIZE
 
 LARGEST_MATRIX = 200

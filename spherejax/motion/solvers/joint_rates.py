@@ -11,10 +11,16 @@ from jaxtyping import Array, Float
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.system import Structure, System
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.constraints import ConstraintSet, assembly_set, constraint_set, inverse_masses, solve_augmented
-from spherejax.motion.loads import applied_wrenches, by_body
-from spherejax.motion.programs import program_for
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import (
+    ConstraintSet,
+    assembly_set,
+    constraint_set,
+    inverse_masses,
+    solve_augmented,
+)
+from spherejax.motion.equations.loads import applied_wrenches, by_body
+from spherejax.motion.equations.programs import program_for
 from spherejax.physics.joints import PlacedSpherical
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.state import VELOCITY_SIZE, unpack

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.physics.bodies import GROUND
 
 

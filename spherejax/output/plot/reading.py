@@ -14,9 +14,9 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.assembly import assemble_now
-from spherejax.motion.integrate import as_ideal
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.integration.integrate import as_ideal
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.start.assembly import assemble_now
 from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism
 from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.joints import Circle

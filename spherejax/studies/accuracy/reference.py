@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.status import Status
+from spherejax.motion.integration.status import Status
 from spherejax.studies.accuracy.runs import Program
 from spherejax.studies.accuracy.samples import Samples, distances, errors, samples_of, scales, statistics
 

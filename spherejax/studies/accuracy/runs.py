@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.simulate import NO_LIMIT, simulate
-from spherejax.motion.statistics import Statistics
+from spherejax.motion.integration.statistics import Statistics
+from spherejax.motion.runs.simulate import NO_LIMIT, simulate
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
 PROBE_STEPS = 400

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 
 UNITS: Mapping[str, str] = {
     "position": "m",

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
+from spherejax.motion.integration.status import Status
+from spherejax.motion.integration.status import diagnosis as told_by_status
 from spherejax.motion.solvers.automatic import choose_solver
-from spherejax.motion.status import Status
-from spherejax.motion.status import diagnosis as told_by_status
 from spherejax.runtime import require_float64
 from spherejax.studies.accuracy.reference import METHODS, STIFF_METHODS, TIGHTEST, Reference, make_reference
 from spherejax.studies.accuracy.result import Row, WorkPrecision

@@ -17,7 +17,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.system import System
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.design.peaks import magnitudes, smooth_peak
 from spherejax.studies.fit.observables import Observable, observable
 

@@ -14,9 +14,9 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times, simulate
-from spherejax.motion.status import Status, diagnosis
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.integration.status import Status, diagnosis
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, simulate
 from spherejax.runtime import require_float64
 from spherejax.studies.design.measures import Function, Measure, measure
 from spherejax.studies.fit.parameters import Unknowns, unknowns_from

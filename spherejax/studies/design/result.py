@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.design.constrained import Constrained, Search, corrections
 from spherejax.studies.design.problem import DesignProblem, Evaluation
 

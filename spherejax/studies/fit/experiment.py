@@ -19,22 +19,22 @@ from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.adjoint import KeptRun, gradients, kept_run
-from spherejax.motion.assembly import Assembly
-from spherejax.motion.integrate import Options, Outcome, Plan
-from spherejax.motion.jobs import run_of
-from spherejax.motion.known_scenes import split
-from spherejax.motion.many import Build, built
-from spherejax.motion.paths import path_of
-from spherejax.motion.sensitivities import integrate_along
-from spherejax.motion.simulate import choice_for, tolerances_of
+from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
+from spherejax.motion.derivatives.sensitivities import integrate_along
+from spherejax.motion.equations.paths import path_of
+from spherejax.motion.integration.integrate import Options, Outcome, Plan
+from spherejax.motion.integration.jobs import run_of
+from spherejax.motion.integration.statistics import Statistics
+from spherejax.motion.integration.status import Status, diagnosis
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.known_scenes import split
+from spherejax.motion.runs.many import Build, built
+from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.start import start_now
-from spherejax.motion.statistics import Statistics
-from spherejax.motion.status import Status, diagnosis
-from spherejax.motion.tolerances import controller_for
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.start.assembly import Assembly
+from spherejax.motion.start.start_now import start_now
+from spherejax.motion.start.tolerances import controller_for
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
 from spherejax.studies.fit.parameters import Unknowns

@@ -9,7 +9,7 @@ import diffrax
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.many import Build
+from spherejax.motion.runs.many import Build
 from spherejax.runtime import interrupts_kept
 from spherejax.studies.fit.columns import tables_of, widths_of
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.many import Build
-from spherejax.motion.times import seconds_of
+from spherejax.motion.runs.many import Build
+from spherejax.motion.runs.times import seconds_of
 
 Function = Callable[[Any], Any]
 """From a `Trajectory` to an array with a leading axis of samples."""
@@ -21,9 +21,9 @@ class Measured:
     Attributes:
         ts: instants [s], increasing, shape (n,).
         values: measured values by observable, shape (n,) or (n, components), in SI units; NaN where nothing was
-            measured. Observables are named as in `spherejax.motion.quantities`, e.g. `"velocity.rocker"` (three
-            components) or `"position.rocker.z"` (one of them), results of force elements as `"shock.length"`, and
-            `functions` by their own names.
+            measured. Observables are named as in `spherejax.motion.equations.quantities`, e.g. `"velocity.rocker"`
+            (three components) or `"position.rocker.z"` (one of them), results of force elements as `"shock.length"`,
+            and `functions` by their own names.
         noise: standard deviation of the errors in the units of the values, a number for all observables, or numbers
             (or arrays, for each value) by observable; None: what the fit is told.
         build: from parameters to the scene of this experiment; None: what the fit is told.

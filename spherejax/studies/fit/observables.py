@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System
-from spherejax.motion.quantities import Quantity, quantity
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.equations.quantities import Quantity, quantity
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.fit.measured import Function
 
 

@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Scalar
-from spherejax.motion.many import Build
-from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances
-from spherejax.motion.status import Status, diagnosis
+from spherejax.motion.integration.status import Status, diagnosis
+from spherejax.motion.runs.many import Build
+from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances
 from spherejax.runtime import require_float64
 from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Integration, Prediction, experiment_of
 from spherejax.studies.fit.measured import Measured

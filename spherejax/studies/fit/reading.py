@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
+from spherejax.motion.equations.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 from spherejax.output.io import load
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.table import read_table

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.many import built
-from spherejax.motion.simulate import simulate
-from spherejax.motion.status import SimulationError
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.integration.status import SimulationError
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.many import built
+from spherejax.motion.runs.simulate import simulate
 from spherejax.studies.fit.columns import columns_of, tables_of
 from spherejax.studies.fit.dataset import to_dataset
 from spherejax.studies.fit.figures import figures_of

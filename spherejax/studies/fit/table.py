@@ -19,7 +19,7 @@ import numpy as np
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, factor_of
 from spherejax.foundations.errors import SceneError, one_of
-from spherejax.motion.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
+from spherejax.motion.equations.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 
 MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}
 TIMES = {"time", "t"}

@@ -14,20 +14,20 @@ from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.assembly import Assembly
-from spherejax.motion.integrate import Options, Plan
-from spherejax.motion.known_scenes import split
-from spherejax.motion.many import built
-from spherejax.motion.paths import path_of
-from spherejax.motion.sensitivities import has_controlled_sensitivities, integrate_along
-from spherejax.motion.sensitivity_rows import scales_of
-from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
+from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
+from spherejax.motion.equations.paths import path_of
+from spherejax.motion.integration.integrate import Options, Plan
+from spherejax.motion.integration.sensitivity_rows import scales_of
+from spherejax.motion.integration.statistics import Statistics
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.known_scenes import split
+from spherejax.motion.runs.many import built
+from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.start import start_now
-from spherejax.motion.statistics import Statistics
-from spherejax.motion.tolerances import controller_for
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.start.assembly import Assembly
+from spherejax.motion.start.start_now import start_now
+from spherejax.motion.start.tolerances import controller_for
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
 

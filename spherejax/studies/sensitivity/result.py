@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.motion.dataset import AXES, COMPONENTS
+from spherejax.motion.results.dataset import AXES, COMPONENTS
 
 if TYPE_CHECKING:
     import xarray

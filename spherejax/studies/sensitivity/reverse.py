@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.motion.adjoint import gradients, kept_run
-from spherejax.motion.sensitivity_rows import scales_of
-from spherejax.motion.status import Status
+from spherejax.motion.derivatives.adjoint import gradients, kept_run
+from spherejax.motion.integration.sensitivity_rows import scales_of
+from spherejax.motion.integration.status import Status
 from spherejax.studies.sensitivity.forward import (
     Found,
     Method,

@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, compile_scene
-from spherejax.motion.many import Build, built
-from spherejax.motion.simulate import checked_times
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.many import Build, built
+from spherejax.motion.runs.simulate import checked_times
 from spherejax.studies.fit.observables import Observable, labels_of, observable
 from spherejax.studies.sensitivity.forward import Method, forward
 from spherejax.studies.sensitivity.result import Column, Sensitivities

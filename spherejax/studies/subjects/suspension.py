@@ -7,7 +7,7 @@ import diffrax
 import numpy as np
 
 from spherejax.gallery import suspension
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.studies.cases import CLEARANCE, five_models
 from spherejax.studies.subject import Column, Comparison, Length, Subject, TableOf

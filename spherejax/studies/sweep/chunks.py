@@ -19,11 +19,11 @@ from jaxtyping import Float
 from spherejax.files.code import modules_in, run_again
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.audit import cautions
-from spherejax.motion.known_builds import Build
-from spherejax.motion.many import many
-from spherejax.motion.one_of_many import Method
-from spherejax.motion.status import Status
+from spherejax.motion.integration.audit import cautions
+from spherejax.motion.integration.status import Status
+from spherejax.motion.runs.known_builds import Build
+from spherejax.motion.runs.many import many
+from spherejax.motion.runs.one_of_many import Method
 from spherejax.studies.sweep.records import Record
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.motion.dataset import AXES, COMPONENTS
-from spherejax.motion.status import REMEDIES, Status
+from spherejax.motion.integration.status import REMEDIES, Status
+from spherejax.motion.results.dataset import AXES, COMPONENTS
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import PARAMETER, Record
 

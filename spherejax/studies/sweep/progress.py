@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.foundations.terminals import console, is_notebook
-from spherejax.motion.status import Status
+from spherejax.motion.integration.status import Status
 from spherejax.studies.sweep.chunks import ChunkResult
 
 

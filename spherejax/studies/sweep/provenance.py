@@ -10,9 +10,9 @@ import numpy as np
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.known_builds import Build, built
-from spherejax.motion.one_of_many import Method
-from spherejax.motion.widths import platform_of_runs
+from spherejax.motion.integration.widths import platform_of_runs
+from spherejax.motion.runs.known_builds import Build, built
+from spherejax.motion.runs.one_of_many import Method
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Record
 from spherejax.studies.sweep.store import times_fingerprint

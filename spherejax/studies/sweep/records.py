@@ -21,11 +21,11 @@ from jaxtyping import Array
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System
-from spherejax.motion.known_builds import Known
-from spherejax.motion.many import Runs
-from spherejax.motion.many_sensitivities import RunSlopes
-from spherejax.motion.quantities import Quantity, quantity
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.equations.quantities import Quantity, quantity
+from spherejax.motion.results.many_sensitivities import RunSlopes
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.known_builds import Known
+from spherejax.motion.runs.many import Runs
 
 Kind = Literal["samples", "final", "peak", "onsets", "time_in_contact", "function", "sensitivity"]
 Wanted = Sequence[str] | Mapping[str, Any] | Sequence[Any]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.status import OutOfRangeWarning
+from spherejax.motion.integration.status import OutOfRangeWarning
 from spherejax.studies.sweep.chunks import ChunkResult, Rows, Work, shapes_of
 from spherejax.studies.sweep.dataset import COUNTED, Account, columns_of, coordinates_of, dataset_of
 from spherejax.studies.sweep.grids import Grid

@@ -13,11 +13,11 @@ from jaxtyping import Array, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import compile_scene
-from spherejax.motion.known_builds import Build, known_build
-from spherejax.motion.lanes import Block
-from spherejax.motion.many import method_for, warn_of_starts, with_sensitivities
-from spherejax.motion.simulate import ENOUGH_STEPS, check_tolerances, checked_times
-from spherejax.motion.widths import ON_CPU, block_for
+from spherejax.motion.integration.lanes import Block
+from spherejax.motion.integration.widths import ON_CPU, block_for
+from spherejax.motion.runs.known_builds import Build, known_build
+from spherejax.motion.runs.many import method_for, warn_of_starts, with_sensitivities
+from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import Work
 from spherejax.studies.sweep.crew import crew_for, default_workers, work_off

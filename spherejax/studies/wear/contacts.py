@@ -17,9 +17,9 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.model.system import System
-from spherejax.motion.body_motions import body_motions
-from spherejax.motion.loads import joint_loads
-from spherejax.motion.steps import SHARE_WEIGHTS, SHARES, Steps, seen_at
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.loads import joint_loads
+from spherejax.motion.results.steps import SHARE_WEIGHTS, SHARES, Steps, seen_at
 from spherejax.physics.joints.contact import direction_of
 from spherejax.physics.laws.wear import WearContact, foundation_depth, matched_stiffness
 from spherejax.physics.state import unpack

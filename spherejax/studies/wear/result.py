@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
-from spherejax.motion.dataset import AXES
+from spherejax.motion.results.dataset import AXES
 from spherejax.studies.wear.cycles import Worn
 from spherejax.studies.wear.sphere import cell_solid_angle, centers, sampled
 

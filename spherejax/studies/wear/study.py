@@ -9,8 +9,8 @@ import numpy as np
 from spherejax.foundations.checks import enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.legal import non_negative, positive
-from spherejax.motion.status import SimulationError
-from spherejax.motion.trajectory import Trajectory
+from spherejax.motion.integration.status import SimulationError
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.wear.contacts import CREEPING, Contacts, contacts_of
 from spherejax.studies.wear.cycles import Rate, over_cycles
 from spherejax.studies.wear.deposit import Joint, Maps, Told, rubbed

@@ -1,0 +1,310 @@
+"""Derivatives of a run in reverse: back along the steps that it kept, for any count of parameters at one price.
+
+What an adaptive integrator did is not to be differentiated: its rejected steps and its choice of steps have derivatives
+without bound or meaning. The run is therefore made first, and the states y_n at the ends of its kept steps are stored.
+Then the derivatives lambda_n of a number by y_n follow one from the other, from the last to the first,
+
+    lambda_n = (dy_n+1/dy_n)^T lambda_n+1 + sum over samples in the step of (dy_s/dy_n)^T dnumber/dy_s,
+
+and those by the parameters are summed beside them. Nothing has to be integrated again, so that growing errors of a
+second run cannot miss an impact that the first one had. A sample within a step counts as the end of a shorter step
+from the same start.
+
+This is the transpose of what `sensitivities` does in forward mode. The run carries one sensitivity along, by a random
+mixture of all parameters, whose error is controlled: the steps are then short enough for derivatives, behind contact
+onsets as well (see `sensitivity_rows`). At an onset the state jumps by its delay, as there, and steps of stiff methods
+are those of Ros34PW2 with its matrix held fixed (see `implicit_rows`).
+
+It costs about as much as two or three sensitivities in forward mode. Limit: the errors of the derivatives are
+controlled along the mixture, not one by one.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.types import Flag
+from spherejax.model.system import example_of
+from spherejax.motion.derivatives.sensitivities import integrate_rows, start_of_rows
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import Program, program_for
+from spherejax.motion.integration.implicit_rows import solver_with_fixed_matrix
+from spherejax.motion.integration.integrate import (
+    Options,
+    Parameters,
+    Plan,
+    contacts_of,
+    correction_for,
+    parameters_from,
+)
+from spherejax.motion.integration.sensitivity_rows import delay_weights, linearized
+from spherejax.motion.integration.status import Status
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, Ros34PW2
+from spherejax.motion.start.assembly import Assembly
+
+FIRST_ROOM, MORE_ROOM = 4096, 16
+"""Steps that there is room for at first, and the factor by which the room grows until it suffices."""
+
+
+class KeptRun(NamedTuple):
+    """A run with the steps that it kept.
+
+    Attributes:
+        ys: flat states at the sample times; NaN where a failed run did not reach a sample.
+        t0: start of the motion [s].
+        ends: ends of the kept steps [s]; infinite behind the last one.
+        states: flat states at the start and at these ends.
+        start_slopes: derivatives of the first state along the directions.
+        assembly: how the start was made consistent.
+        status: integer of `Status`.
+        t_reached: time reached [s].
+        n_steps: steps tried.
+    """
+
+    ys: Float[Array, "n size"]
+    t0: Float[Array, ""]
+    ends: Float[Array, " room"]
+    states: Float[Array, "room+1 size"]
+    start_slopes: Float[Array, "k size"]
+    assembly: Assembly
+    status: Int[Array, ""]
+    t_reached: Float[Array, ""]
+    n_steps: Int[Array, ""]
+
+
+def kept_run(
+    plan: Plan,
+    options: Options,
+    values: Float[Array, " p"],
+    directions: Float[Array, "k p"],
+    known: Float[Array, " n_numbers"],
+    ts: Float[Array, " n"],
+    start: Assembly | None,
+    values_are_legal: Flag,
+) -> KeptRun:
+    """Make a run, and keep its steps; arguments as for `integrate_along`. Computed now."""
+    room = min(FIRST_ROOM, options.max_steps)
+    while True:
+        limited = Options(_differentiable(options.solver), options.controller, diffrax.ForwardMode(), room)
+        run = _kept_run(plan, limited, values, directions, known, ts, start, values_are_legal)
+        if int(run.status) != Status.TOO_MANY_STEPS or room == options.max_steps:
+            return run
+        room = min(MORE_ROOM * room, options.max_steps)
+
+
+def gradients(
+    plan: Plan,
+    options: Options,
+    values: Float[Array, " p"],
+    known: Float[Array, " n_numbers"],
+    ts: Float[Array, " n"],
+    run: KeptRun,
+    by_ys: Float[Array, "n size"],
+) -> tuple[Float[Array, " p"], Float[Array, " size"]]:
+    """The derivatives of a number by the traced numbers and by the first state, from those by the sampled states.
+
+    Args:
+        plan, options, values, known, ts: as for `kept_run`.
+        run: a run that has succeeded.
+        by_ys: derivatives of the number by the states at the samples.
+    """
+    legs = _legs_of(float(run.t0), np.asarray(run.ends), np.asarray(ts), np.any(np.asarray(by_ys) != 0, 1))
+    return _gradients(plan, _differentiable(options.solver), values, known, run.states, legs, by_ys)
+
+
+def _differentiable(solver: Any) -> diffrax.AbstractSolver:
+    """The method of a run whose steps are to be differentiated; for one that has no explicit stages, Ros34PW2."""
+    is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
+    return solver if is_explicit or isinstance(solver, AbstractRosenbrock) else Ros34PW2()
+
+
+@bounded_jit(what="a run that keeps its steps")
+def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal) -> KeptRun:
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
+    mixture = _mixture(directions.shape[0])
+
+    found = integrate_rows(
+        plan,
+        options,
+        linearized(partial(parameters_from, plan, rate, known), values, mixture @ directions),
+        jnp.concatenate([began.y0[None], mixture @ began.slopes]),
+        ts,
+        began,
+        (diffrax.SubSaveAt(steps=True, fn=lambda t, rows, args: rows[0]),),
+    )
+    ends, states = found.also_saved[0]
+    states = jnp.concatenate([began.y0[None], states])
+    return KeptRun(
+        found.rows[:, 0], ts[0], ends, states, began.slopes, began.assembly, found.status, found.t_reached,
+        found.n_steps,
+    )  # fmt: skip
+
+
+def _mixture(n_directions: int) -> Float[np.ndarray, "1 k"]:
+    """The direction whose sensitivity is carried along: all directions with random signs, of the size of one."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (1, n_directions))
+    return signs / np.sqrt(n_directions)
+
+
+# Backward -----------------------------------------------------------------------------------------------------------
+
+
+class _Legs(NamedTuple):
+    """Stretches from the start of a kept step to its end or to a sample within it, in the order of time.
+
+    Attributes:
+        t: starts [s].
+        t_next: ends [s].
+        state: number of the state at the start.
+        sample: number of the sample at the end; -1 for the end of the step.
+        n: how many there are; the rest fills up.
+    """
+
+    t: Float[np.ndarray, " m"]
+    t_next: Float[np.ndarray, " m"]
+    state: Int[np.ndarray, " m"]
+    sample: Int[np.ndarray, " m"]
+    n: Int[np.ndarray, ""]
+
+
+def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray) -> _Legs:
+    """The legs up to the last sample that is needed; samples lie behind those steps' starts, the first one on it."""
+    starts = np.concatenate([[t0], ends])
+    samples = np.flatnonzero(is_needed)
+    steps_of_samples = np.searchsorted(ends, ts[samples], side="left")
+    steps = np.arange(steps_of_samples.max(initial=0))
+    state = np.concatenate([steps_of_samples, steps])
+    t_next = np.concatenate([ts[samples], ends[steps]])
+    sample = np.concatenate([samples, np.full(steps.size, -1)])
+    order = np.lexsort((sample < 0, state))
+    room = ends.size + ts.size
+
+    def filled(array):
+        return np.concatenate([array[order], np.zeros(room - order.size, array.dtype)])
+
+    return _Legs(filled(starts[state]), filled(t_next), filled(state), filled(sample), np.asarray(order.size))
+
+
+@bounded_jit(what="the gradient of a run")
+def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    step, event = _step_of(plan, solver, rate), _event_of(plan, rate)
+
+    parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
+
+    def back(turn, found):
+        by_parameters, by_state = found
+        i = legs.n - 1 - turn
+        t, t_next, number, sample = legs.t[i], legs.t_next[i], legs.state[i], legs.sample[i]
+        is_step = sample < 0
+        y, y_next = states[number], states[number + 1]
+
+        def end_of_leg(parameters, y):
+            end = step(parameters, t, t_next, y)
+            return end if event is None else event(parameters, t_next, y, end, y_next, is_step)
+
+        _, transposed = jax.vjp(end_of_leg, parameters, y)
+        more, before = transposed(jnp.where(is_step, by_state, by_ys[jnp.maximum(sample, 0)]))
+        by_parameters = jax.tree.map(jnp.add, by_parameters, more)
+        return by_parameters, jnp.where(is_step, before, by_state + before)
+
+    nothing = jax.tree.map(jnp.zeros_like, parameters), jnp.zeros_like(states[0])
+    by_parameters, by_start = jax.lax.fori_loop(0, legs.n, back, nothing)
+    return to_values(by_parameters)[0], by_start
+
+
+def _step_of(plan: Plan, solver: Any, rate: Program) -> Callable:
+    """The state at the end of a step from t to t_next, with the drift control's correction; differentiable."""
+    correct = correction_for(plan)
+    by_solver = _rosenbrock_step if isinstance(solver, AbstractRosenbrock) else _explicit_step
+    of_state = by_solver(plan, solver, rate)
+
+    def step(parameters: Parameters, t, t_next, y):
+        y = of_state(parameters, t, t_next, y)
+        return y if correct is None else correct(parameters, t_next, y)
+
+    return step
+
+
+def _evaluated_again(rate: Program) -> Callable:
+    """The right-hand side as a function of (t, y, parameters): on the way back evaluated again, not remembered."""
+
+    @partial(jax.checkpoint, prevent_cse=False)
+    def evaluated(t, y, parameters):
+        return rate.inside(parameters.theta, parameters.ahead, t, y)
+
+    return evaluated
+
+
+def _explicit_step(plan: Plan, solver: Any, rate: Program) -> Callable:
+    del plan
+    A, c, b = (jnp.asarray(each) for each in _tableau_of(solver.tableau))
+
+    at_stage = _evaluated_again(rate)
+
+    def step(parameters: Parameters, t, t_next, y):
+        h = t_next - t
+
+        def with_stage(k, row):
+            i, a_i, c_i = row
+            f = at_stage(t + c_i * h, y + h * jnp.sum(a_i[:, None] * k, 0), parameters)
+            return jax.lax.dynamic_update_index_in_dim(k, f, i, 0), None
+
+        k, _ = jax.lax.scan(with_stage, jnp.zeros((b.size, y.size)), (jnp.arange(b.size), A, c))
+        return y + h * jnp.sum(b[:, None] * k, 0)
+
+    return step
+
+
+def _tableau_of(tableau: diffrax.ButcherTableau) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients, instants and weights of the stages up to the last one with a weight."""
+    b = np.asarray(tableau.b_sol)
+    n = 1 + int(np.flatnonzero(b)[-1])
+    A = np.zeros((len(b), len(b)))
+    for i, row in enumerate(tableau.a_lower, start=1):
+        A[i, :i] = row
+    return A[:n, :n], np.concatenate([[0.0], tableau.c])[:n], b[:n]
+
+
+def _rosenbrock_step(plan: Plan, solver: Any, rate: Program) -> Callable:
+    own = solver_with_fixed_matrix(solver, plan.structure, rate)
+    term = diffrax.ODETerm(_evaluated_again(rate))
+
+    def step(parameters: Parameters, t, t_next, y):
+        return own.step(term, t, t_next, y, parameters, None, jnp.array(False))[0]
+
+    return step
+
+
+def _event_of(plan: Plan, rate: Program) -> Callable | None:
+    """What contact onsets and releases at the end of a step do to the state there; None without contacts."""
+    contacts = contacts_of(plan.structure, plan.scalar)
+    if contacts is None or not contacts.onset_entries:
+        return None
+    n_motion = example_of(plan.structure).layout.memory_start
+
+    def event(parameters: Parameters, t, y, end, y_next, is_step):
+        def changed(parameters, y, end):
+            # The motion that the run had itself there, so that it is on the same side of the surface.
+            own = y_next[:n_motion] + (end[:n_motion] - jax.lax.stop_gradient(end[:n_motion]))
+            end = jnp.concatenate([own, end[n_motion:]])
+            updated = contacts.update(parameters, t, y, end)
+            weights = delay_weights(contacts, parameters, t, y, end, updated)
+            flight, contact = (rate.inside(parameters.theta, parameters.ahead, t, each) for each in (end, updated))
+            weights, jump = jax.lax.stop_gradient((weights, flight - contact))
+            here = contacts.crossings(parameters, t, end).value[: contacts.n_contacts]
+            delay = jnp.sum(weights * (here - jax.lax.stop_gradient(here)))  # 0, but for its derivatives
+            return updated + delay * jump
+
+        begins_or_ends = is_step & jnp.any(contacts.is_touching(y) != contacts.is_touching(y_next))
+        return jax.lax.cond(begins_or_ends, changed, lambda parameters, y, end: end, parameters, y, end)
+
+    return event

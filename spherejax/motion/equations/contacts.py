@@ -1,0 +1,132 @@
+"""Contacts of a system as functions of the flat state: where contact begins and ends, and what is remembered then."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.numerics import safe_sqrt
+from spherejax.foundations.types import Scalar
+from spherejax.model.system import System
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.physics.joints.base import Crossing
+from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.state import unpack
+
+
+def relative_motions(system: System, y: Float[Array, " size"]) -> dict[str, RelativeMotion]:
+    """Motion of ball in socket for each joint whose contact onsets are located."""
+    motions = body_motions(system, unpack(system.layout, y))
+    return {name: system.spherical(name).relative_motion(motions) for name in system.contact_joints}
+
+
+def crossings(system: System, t: Scalar, y: Float[Array, " size"]) -> Crossing:
+    """Crossing functions of all contacts, then of all touches of one-sided forces, with a leading axis.
+
+    A touch is located as a contact is, but remembers nothing; its depth [m] is the crossing function.
+    """
+    motions = body_motions(system, unpack(system.layout, y))
+    each = [
+        contact.model.crossing(contact.relative_motion(motions))
+        for contact in map(system.spherical, system.contact_joints)
+    ]
+    for name in system.touching_forces:
+        for depth, rate in system.forces[name].touches(t, motions):
+            each.append(Crossing(depth, rate, rate * jnp.array([1.0, 0.0, 0.0])))
+    return Crossing(*(jnp.stack(parts) for parts in zip(*each, strict=True)))
+
+
+def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> Float[Array, " n_memory"]:
+    """The memory at the end of a step, updated where a contact began or ended within it.
+
+    Args:
+        system: the system.
+        t: time at the end of the step [s].
+        packed: flat states at the start and at the end of the step, then one slope delta_ddot / delta_dot [1/s] for
+            each contact, one after the other.
+
+    Returns:
+        In flight at the start and beyond the surface at the end: the memory of an onset with the normal velocity
+        delta_dot - slope delta. In contact at the start and off the surface at the end: the memory of a release. Else
+        unchanged.
+
+        With the true slope this is, to first order, the velocity at the instant when the surface was crossed. Its
+        value differs from delta_dot by less than the landing window allows, and the slope may be 0; its derivative
+        needs the slope, for the instant of the onset moves with the parameters.
+    """
+    size = system.layout.size
+    y_start, y_end, slopes = packed[:size], packed[size : 2 * size], packed[2 * size :]
+    memory_start = unpack(system.layout, y_start).memory
+    memory_end = unpack(system.layout, y_end).memory
+    motions = relative_motions(system, y_end)
+    slope_of = {name: slopes[i] for i, name in enumerate(motions)}
+    parts = []
+    for slot in system.memory_slots:
+        now = memory_end[slot.entries]
+        if slot.joint in motions:
+            model: Any = system.spherical(slot.joint).model
+            motion = motions[slot.joint]
+            was_touching = memory_start[slot.start] > 0
+            is_beyond = model.crossing(motion).value > 0
+            rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
+            now = jnp.where(~was_touching & is_beyond, model.memory_at_onset(rate), now)
+            now = jnp.where(was_touching & ~is_beyond, model.memory_at_release(), now)
+        parts.append(now)
+    return jnp.concatenate(parts)
+
+
+def onset_slopes(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " n_contacts"]:
+    """delta_ddot / delta_dot [1/s] of each contact; 0 for a grazing one, whose instant moves without bound."""
+    rate = state_rate(system, t, y)
+
+    def penetration_rates(y):
+        return jnp.stack([penetration_rate(m) for m in relative_motions(system, y).values()])
+
+    rates, accelerations = jax.jvp(penetration_rates, (y,), (rate,))
+    is_grazing = jnp.abs(rates) < GRAZING_RATE
+    return jnp.where(is_grazing, 0.0, accelerations / jnp.where(is_grazing, 1.0, rates))
+
+
+GRAZING_RATE = 1e-9
+"""Onsets slower than this [m/s] touch the surface within the landing window: they have no instant to speak of."""
+
+
+def _length(e):
+    return jnp.sqrt(jnp.maximum(e @ e, 1e-300))
+
+
+def penetration_rate(motion: RelativeMotion) -> Scalar:
+    """Normal velocity delta_dot = e . e_dot / |e| [m/s]."""
+    return motion.eccentricity_rate @ motion.eccentricity / _length(motion.eccentricity)
+
+
+def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
+    """The memory at the start: flight, or, for a ball that starts beyond the surface, the onset that led there."""
+    motions = relative_motions(system, y)
+    parts = []
+    for slot in system.memory_slots:
+        start = jnp.zeros(len(slot.names))
+        if slot.joint in motions:
+            model, motion = system.spherical(slot.joint).model, motions[slot.joint]
+            onset = model.memory_at_onset(earlier_onset_rate(system, slot.joint, motion, start))
+            start = jnp.where(model.crossing(motion).value > 0, onset, start)
+        parts.append(start)
+    return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+
+def earlier_onset_rate(system: System, joint: str, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar:
+    """The normal velocity [m/s] with which a ball that starts beyond the surface has come there.
+
+        m v^2 / 2 = m delta_dot^2 / 2 + (energy stored at the penetration delta)
+
+    with m the reduced mass of the two bodies: a free impact without losses. A ball that starts at rest in static
+    contact would otherwise have an onset of no speed, and the hysteresis damping, which divides by it, no bound.
+
+    Limits: |delta_dot| at delta = 0, with derivative 0 where that vanishes as well.
+    """
+    rate = penetration_rate(motion)
+    energy = system.spherical(joint).model.respond(motion, memory).elastic_energy
+    masses = [system.bodies[name].mass for name in system.joints[joint].bodies if name in system.bodies]
+    return safe_sqrt(rate * rate + 2 * energy * sum(1 / jnp.asarray(mass) for mass in masses))

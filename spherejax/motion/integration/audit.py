@@ -1,0 +1,328 @@
+"""Every run audits itself: what cannot be, at the end of any step, ends it with a status of its own.
+
+    energy      never rises by more than drivers, forces and other parts that may add some have put in
+    flight      no ball is beyond its socket's surface while it counts as flying
+    constraints  the constraint equations hold; friction that follows reactions agrees with them
+    quaternions  have unit norm
+    conformity   surfaces are pressed in by no more than their elastic law is for, e.g. with the stiffness of Eq. 24 by
+                 little against their clearance; beyond that the run goes on, and says so
+
+Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
+forces, roads that move, bristles, parts of a user's own) is integrated beside the state, and what they store does not
+count. Balance by the work of the joints alone would not do: a ball that flies through its socket does no work on it,
+and gains energy when it is caught outside. Rosenbrock methods account for their drivers' and forces' work too coarsely;
+their runs are audited for energy where no part may add any.
+
+The limits are those of a run that is wrong, far above what the tolerance of a run that is right explains.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from spherejax.foundations.types import Number, Scalar
+from spherejax.model.system import Structure, System
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constraint_set
+from spherejax.motion.equations.friction_judgement import friction_found, friction_share, friction_trouble
+from spherejax.motion.equations.loads import joint_loads
+from spherejax.motion.equations.observables import kinetic_energy, potential_energy
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.start.tolerances import energy_scale, length_scale
+from spherejax.physics.state import unpack
+
+ENERGY_SHARE = 1e-3
+"""Energy may rise above its lowest value by this share of what moves, and by..."""
+
+TOLERANCES = 100.0
+"""... so many relative tolerances: errors of many steps add up."""
+
+LARGEST_SHARE = 0.1
+"""Loose tolerances allow no more than this."""
+
+LEAST_ENERGY = 1e-3
+"""Of the scale m V^2 of the scene: what moves counts as no less, for in a scene at rest all is rounding."""
+
+CONSTRAINT_SHARE = 1e-2
+"""Constraint equations hold to this share of the scene's length, or of 1 where they are of directions."""
+
+NORM = 1e-2
+"""| |q|^2 - 1 | of quaternions."""
+
+OUTSIDE = 1e-6
+"""(|e|^2 / c^2 - 1) / 2 of a ball in flight; steps end within 1e-9."""
+
+NOT_MADE = -1.0
+"""Share that says that a check is not made."""
+
+CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity")
+"""What is audited, in the order of `run.stats.audit`."""
+
+WARNINGS = ("conformity",)
+"""Checks, the last of them all, that do not fail a run: its equations are solved, but they are used out of range."""
+
+N_FATAL = len(CHECKS) - len(WARNINGS)
+
+FINDINGS = {
+    "energy": "the energy rose by more than was put in",
+    "flight": "a ball was outside its socket without contact",
+    "constraints": "the joints' equations were violated",
+    "quaternions": "a body's quaternion lost its norm",
+    "conformity": "surfaces were pressed in beyond the range of their elastic law (that of Eq. 24 ends at a tenth of "
+    "the clearance): give a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...), a journal "
+    "sj.EsduCylinder(...), or the normal law a stiffness of its own",
+}
+"""What a failed check says."""
+
+
+def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str:
+    """What an audit has found, in words; empty for a sound run.
+
+    Args:
+        shares: the worst of each of `CHECKS` as a share of its limit, shape (5,).
+
+    Other args:
+        suspected: for a check the part of which it was largest where the run ended.
+    """
+    fatal = zip(CHECKS[:N_FATAL], np.asarray(shares)[..., :N_FATAL], strict=True)
+    found = [(check, share) for check, share in fatal if not share <= 1]
+    where = {check: f": {part}" for check, part in suspected.items()}
+    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
+
+
+def cautions(shares) -> str:
+    """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
+
+    Args:
+        shares: as for `findings`, of one run or of many, shape (..., 5).
+    """
+    worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
+    found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
+    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times that)" for check, share in found)
+
+
+def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[str, str]:
+    """For each of `CHECKS` the part of which it is largest at one state, in words; computed at once.
+
+    Energy is of the whole scene: named is the joint whose surfaces are pressed into each other deepest, if any are.
+
+    Args:
+        system: the system.
+        t: time [s].
+        y: flat state.
+    """
+    state = unpack(system.layout, jnp.asarray(y))
+    motions = body_motions(system, state)
+    found: dict[str, str] = {}
+    outside = {}
+    for name in system.contact_joints:
+        joint: Any = system.spherical(name)
+        g = joint.model.crossing(joint.relative_motion(motions)).value
+        outside[name] = float(np.sqrt(2 * max(float(g), -0.5) + 1)) - 1
+    if outside and max(outside.values()) > 0:
+        deepest = max(outside, key=lambda name: outside[name])
+        found["energy"] = f"the ball of joint {deepest!r} is {outside[deepest]:.3g} clearances outside"
+        starts = {slot.joint: slot.start for slot in system.memory_slots}
+        flying = [name for name in outside if not state.memory[starts[name]] > 0]
+        if flying:
+            worst = max(flying, key=lambda name: outside[name])
+            found["flight"] = f"the ball of joint {worst!r}, by {outside[worst]:.3g} clearances"
+    rows = constraint_set(system, jnp.asarray(t), motions).rows
+    gaps = {name: float(jnp.max(jnp.abs(row.residual))) for name, row in rows.items()}
+    if gaps:
+        worst = max(gaps, key=lambda name: gaps[name])
+        found["constraints"] = f"joint {worst!r} gapes by {gaps[worst]:.3g} m or rad"
+    if system.friction_passes and (trouble := friction_trouble(system, jnp.asarray(t), jnp.asarray(y))):
+        found["constraints"] = trouble
+    norms = np.abs(np.sum(np.asarray(state.quaternion) ** 2, axis=-1) - 1)
+    found["quaternions"] = f"body {list(system.bodies)[int(np.argmax(norms))]!r}"
+    return found
+
+
+class Vitals(NamedTuple):
+    """What is looked at, at one instant.
+
+    Attributes:
+        potential: energy of weight and force elements, less the work that has been put in [J].
+        agitation: kinetic energy, and what the joints store [J].
+        outside: (|e|^2 / c^2 - 1) / 2 of the outermost ball in flight; -1/2 without one.
+        violation: largest entry of the constraint equations [m or 1].
+        norm: largest | |q|^2 - 1 |.
+        pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
+        friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
+    """
+
+    potential: Scalar
+    agitation: Scalar
+    outside: Scalar
+    violation: Scalar
+    norm: Scalar
+    pressed: Scalar
+    friction: Scalar | None = None
+
+
+def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
+    """What is looked at, of one state."""
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
+    outside, pressed, stored = [jnp.asarray(-0.5)], [jnp.asarray(NOT_MADE)], jnp.zeros(())
+    if system.force_joints:
+        loads = joint_loads(system, motions, state.memory)
+        stores = (load.response.elastic_energy for name, load in loads.items() if system.joints[name].never_adds_energy)
+        stored = sum(stores, stored)
+    put_in = state.work[-1] if system.tracks_supply else jnp.zeros(())
+    for slot in system.memory_slots:
+        if slot.joint in system.contact_joints:
+            joint: Any = system.spherical(slot.joint)
+            g, is_touching = joint.model.crossing(joint.relative_motion(motions)).value, state.memory[slot.start] > 0
+            outside.append(jnp.where(is_touching, -0.5, g))
+            if joint.model.largest_ratio is not None:
+                depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1
+                pressed.append(depth / joint.model.largest_ratio)
+    constraints = constraint_set(system, t, motions)
+    residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
+    norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
+    friction = None
+    if system.friction_passes:
+        friction = friction_share(*friction_found(system, t, y))
+    return Vitals(
+        potential_energy(system, t, motions, of_all=False) - put_in,
+        kinetic_energy(system, motions) + stored,
+        jnp.max(jnp.stack(outside)),
+        jnp.max(residual),
+        jnp.max(jnp.abs(norms - 1)),
+        jnp.max(jnp.stack(pressed)),
+        friction,
+    )
+
+
+class Watch(NamedTuple):
+    """What an audit keeps of the steps so far.
+
+    Attributes:
+        lowest: the lowest energy [J].
+        bottom, top: the lowest and the highest potential energy [J].
+        agitation: the highest agitation [J].
+        worst: of each of `CHECKS` the worst, as a share of its limit, shape (5,): above 1 the run is wrong, or what it
+            says of the last one is to be read.
+    """
+
+    lowest: Array
+    bottom: Array
+    top: Array
+    agitation: Array
+    worst: Float[Array, "5"]
+
+    @classmethod
+    def of_nothing(cls) -> "Watch":
+        """Of a run of which nothing has been looked at."""
+        zero = jnp.zeros(())
+        return cls(zero, zero, zero, zero, jnp.full(len(CHECKS), NOT_MADE))
+
+    @property
+    def is_sound(self) -> Bool[Array, ""]:
+        """Whether all limits are kept that a run must keep."""
+        return jnp.all(self.worst[:N_FATAL] <= 1)
+
+
+class Limits(eqx.Module):
+    """From where on a run is wrong.
+
+    Attributes:
+        energy: largest share of the energy that may have come from nowhere; infinite where nobody can tell.
+        least: what counts as moving at least [J].
+        violation: of the constraint equations.
+    """
+
+    energy: Number
+    least: Number
+    violation: Number
+
+    def begun(self, now: Vitals) -> Watch:
+        """An audit at the start of a run."""
+        energy = now.potential + now.agitation
+        # A check that is not made says so from the start.
+        worst = jnp.zeros(len(CHECKS)).at[0].set(jnp.where(jnp.isinf(self.energy), NOT_MADE, 0.0))
+        worst = worst.at[N_FATAL:].set(NOT_MADE)
+        watch = Watch(energy, now.potential, now.potential, now.agitation, worst)
+        return self.seen(watch, now)
+
+    def seen(self, watch: Watch, now: Vitals) -> Watch:
+        """The audit after another step."""
+        energy = now.potential + now.agitation
+        lowest = jnp.minimum(watch.lowest, energy)
+        bottom, top = jnp.minimum(watch.bottom, now.potential), jnp.maximum(watch.top, now.potential)
+        agitation = jnp.maximum(watch.agitation, now.agitation)
+        moving = jnp.maximum(agitation + (top - bottom), self.least)
+        equations = now.violation / self.violation
+        if now.friction is not None:
+            # Friction that follows reactions belongs to the joints' equations.
+            equations = jnp.maximum(equations, now.friction)
+        shares = [
+            jnp.where(jnp.isinf(self.energy), NOT_MADE, (energy - lowest) / (moving * self.energy)),
+            jnp.maximum(now.outside, 0.0) / OUTSIDE,
+            equations,
+            now.norm / NORM,
+            now.pressed,
+        ]
+        return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))
+
+
+class Audit(NamedTuple):
+    """How a run is audited (static functions).
+
+    Attributes:
+        look: the vitals; takes (parameters, t, y).
+        limits: takes the parameters.
+    """
+
+    look: Callable
+    limits: Callable
+
+    def begun(self, parameters, t, y) -> Watch:
+        """The audit at the start of a run."""
+        return self.limits(parameters).begun(self.look(parameters, t, y))
+
+    def begun_and_seen(self, parameters, watch: Watch, t, y) -> tuple[Watch, Watch]:
+        """The audit if a run begins with the state y, and if a step has ended there."""
+        limits, vitals = self.limits(parameters), self.look(parameters, t, y)
+        return limits.begun(vitals), limits.seen(watch, vitals)
+
+    def seen(self, parameters, watch: Watch, t, y) -> Watch:
+        """The audit after a step to the state y."""
+        return self.begun_and_seen(parameters, watch, t, y)[1]
+
+    def of_rows(self) -> "Audit":
+        """The same, of the state in the first row of a matrix, with `Linearized` parameters."""
+
+        def look(parameters, t, rows):
+            return self.look(parameters.value, t, rows[0])
+
+        return Audit(look, self.limits)
+
+
+def limits_of(system: System, rtol, solver: Any) -> Limits:
+    """The limits for the scales of a scene.
+
+    Args:
+        system: the system.
+        rtol: relative tolerance; None where it is not known.
+        solver: the method. Where parts may add energy a Rosenbrock method's account of it is not good enough: it
+            evaluates the power of stiff joints at states inside the step, far from the motion.
+    """
+    share = LARGEST_SHARE if rtol is None else ENERGY_SHARE + TOLERANCES * jnp.max(jnp.asarray(rtol))
+    is_known = not (system.tracks_supply and isinstance(solver, AbstractRosenbrock))
+    energy = jnp.minimum(share, LARGEST_SHARE) if is_known else np.inf
+    length = jnp.minimum(length_scale(system), 1.0)
+    return Limits(energy, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)
+
+
+def look_of(structure: Structure, scalar: bool | None) -> Callable:
+    """The vitals of a system as a program (theta, t, y)."""
+    return program_for(vitals, structure, scalar, is_quiet=True)

@@ -1,0 +1,156 @@
+"""A Rosenbrock method on a state and its sensitivities (`sensitivity_rows`): the derivative of each of its steps.
+
+The Jacobian of all rows together is
+
+    [ J              0 ]
+    [ (dJ/dy) Y + ..., J ]
+
+with second derivatives of the right-hand side below the diagonal. To differentiate the step is to solve with this
+matrix: the method keeps its order for the sensitivities too, and they follow the steps that the state asks for. With
+the blocks below the diagonal left out, which a W-method bears, the sensitivities of a film needed thirty times the
+motion's steps, or were wrong by 6 to 20 percent on the motion's own (`benchmarks/film_gradient.py`).
+
+In reverse (`adjoint`), and with controllers of a user's own, the matrix is held fixed.
+"""
+
+from typing import Any, ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from spherejax.model.system import Structure
+from spherejax.motion.equations.programs import Program
+from spherejax.motion.solvers.implicit import with_structure
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, Ros34PW2, RosenbrockInterpolation, linearize_dense
+
+
+class DifferentiatedRosenbrock(diffrax.AbstractAdaptiveSolver):
+    """A Rosenbrock method whose step moves the state in the first row, and the step's derivatives in those below.
+
+    Attributes:
+        own: the method on the state alone, with the system's linear algebra.
+        rate: right-hand side of the state (static).
+    """
+
+    own: AbstractRosenbrock
+    rate: Program = eqx.field(static=True)
+
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar = RosenbrockInterpolation
+
+    def order(self, terms) -> int:
+        """That of the method."""
+        return self.own.order(terms)
+
+    def init(self, terms, t0, t1, y0, args) -> None:
+        """A one-step method remembers nothing."""
+
+    def func(self, terms, t0, y0, args) -> Any:
+        """The right-hand side of the state, zeros below: by it the first step is chosen, and by nothing else."""
+        of_state = self.rate.inside(args.value.theta, args.value.ahead, t0, y0[0])
+        return jnp.concatenate([of_state[None], jnp.zeros_like(y0[1:])])
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        """All rows at `t1`, their error estimates, and what the dense output needs."""
+        del terms, solver_state
+        t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
+        term = diffrax.ODETerm(lambda t, y, numbers: self.rate.inside(numbers.theta, numbers.ahead, t, y))
+
+        def of_state(numbers, y):
+            y1, error, dense, _, _ = self.own.step(term, t0, t1, y, numbers, None, jnp.asarray(made_jump))
+            return y1, error, dense["bends"]
+
+        def along(tangents):
+            return eqx.filter_jvp(of_state, (args.value, y0[0]), tangents)
+
+        value, slopes = eqx.filter_vmap(along, out_axes=(None, 0))((args.slopes, y0[1:]))
+        y1, error, bends = jax.tree.map(lambda x, dx: jnp.concatenate([x[None], dx]), value, slopes)
+        return y1, error, dict(y0=y0, y1=y1, bends=bends), None, diffrax.RESULTS.successful
+
+
+SLACK = 1e3
+"""How much larger than the state's the errors of sensitivities by a Rosenbrock method may be before a step is repeated.
+
+Their error estimate is that of a step of low order, and much larger than their error: with 1e3 the lubricated four-bar
+makes the motion's own steps, and its derivatives are right to 2e-4 at an rtol of 1e-8, to 1e-6 at 1e-10. Judged as the
+state, they cost 180 values and were right to 2e-4 as well."""
+
+
+def slack_of(solver: Any) -> float:
+    """See `SLACK`; 1 for an explicit method, whose sensitivities behind an onset need shorter steps than the state."""
+    return SLACK if isinstance(solver, AbstractRosenbrock) else 1.0
+
+
+def solver_of_rows(solver: Any, structure: Structure, rate: Program) -> Any:
+    """The method that integrates the state and its sensitivities; an explicit one is the same."""
+    if not isinstance(solver, AbstractRosenbrock):
+        return solver
+    return DifferentiatedRosenbrock(with_structure(solver, structure), rate)
+
+
+def rows_with_fixed_matrix(solver: Any, structure: Structure, rate: Program) -> Any:
+    """The method for the state and its sensitivities with the state's matrix for all; an explicit one is the same.
+
+    For runs whose steps are kept for a reverse sweep, which holds the matrix fixed too, and with controllers of a
+    user's own: their errors are judged as the state's, which such a matrix needs.
+    """
+    if not isinstance(solver, AbstractRosenbrock):
+        return solver
+    own = _w_method(solver, structure)
+
+    def jacobian(t, rows, args):
+        matrix, by_time = _matrix_of_state(own, rate, t, rows[0], args.value)
+        return (matrix, rows.shape), jnp.zeros(rows.shape).at[0].set(by_time).ravel()
+
+    def factorize(matrix_and_shape, gamma_h):
+        matrix, shape = matrix_and_shape
+        solve, is_regular = own.factorize(matrix, gamma_h)
+        return lambda rhs: jax.vmap(solve)(rhs.reshape(shape)).ravel(), is_regular
+
+    return _with_hooks(own, jacobian, factorize)
+
+
+def solver_with_fixed_matrix(solver: AbstractRosenbrock, structure: Structure, rate: Program) -> Any:
+    """The same method on the state alone, differentiable as its rows are: with its matrix held fixed."""
+    own = _w_method(solver, structure)
+
+    def jacobian(t, y, args):
+        return jax.lax.stop_gradient(_matrix_of_state(own, rate, t, y, args))
+
+    def factorize(matrix, gamma_h):
+        solve, is_regular = own.factorize(matrix, gamma_h)
+        return _linear(solve), is_regular
+
+    return _with_hooks(own, jacobian, factorize)
+
+
+def _w_method(solver: AbstractRosenbrock, structure: Structure) -> Any:
+    """The method, or Ros34PW2, with the system's own linear algebra."""
+    return with_structure(solver if solver.tolerates_inexact_jacobian else Ros34PW2(), structure)
+
+
+def _matrix_of_state(own: Any, rate: Program, t, y, args):
+    if own.jacobian is not None:
+        return own.jacobian(t, y, args)
+    return linearize_dense(lambda t, y: rate.inside(args.theta, args.ahead, t, y), t, y, own.tangents_per_pass)
+
+
+def _linear(solve):
+    """A linear function whose derivative is itself: nothing is differentiated by what it is made of."""
+
+    @jax.custom_jvp
+    def linear(rhs):
+        return solve(rhs)
+
+    @linear.defjvp
+    def linear_jvp(primals, tangents):
+        return solve(*primals), solve(*tangents)
+
+    return linear
+
+
+def _with_hooks(solver: Any, jacobian, factorize) -> Any:
+    hooks = (jacobian, factorize)
+    return eqx.tree_at(lambda s: (s.jacobian, s.factorize), solver, hooks, is_leaf=lambda x: x is None)

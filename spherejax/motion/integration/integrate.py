@@ -1,0 +1,313 @@
+"""Integrate a compiled system: assemble the start, run diffrax, gather the outcome."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.lanes import in_lanes
+from spherejax.foundations.types import Flag, Scalar
+from spherejax.model.system import Structure, System, example_of, flatten_system
+from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step, onset_slopes
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import Program, program_for
+from spherejax.motion.equations.projection import correction_of
+from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
+from spherejax.motion.integration.auditing import AuditingSolver, of_audited, watch_of
+from spherejax.motion.integration.diffrax_integration import diffeqsolve
+from spherejax.motion.integration.longest_step import longest_step, room_for
+from spherejax.motion.integration.statistics import Statistics
+from spherejax.motion.integration.status import Status, status_of
+from spherejax.motion.solvers.correcting import CorrectingSolver
+from spherejax.motion.solvers.implicit import with_structure
+from spherejax.motion.solvers.landing import (
+    Contacts,
+    LandingController,
+    MemorySolver,
+    count_of,
+    without_memory,
+)
+from spherejax.motion.solvers.wrapping import StepBudget
+from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is compiled for (static).
+
+    Attributes:
+        structure: structure of the system.
+        unknown: indices in theta of the numbers that are traced by the caller.
+        scalar: whether to run on scalar programs; None: on those that are not too large.
+    """
+
+    structure: Structure
+    unknown: tuple[int, ...]
+    scalar: bool | None
+
+    def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
+        """All numbers of the system, from those that are traced and those that are known."""
+        # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
+        source = np.arange(known.shape[0])
+        source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
+        return jnp.concatenate([known, values])[source]
+
+
+class Options(eqx.Module):
+    """How to integrate.
+
+    Attributes:
+        solver: diffrax solver.
+        controller: diffrax step-size controller.
+        adjoint: diffrax adjoint.
+        max_steps: largest number of steps.
+        budget: the same as a number that may be traced, so that one program serves all, or None.
+    """
+
+    solver: diffrax.AbstractSolver
+    controller: diffrax.AbstractAdaptiveStepSizeController
+    adjoint: diffrax.AbstractAdjoint
+    max_steps: int = eqx.field(static=True)
+    budget: Int[Array, ""] | None = None
+
+
+class Parameters(NamedTuple):
+    """What the right-hand side is given besides time and state (diffrax's `args`).
+
+    Attributes:
+        theta: all numbers of the system.
+        ahead: what follows from them alone, evaluated once before the integration.
+        limits: of the audit; None where nothing is audited with them.
+    """
+
+    theta: Float[Array, " p"]
+    ahead: Any
+    limits: Any = None
+
+
+def parameters_from(plan: Plan, rate: Program, known, values) -> Parameters:
+    """What the right-hand side is given, from the traced numbers and the known ones."""
+    theta = plan.theta(values, known)
+    return Parameters(theta, rate.ahead(theta))
+
+
+class Outcome(eqx.Module):
+    """What an integration returns.
+
+    Attributes:
+        ys: flat states at the sample times.
+        t_reached: time reached [s].
+        y_reached: flat state there.
+        status: integer of `Status`.
+        stats: counts.
+        assembly: how the start was made consistent.
+    """
+
+    ys: Float[Array, "n size"]
+    t_reached: Float[Array, ""]
+    y_reached: Float[Array, " size"]
+    status: Array
+    stats: Statistics
+    assembly: Assembly
+
+
+FEWER_WORDS = {"xla_llvm_enable_noalias_metadata": False}
+"""A stiff method's program is thousands of scalars, and LLVM is told of each pair that they do not overlap.
+
+Without that the first call of the film's takes a sixth to a quarter less processor time, and runs the same within the
+noise, with the same bits (`benchmarks/fewer_words.py`)."""
+
+
+@bounded_jit(what="a run", options=FEWER_WORDS)
+def integrate(
+    plan: Plan,
+    options: Options,
+    values: Float[Array, " n_unknown"],
+    known: Float[Array, " p"],
+    ts: Float[Array, " n"],
+    start: Assembly | None,
+    values_are_legal: Flag,
+) -> Outcome:
+    """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
+    theta = plan.theta(values, known)
+    assembly, y0 = beginning(plan, theta, ts[0], start)
+    is_closed = assembly.residual_after < CLOSING_TOLERANCE
+    may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
+    # A lane that cannot run must not hold up the others: it gets an interval of length zero.
+    t1 = jnp.where(may_run, ts[-1], ts[0])
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    contacts = contacts_of(plan.structure, plan.scalar)
+    correct = correction_for(plan)
+    solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
+    solution = diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
+        wrapped(solver, correct, contacts, audit_of(plan)),
+        t0=ts[0],
+        t1=t1,
+        dt0=None,
+        y0=y0,
+        args=Parameters(theta, rate.ahead(theta), audit_limits(plan, options, theta)),
+        saveat=diffrax.SaveAt(
+            subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
+        ),
+        stepsize_controller=landing_controller(options, solver, contacts, plan, ts, room_of(plan)),
+        adjoint=options.adjoint,
+        max_steps=options.max_steps,
+        throw=False,
+    )
+    status = status_of(solution.result, values_are_legal, is_closed)
+    sampled: Any = solution.ys
+    times: Any = solution.ts
+    reached = times[1][0]
+    is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
+    ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
+    y_reached = jax.lax.stop_gradient(sampled[1][0])
+    return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def landing_controller(
+    options: Options,
+    solver: diffrax.AbstractSolver,
+    contacts: Contacts | None,
+    plan: Plan,
+    ts: Float[Array, " n"],
+    room: Callable | None,
+) -> LandingController:
+    """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
+    longest = longest_step(plan.structure, ts, scalar=plan.scalar)
+    interpolation: Any = solver.interpolation_cls
+    controller: Any = options.controller
+    if options.budget is not None:
+        controller = StepBudget(controller, options.budget)  # pyright: ignore[reportCallIssue]
+    return LandingController(controller, contacts, interpolation, longest, room)  # pyright: ignore[reportCallIssue]
+
+
+def room_of(plan: Plan) -> Callable | None:
+    """How soon something comes that a step must not pass over, a function of (parameters, t, y)."""
+    program = room_for(plan.structure, plan.scalar)
+    return None if program is None else lambda parameters, t, y: program(parameters.theta, t, y)
+
+
+def audit_of(plan: Plan) -> Audit:
+    """What is looked at, at the end of each step."""
+    look = look_of(plan.structure, plan.scalar)
+    return Audit(lambda parameters, t, y: look(parameters.theta, t, y), lambda parameters: parameters.limits)
+
+
+def audit_limits(plan: Plan, options: Options, theta: Float[Array, " p"]) -> Limits:
+    """From where on a run is wrong."""
+    limits = limits_of(plan.structure.system(theta), getattr(options.controller, "rtol", None), options.solver)
+    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits))
+
+
+def correction_for(plan: Plan) -> Callable | None:
+    """The drift control's correction of a state, a function of (parameters, t, y); None where it corrects nothing."""
+    n_corrections = example_of(plan.structure).drift.n_corrections
+    return correction_of(plan.structure, plan.scalar, n_corrections) if n_corrections else None
+
+
+def wrapped(
+    solver: diffrax.AbstractSolver, correct: Callable | None, contacts: Contacts | None, audit: Audit
+) -> AuditingSolver:
+    """The solver with what happens at the end of each step: correction of drift, contact events, the audit."""
+    solver = solver if correct is None else CorrectingSolver(solver, correct)
+    solver = solver if contacts is None else MemorySolver(solver, contacts)
+    return AuditingSolver(solver, audit)
+
+
+def samples(ts: Float[Array, " n"], correct: Callable | None) -> diffrax.SubSaveAt:
+    """The states at the sample times; they lie within steps, and are corrected like their ends."""
+    if correct is None:
+        return diffrax.SubSaveAt(ts=ts)
+    return diffrax.SubSaveAt(ts=ts, fn=lambda t, y, args: correct(args, t, y))
+
+
+def beginning(
+    plan: Plan, theta: Float[Array, " p"], t: Scalar, start: Assembly | None
+) -> tuple[Assembly, Float[Array, " size"]]:
+    """The consistent start at time t [s], assembled unless it is given, and the flat state there."""
+    system = plan.structure.system(theta)
+    assembly = assemble(*flatten_system(as_ideal(system)), t) if start is None else start
+    return assembly, initial_state(system, assembly)
+
+
+@lru_cache(maxsize=64)
+def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
+    """The contacts and touches of a system as programs, for the integrator; None for a system without."""
+    example = example_of(structure)
+    if not example.contact_joints and not example.touching_forces:
+        return None
+    crossing = program_for(crossings, structure, scalar, is_quiet=True)
+
+    def crossing_at(args, t, y):
+        return crossing(args.theta, t, y)
+
+    if not example.contact_joints:
+        return without_memory(crossing_at)
+    layout, n_contacts = example.layout, len(example.contact_joints)
+    slopes = program_for(onset_slopes, structure, scalar)
+    update = program_for(memory_after_step, structure, scalar, 2 * layout.size + n_contacts)
+
+    @jax.custom_jvp
+    def memory(theta, t, y_start, y_end):
+        return update(theta, t, jnp.concatenate([y_start, y_end, jnp.zeros(n_contacts)]))
+
+    @memory.defjvp
+    def memory_jvp(primals, tangents):
+        slope = jax.lax.stop_gradient(slopes(primals[0], primals[1], primals[3]))
+
+        def with_slope(theta, t, y_start, y_end):
+            return update(theta, t, jnp.concatenate([y_start, y_end, slope]))
+
+        return memory(*primals), jax.jvp(with_slope, primals, tangents)[1]
+
+    def updated(args, t, y_start, y_end):
+        now = memory(args.theta, jnp.asarray(t, jnp.float64), y_start, y_end)
+        return jnp.concatenate([y_end[: layout.memory_start], now, y_end[layout.work_start :]])
+
+    def updated_lanes(args, t, y_start, y_end):
+        now = in_lanes(memory)(args.theta, t, y_start, y_end)
+        return jnp.concatenate([y_end[: layout.memory_start], now, y_end[layout.work_start :]])
+
+    slots = {slot.joint: slot for slot in example.memory_slots}
+    entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
+    return Contacts(crossing_at, updated, updated_lanes, entries)
+
+
+def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
+    """The flat state at the start: the assembled motion, the contacts' memory, and no work."""
+    layout = system.layout
+    without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
+    memory = initial_memory(system, without_memory)
+    return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])
+
+
+def _statistics(solution: diffrax.Solution, solver, contacts: Contacts | None) -> Statistics:
+    n_steps = solution.stats["num_steps"]
+    inner: Any = of_audited(solution.solver_state)
+    n_onsets = jnp.zeros(0, jnp.int64) if contacts is None else count_of(inner)
+    return Statistics(
+        n_steps,
+        solution.stats["num_accepted_steps"],
+        solution.stats["num_rejected_steps"],
+        n_steps * stages_of(solver),
+        n_onsets,
+        watch_of(solution.solver_state).worst,
+    )
+
+
+def stages_of(solver: diffrax.AbstractSolver) -> int:
+    """Evaluations of the right-hand side in a step (an FSAL method counts its shared one once)."""
+    tableau = getattr(solver, "tableau", None)
+    if tableau is None:
+        return 1
+    n_stages = getattr(tableau, "num_stages", None) or getattr(tableau, "n_stages", 1)
+    return n_stages - 1 if getattr(tableau, "fsal", False) else n_stages

@@ -1,0 +1,407 @@
+"""A queue of runs, worked off by a block of lanes inside one compiled loop.
+
+Each turn of the loop makes one step of every lane. A lane whose run has ended, well or not, writes its result and
+takes the next job. When the queue is empty and most lanes idle, the rest goes on in a narrower block. So the block does
+not wait for its slowest lane, and a failing run costs what it costs and disturbs nobody.
+
+The pieces are diffrax's own: solver, step-size controller, interpolation. Arrays have their lanes on the last axis.
+"""
+
+from functools import partial
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.lanes import in_lanes, with_rows_at
+from spherejax.motion.integration.audit import CHECKS, Watch
+from spherejax.motion.integration.lanes.control import Repeating, Step
+from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
+from spherejax.motion.integration.lanes.landing import Landing
+from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, StepLog
+from spherejax.motion.integration.lanes.stages import ExplicitStages, Trial, own_time, steps_of
+from spherejax.motion.integration.status import Status, status_of
+
+
+def run_in_lanes(
+    problem: LaneProblem,
+    parameters: Any,
+    y0: Float[Array, "n_jobs ..."],
+    ts: Float[Array, " n"],
+    may_run: Array,
+    status: Int[Array, " n_jobs"],
+    block: Block,
+) -> LaneOutcome:
+    """Work off a queue of runs.
+
+    Args:
+        problem: what is integrated.
+        parameters: of each run, with a leading axis of jobs.
+        y0: state of each run at the start.
+        ts: sample times [s], increasing; every run goes from the first to the last.
+        may_run: whether a run is to be made, shape (n_jobs,).
+        status: what a run that is not to be made reports.
+        block: how wide.
+    """
+    return _Queue(problem, parameters, y0, ts, may_run, status, block).worked_off()[0]
+
+
+def steps_in_lanes(
+    problem: LaneProblem,
+    parameters: Any,
+    y0: Float[Array, "n_jobs ..."],
+    ts: Float[Array, " n"],
+    may_run: Array,
+    status: Int[Array, " n_jobs"],
+    block: Block,
+    capacity: int,
+    shares: tuple[float, ...],
+) -> tuple[LaneOutcome, StepLog]:
+    """As `run_in_lanes`, with a row for each step that was kept.
+
+    Args:
+        problem, parameters, y0, ts, may_run, status, block: as there; at least three sample times, for states inside a
+            step come of what samples come of.
+        capacity: rows of each run; of a run with more steps the rest is not written.
+        shares: where inside each step the state is wanted, in (0, 1).
+    """
+    queue = _Queue(problem, parameters, y0, ts, may_run, status, block, capacity, shares)
+    outcome, log = queue.worked_off()
+    assert log is not None
+    return outcome, log
+
+
+class _Queue:
+    """The functions of one lane and of a block, with the queue at hand; lives while a program is traced."""
+
+    def __init__(
+        self, problem: LaneProblem, parameters, y0, ts, may_run, status, block: Block, capacity: int = 0, shares=()
+    ):
+        self.problem = problem
+        self.capacity, self.shares = capacity, tuple(shares)
+        self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
+        self.n_jobs = y0.shape[0]
+        self.width = min(block.width, max(1, self.n_jobs))
+        self.narrow = min(block.narrow, self.width)
+        # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
+        # be a seventh of the operations, and a quarter of the time that they take to compile.
+        self.refills = self.width < self.n_jobs
+        self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2)
+        self.term = diffrax.ODETerm(problem.rate)
+        self.order = problem.solver.error_order(self.term)
+        self.control = (
+            Landing(problem, self.order, self.steps)
+            if isinstance(self.steps, ExplicitStages)
+            else Repeating(problem, self.order)
+        )
+        # Where all runs begin together, and go on, the first turns look at their starts.
+        is_explicit = isinstance(self.steps, ExplicitStages) and self.steps.can_look
+        self.looks = is_explicit and not self.refills and ts.shape[0] > 1
+        # The first step of every run, found for all runs at once; by looks where there are some.
+        looking = self.control.init_with_looks if self.looks and isinstance(self.control, Landing) else None
+        init = looking or partial(self.control.init, self.term)
+        self.first_steps = jax.vmap(partial(init, ts[0], ts[-1]))(y0, parameters)
+        # And what the audit and the peaks begin with: a lane that takes a job only fetches it.
+        self.begun = jax.vmap(self._begun)(y0, parameters)
+        self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
+
+    # A lane ------------------------------------------------------------------------------------------------------
+
+    def started(self, job) -> Lane:
+        """The lane at the start of a job; an idle one where there is no such job."""
+        at = jnp.minimum(job, self.n_jobs - 1)
+        return self._lane(job, jax.tree.map(lambda x: x[at], self._starts))
+
+    @property
+    def _starts(self) -> tuple:
+        """Of all jobs what a lane takes of one."""
+        return self.parameters, self.y0, self.may_run, self.status, self.first_steps, self.begun
+
+    def _lane(self, job, start: tuple) -> Lane:
+        """The lane at the start of a job, from its part of `_starts`."""
+        parameters, y0, may_run, status, (t_next, state), (watch, peaks) = start
+        t0 = self.ts[0]
+        t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
+        t_next = jnp.minimum(t_next, t_end)
+        none = jnp.zeros((), jnp.int64)
+        return Lane(
+            job=job,
+            t_end=t_end,
+            t=t0,
+            t_next=t_next,
+            y=y0,
+            parameters=parameters,
+            solver_state=self.steps.init(t0, t_next, y0, parameters),
+            controller_state=state,
+            made_jump=jnp.array(False),
+            n_accepted=none,
+            n_rejected=none,
+            n_onsets=jnp.zeros(self.n_contacts, jnp.int64),
+            touching=jnp.zeros(self.n_contacts),
+            peaks=peaks,
+            n_samples=none,
+            status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
+            watch=watch,
+        )
+
+    def _begun(self, y0, parameters) -> tuple[Watch | None, Array]:
+        """The audit and the watched numbers at the start of a run."""
+        audit, t0 = self.problem.audit, self.ts[0]
+        watch = None
+        if audit is not None:
+            watch = Watch.of_nothing() if self.looks else audit.begun(parameters, t0, y0)
+        return watch, self._watched(t0, y0, parameters)
+
+    def judged(self, lane: Lane, trial: Trial, is_look) -> Lane:
+        """The lanes after trial steps: corrected, with their contact events, kept or to be repeated.
+
+        A look leaves them as they were.
+        """
+        problem = self.problem
+        error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
+        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters)
+        keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
+            step, lane.controller_state, lane.made_jump
+        )
+        told = in_lanes(_told)(keep, trial.result, verdict)
+        # Idle lanes and runs that may not be made go through the motions, and count nothing.
+        is_running = _is_busy(lane, self.n_jobs) & ~is_look
+        keep = keep & is_running
+        repeats = ~keep & is_running
+        t = jnp.where(is_running, jnp.minimum(t, lane.t_end), lane.t)
+        n_steps = lane.n_accepted + lane.n_rejected + 1
+        ended = jnp.where(n_steps >= problem.max_steps, Status.TOO_MANY_STEPS, Status.SUCCEEDED)
+        failed = jnp.where(t < lane.t_end, ended, Status.SUCCEEDED)
+
+        def kept(new, old):
+            return jnp.where(keep, new, old)
+
+        watch = lane.watch
+        if problem.audit is not None:
+            y = jnp.where(is_running, y, lane.y)  # after a look, the start
+            begun, seen = in_lanes(problem.audit.begun_and_seen)(lane.parameters, watch, t, y)
+            watch = jax.tree.map(kept, seen, watch)
+            if self.looks:  # which leave the state at the start
+                begins = is_look & _is_busy(lane, self.n_jobs)
+                watch = jax.tree.map(lambda new, old: jnp.where(begins, new, old), begun, watch)
+            told = jnp.where((told == Status.SUCCEEDED) & ~in_lanes(_is_sound)(watch), Status.AUDIT_FAILED, told)
+
+        return lane._replace(
+            t=t,
+            t_next=_clipped(t, t_next, lane.t_end, keep),
+            y=kept(y, lane.y),
+            solver_state=jax.tree.map(kept, trial.solver_state, lane.solver_state),
+            controller_state=jax.tree.map(lambda new, old: jnp.where(is_look, old, new), state, lane.controller_state),
+            made_jump=jnp.asarray(made_jump),
+            n_accepted=lane.n_accepted + keep,
+            n_rejected=lane.n_rejected + repeats,
+            n_onsets=lane.n_onsets + (began & keep),
+            touching=lane.touching + self._time_in_contact(lane, t, keep),
+            peaks=kept(jnp.maximum(lane.peaks, in_lanes(self._watched)(t, y, lane.parameters)), lane.peaks),
+            status=jnp.where(is_running, jnp.where(told == Status.SUCCEEDED, failed, told), lane.status),
+            watch=watch,
+        )
+
+    def _watched(self, t, y, parameters) -> Float[Array, " n_watched"]:
+        return jnp.zeros(0) if self.problem.watch is None else self.problem.watch(t, y, parameters)
+
+    def _time_in_contact(self, lane: Lane, t, keep):
+        if self.problem.contacts is None:
+            return jnp.zeros((0, *t.shape))
+        return jnp.where(keep & self.problem.contacts.is_touching(lane.y), t - lane.t, 0.0)
+
+    def sample(self, t, t_next, bend, dense_info, parameters, at):
+        """The state within a step."""
+        share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
+        instant = jnp.where(bend != 0, t + share * (t_next - t), at)
+        y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
+        return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
+
+    # A block -----------------------------------------------------------------------------------------------------
+
+    def worked_off(self) -> tuple[LaneOutcome, StepLog | None]:
+        """Run all jobs."""
+        width, narrow = self.width, self.narrow
+        jobs = jnp.arange(width)
+        lanes = self.block_of(jobs) if self.refills else jax.vmap(self._lane, out_axes=-1)(jobs, self._starts)
+        is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
+        correct = self.problem.correct
+        # The start is corrected as all samples are; the integration begins with what it was given.
+        first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
+        ys = jnp.where(is_start, first[:, None], jnp.nan)
+        size = self.y0[0].size
+        n_checks = 0 if self.problem.audit is None else len(CHECKS)
+        account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
+        looks = Looks(jnp.zeros((), jnp.int64), jnp.zeros_like(lanes.y)) if self.looks else None
+        log = None
+        if self.capacity:
+            rows = self.n_jobs * self.capacity, len(self.shares) + 1
+            log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan))
+        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), log, looks
+
+        def busy(carry):
+            lanes, waiting, *_, looks = carry
+            at_least = narrow if narrow < width else 0
+            is_wide = (waiting < self.n_jobs) | (jnp.sum(_is_busy(lanes, self.n_jobs)) > at_least)
+            # The narrow block goes on, it does not look.
+            return is_wide if looks is None else is_wide | looks.is_looking
+
+        carry = jax.lax.while_loop(busy, self.turn, carry)
+        if narrow < width:
+            lanes, *rest, _ = carry
+            order = jnp.argsort(~_is_busy(lanes, self.n_jobs))[:narrow]
+            lanes = jax.tree.map(lambda x: x[..., order], lanes)
+
+            def still_busy(carry):
+                return jnp.any(_is_busy(carry[0], self.n_jobs))
+
+            carry = jax.lax.while_loop(still_busy, self.turn, (lanes, *rest, None))
+        log = carry[5]
+        if log is not None:
+            log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
+        return self._outcome(carry[3], carry[2], carry[4]), log
+
+    def block_of(self, jobs) -> Lane:
+        """Lanes at the start of jobs."""
+        return jax.vmap(self.started, out_axes=-1)(jobs)
+
+    def turn(self, carry):
+        """One step of every lane; then lanes that have ended take new jobs."""
+        lanes, waiting, account, ys, n_lane_steps, log, looks = carry
+        before = lanes
+        is_look = jnp.array(False) if looks is None else looks.is_looking
+        steps: Any = self.steps
+        n_stages = None if looks is None else looks.n_stages(steps.n_stages)
+        bend = self.control.bend_of_time(lanes.controller_state, lanes.t_next - lanes.t)
+        trial = steps.step(
+            lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, bend, n_stages
+        )
+        lanes = self.judged(lanes, trial, is_look)
+        if looks is not None:
+            t_next, looks = jax.lax.cond(
+                is_look, self._looked, lambda _, t_next, looks, *ignored: (t_next, looks),
+                before, lanes.t_next, looks, trial.dense_info["k"][:2],
+            )  # fmt: skip
+            lanes = lanes._replace(t_next=t_next)
+        if self.ts.shape[0] > 1:
+            lanes, ys = self._with_samples(before, lanes, bend, trial.dense_info, ys)
+        if log is not None:
+            log = self._with_step(before, lanes, bend, trial.dense_info, log)
+        has_ended = ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
+        refilled = jax.lax.cond(
+            jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
+        )
+        return *refilled, ys, n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1]), log, looks
+
+    def _looked(self, before: Lane, _, looks: Looks, k) -> tuple[Array, Looks]:
+        """Where the next look or the first step ends, after a look."""
+        size = before.t_next - before.t
+        control: Any = self.control
+        looks, t_next = control.looked(looks, self.ts[0], before.y, size, k, before.parameters)
+        return jnp.where(looks.turn == N_LOOKS, jnp.minimum(t_next, before.t_end), t_next), looks
+
+    def _with_samples(self, before: Lane, lanes: Lane, bend, dense_info, ys):
+        """Write the samples that lie in the steps just kept; the first one is the start."""
+        was_kept = lanes.n_accepted > before.n_accepted
+        n = self.ts.shape[0]
+
+        def due(n_samples):
+            return was_kept & (n_samples < n) & (self.ts[jnp.minimum(n_samples, n - 1)] <= lanes.t)
+
+        def any_due(carry):
+            return jnp.any(due(carry[0]))
+
+        def write(carry):
+            n_samples, ys = carry
+            is_due = due(n_samples)
+            at = self.ts[jnp.minimum(n_samples, n - 1)]
+            # The end of a step is the state itself, with its events; within it there are none.
+            is_end = at >= lanes.t
+            if n > 2:
+                inside = in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at)
+                y = jnp.where(is_end, lanes.y, inside)
+            else:
+                y = lanes.y
+            row = jnp.where(is_due, lanes.job * n + n_samples, self.n_jobs * n)
+            return n_samples + is_due, with_rows_at(ys, row, jnp.moveaxis(y, -1, 0))
+
+        rows = ys.reshape(-1, *ys.shape[2:])
+        n_samples, rows = jax.lax.while_loop(any_due, write, (jnp.maximum(lanes.n_samples, 1), rows))
+        ys = rows.reshape(ys.shape)
+        return lanes._replace(n_samples=n_samples), ys
+
+    def _with_step(self, before: Lane, lanes: Lane, bend, dense_info, log: StepLog) -> StepLog:
+        """Write a row for each step just kept."""
+        was_kept = lanes.n_accepted > before.n_accepted
+        is_there = was_kept & (before.n_accepted < self.capacity)
+        row = jnp.where(is_there, lanes.job * self.capacity + before.n_accepted, self.n_jobs * self.capacity)
+        times = [before.t + share * (lanes.t - before.t) for share in self.shares]
+        inside = [
+            in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at) for at in times
+        ]
+        states = jnp.moveaxis(jnp.stack([*inside, lanes.y]), -1, 0)
+        return StepLog(
+            with_rows_at(log.times, row, jnp.stack([*times, lanes.t], axis=-1)), with_rows_at(log.states, row, states)
+        )
+
+    def _refilled(self, has_ended, lanes: Lane, waiting, account):
+        """Write results of the lanes that have ended, and give them the next jobs."""
+        account = with_rows_at(account, jnp.where(has_ended, lanes.job, self.n_jobs), in_lanes(_account)(lanes).T)
+        if not self.refills:
+            return lanes._replace(job=jnp.where(has_ended, self.n_jobs, lanes.job)), waiting, account
+        jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
+        fresh = self.block_of(jnp.where(has_ended, jobs, self.n_jobs))
+        lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)
+        return lanes, jnp.minimum(waiting + jnp.sum(has_ended), self.n_jobs), account
+
+    def _outcome(self, ys, account, n_lane_steps) -> LaneOutcome:
+        n = 4 + self.n_contacts
+        n_checks = 0 if self.problem.audit is None else len(CHECKS)
+        last = account.shape[1] - self.y0[0].size
+        ends = [1, n, n + self.n_contacts, last - n_checks, last]
+        t_reached, counts, touching, peaks, audit, y_reached = jnp.split(account, ends, axis=1)
+        status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
+        return LaneOutcome(
+            ys=ys,
+            t_reached=t_reached[:, 0],
+            status=status,
+            n_accepted=n_accepted,
+            n_rejected=n_rejected,
+            n_onsets=counts[:, 3:].astype(jnp.int64),
+            touching=touching,
+            peaks=peaks,
+            y_reached=y_reached.reshape(self.y0.shape),
+            audit=audit,
+            n_lane_steps=n_lane_steps,
+        )
+
+
+def _account(lane: Lane) -> Float[Array, " k"]:
+    """What a run reports besides its samples, as numbers in a row."""
+    counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
+    audit = jnp.zeros(0) if lane.watch is None else lane.watch.worst
+    numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, audit, lane.y.ravel()]
+    return jnp.concatenate([each.astype(jnp.float64) for each in numbers])
+
+
+def _is_sound(watch: Watch):
+    return watch.is_sound
+
+
+def _told(keep, result, verdict) -> Int[Array, ""]:
+    """The status of a lane after a step, from what the solver and the control say."""
+    if result is not None:
+        verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
+    return status_of(verdict, jnp.array(True), jnp.array(True))
+
+
+def _is_busy(lanes: Lane, n_jobs: int):
+    return (lanes.job < n_jobs) & (lanes.t < lanes.t_end) & (lanes.status == Status.SUCCEEDED)
+
+
+def _clipped(t, t_next, t_end, keep):
+    """The end of the coming step, at most the end of the run; as diffrax does it."""
+    floor = t_end - 100 * jnp.finfo(jnp.float64).eps * jnp.abs(t_end)
+    return jnp.where(t_next > floor, jnp.where(keep, t_end, t + 0.5 * (t_end - t)), t_next)

@@ -1,0 +1,347 @@
+"""Steps of explicit Runge-Kutta methods that end on contact events inside them; a run needs half of the steps so.
+
+* A flight is smooth far beyond the contact surface. So a trial step may go far beyond it, and ends on it: the crossing
+  is found on the states inside the step, and one of them is the step's end where that is accurate enough. A step
+  without an event is certified to have none (`solvers.crossing_search`).
+* Contact begins like the power 3/2 of time, which no method's order survives, and sensitivities like the power 1/2. In
+  the root of the time since then both are smooth, and steps in contact are made in it: with t = t0 + h ((1 - b) x +
+  b x^2) the same stages integrate dy/dx = h (1 - b + 2 b x) f. The first step has b = 1, those long after none.
+* Contact ends with the same powers. Where the motion of the last step says that a contact will end within the next one,
+  that one is made to end there, in the root of the time that is left (b = -1); a trial step that was rejected because
+  it went further is shortened.
+* After an event the first two steps are of the sizes that suited the last time.
+
+Arrays have their lanes on the last axis.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.integration.lanes.control import Judgment, Step
+from spherejax.motion.integration.lanes.first_step import Looks, first_look, first_size, looked_along
+from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
+from spherejax.motion.solvers.crossing_search import Found, crossing_fraction, first_event
+from spherejax.motion.solvers.landing import LANDING_WINDOW, Contacts, longest_ball_step, shortest_step
+from spherejax.physics.joints.base import Crossing
+
+SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
+"""Of the change of a step's size, as in diffrax."""
+
+_ACCURATE_INSIDE = 1e-6
+"""States inside a step are as accurate as its end where the scaled error is below this..."""
+
+_NEAR_END = 0.95
+"""... or behind this fraction of the step."""
+
+_LIKE_LAST_FLIGHT = 1.5
+"""The first step of a flight is at most this much longer than the last flight was."""
+
+_BEYOND = 1.005
+"""A step that is made again to end on an event is made this much longer: one can be found inside it, not ahead."""
+
+_NO_STRAY = 10.0
+"""Stages within so many tolerances of a step's end have not strayed from it, however short the way."""
+
+SLOPES_TOLERANCE = 2.0
+"""Errors of sensitivities may be this many times those of the state, each in units of their own size.
+
+Through thirty onsets on the four-bar, at an rtol of 1e-8, gradients are good to 3e-8 with 1, 2e-7 with 20, 1e-6 with
+100, 2e-5 with 1,000 and 2e-3 if nobody looks at them; steps are 2.7, 1.75, 1.4, 1.1 and 1 times the plain run's. But a
+ball that bounces ten times in its socket multiplies errors: there 2 gives 1e-6, 5 gives 3e-6, and at an rtol of 1e-6
+50 gives a derivative that is wrong by a tenth."""
+
+
+class Pace(NamedTuple):
+    """State of `Landing`.
+
+    Attributes:
+        start: crossing functions at the start of the coming step.
+        acceleration: how fast their velocities changed in the step before [1/s^2]; negative where that says nothing.
+        expected: sizes [s] of the first and second step after a release (first row) and after an onset; 0 if unknown.
+        n_since: steps since the latest event.
+        duration: time since the latest event [s].
+        was_rejected: whether the last trial step was too long.
+        since: time since contact began [s], if that was the latest event; else infinite.
+        until: time until it ends [s], as the last step's motion has it; infinite where it does not.
+    """
+
+    start: Crossing
+    acceleration: Float[Array, "n n_lanes"]
+    expected: Float[Array, "2 2 n_lanes"]
+    n_since: Int[Array, " n_lanes"]
+    duration: Float[Array, " n_lanes"]
+    was_rejected: Bool[Array, " n_lanes"]
+    since: Float[Array, " n_lanes"]
+    until: Float[Array, " n_lanes"]
+
+
+class Landing:
+    """Steps that end on contact events inside them; see the module's docstring.
+
+    Args:
+        problem: what is integrated.
+        order: of the error estimate.
+        steps: the method's stages.
+    """
+
+    def __init__(self, problem, order, steps: ExplicitStages):
+        self.problem, self.order = problem, order
+        self.inside, self.instants, self.stray = steps.inside, steps.instants, steps.stray
+        self.contacts: Contacts | None = problem.contacts
+        self.correct: Callable | None = problem.correct
+
+    def init(self, term, t0, t_end, y0, parameters):
+        """The end of the first step [s], and the control's state, of one lane."""
+        t1, _ = self.problem.controller_of(parameters).init(
+            term, t0, t_end, y0, None, parameters, self.problem.solver.func, self.order
+        )
+        return self._first(t0, t1 - t0, y0, parameters), self._pace(t0, y0, parameters)
+
+    def init_with_looks(self, t0, t_end, y0, parameters):
+        """As `init`, with the end of the first look in place of the first step."""
+        return first_look(t0, t_end, shortest_step(t0, t_end)), self._pace(t0, y0, parameters)
+
+    def looked(self, looks: Looks, t0, y0, size, k, parameters) -> tuple[Looks, Float[Array, " n_lanes"]]:
+        """What is known after a look, and where the next one, or the first step, ends.
+
+        Args:
+            looks: before it.
+            t0, y0: the start.
+            size: of the look [s].
+            k: increments of its stages.
+            parameters: what the right-hand side is given.
+        """
+
+        def next_end(slope, slope_along, y0, size, parameters):
+            controller = self.problem.controller_of(parameters)
+            along = looked_along(controller, y0, slope)
+            again = t0 + along / self.instants[1]
+            size = first_size(controller, self.order, y0, slope, size * self.instants[1], slope_along)
+            return jnp.where(looks.turn == 0, again, self._first(t0, size, y0, parameters))
+
+        slope = jnp.where(looks.turn == 0, k[0] / size, looks.slope)
+        end = in_lanes(next_end)(slope, k[1] / size, y0, size, parameters)
+        return Looks(looks.turn + 1, slope), end
+
+    def _first(self, t0, size, y0, parameters):
+        room = jnp.inf if self.problem.room is None else self.problem.room(parameters, t0, y0)
+        return t0 + self._limited(size, room, shortest_step(t0, t0 + size))
+
+    def _pace(self, t0, y0, parameters) -> Pace:
+        start = Crossing(jnp.zeros(0), jnp.zeros(0), jnp.zeros((0, 3)))
+        if self.contacts is not None:
+            start = self.contacts.crossings(parameters, t0, y0)
+        no, far = jnp.array(False), jnp.array(jnp.inf)
+        return Pace(
+            start, -jnp.ones_like(start.value), jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, far, far
+        )
+
+    def bend_of_time(self, state: Pace, size) -> Float[Array, " n_lanes"]:
+        """Of the time that the coming steps are made in: the root of the time since the onset, or until the release.
+
+        With t = t_onset + (x0 + (x1 - x0) x)^2 the bend is (x1 - x0) / (x1 + x0); before a release it is the negative.
+        """
+        return _bend(state.since, state.since + size) - _bend(state.until - size, state.until)
+
+    def judge(self, step: Step, state: Pace, was_jump) -> Judgment:
+        """What becomes of the trial steps."""
+        size, shortest = step.t1 - step.t0, shortest_step(step.t0, step.t1)
+        error = self._scaled_error(step)
+        passes = error < 1
+        largest = jnp.where(passes, jnp.where(state.was_rejected, 1.0, LARGEST_FACTOR), SAFETY)
+        longer = size * jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
+        step = step._replace(y1=self._corrected(step.parameters, step.t1, step.y1))
+        if self.contacts is None:
+            state = state._replace(was_rejected=~passes)
+            began = jnp.zeros((0, *passes.shape), bool)
+            judgment = Judgment(passes, step.t1, longer, step.y1, state, jnp.zeros_like(passes), None, began)
+        else:
+            judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
+        keep = judgment.keep
+        has_stalled = (~keep & (size <= shortest)) | (size == 0)
+        t, y = jnp.where(keep, judgment.t, step.t0), jnp.where(keep, judgment.y, step.y0)
+        return judgment._replace(
+            t=t,
+            t_next=t + self._limited(judgment.t_next, self._room(step.parameters, t, y), shortest),
+            made_jump=jnp.where(keep, judgment.made_jump, was_jump),
+            verdict=in_lanes(_verdict)(has_stalled),
+        )
+
+    def _with_contacts(self, contacts: Contacts, step: Step, state: Pace, error, longer, shortest) -> Judgment:
+        """The judgment, with the coming step's size [s] in place of its end."""
+        size, passes = step.t1 - step.t0, error < 1
+        was_touching = contacts.is_touching(step.y0)
+        was_pressing = contacts.is_pressing(step.y0, state.start)
+        found = self._event(contacts, step, state, was_pressing, passes)
+        share = found.x
+        is_accurate = (error < _ACCURATE_INSIDE) | (share > _NEAR_END)
+        up_to_event = size * jnp.minimum(share * _BEYOND, 0.999)
+        # Where the rounding of time leaves no instant between start and end, the end is the event.
+        can_repeat = jnp.maximum(up_to_event, shortest) < size
+        lands = passes & found.crosses & found.is_exact & is_accurate
+        repeats = passes & found.crosses & ~lands & can_repeat
+        keep = passes & ~repeats
+        t = jnp.where(lands, step.t0 + size * share, step.t1)
+        y = jax.lax.cond(jnp.any(lands), self._landed, lambda step, *_: step.y1, step, state, lands, share)
+        y = contacts.update_lanes(step.parameters, t, step.y0, y)
+        end = in_lanes(contacts.crossings)(step.parameters, t, y)
+        is_touching = contacts.is_touching(y)
+        began = ~was_touching & is_touching
+        is_event = keep & jnp.any(was_touching != is_touching, axis=0)
+        mode, mode_now = (jnp.any(each, axis=0).astype(jnp.int64) for each in (was_touching, is_touching))
+        duration = state.duration + jnp.where(keep, t - step.t0, 0.0)
+        expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
+        may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
+        following, until = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
+        acceleration = found.bend / size**2
+        longest = longest_ball_step(end, acceleration, is_touching)
+        following = jnp.minimum(following, longest)
+        # A step that was too long only because it went far beyond the event is right up to there.
+        is_event_to_blame = found.crosses & (share * _BEYOND < _NEAR_END)
+        again = jnp.where(passes | is_event_to_blame, up_to_event, longer)
+        coming = jnp.where(keep, following, jnp.maximum(again, shortest))
+        elapsed = state.since + (t - step.t0)
+        state = Pace(
+            jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
+            jnp.where(keep, jnp.where(is_event, -1.0, acceleration), state.acceleration),
+            expected,
+            jnp.where(is_event, 0, state.n_since + keep),
+            jnp.where(is_event, 0.0, duration),
+            ~passes | (state.was_rejected & ~keep),
+            jnp.where(keep, jnp.where(is_event, jnp.where(jnp.any(began, axis=0), 0.0, jnp.inf), elapsed), state.since),
+            jnp.where(keep, until, state.until),
+        )
+        return Judgment(keep, t, coming, y, state, is_event, None, began & keep)
+
+    def _landed(self, step: Step, state: Pace, lands, share) -> Float[Array, "... n_lanes"]:
+        """The states inside the steps that end there, those at the ends of the others."""
+        return jnp.where(lands, self._state_inside(step, state, share), step.y1)
+
+    def _expected(self, state: Pace, keep, mode, longer, has_flown, duration) -> Float[Array, "2 2 n_lanes"]:
+        """Sizes of the first steps after an event: what this step should have been, such a step is to be next time."""
+        modes, places = jnp.arange(2)[:, None, None], jnp.arange(2)[:, None]
+        is_place = (modes == mode) & (places == state.n_since)
+        expected = jnp.where(keep & is_place, longer, state.expected)
+        as_long = jnp.where(has_flown, _LIKE_LAST_FLIGHT * duration, jnp.inf)
+        is_first_of_flight = (modes == 0) & (places == 0)
+        return jnp.where(is_first_of_flight, jnp.minimum(expected, as_long), expected)
+
+    def _following(self, state: Pace, end, expected, mode, size, longer, is_event, may_release):
+        """The size of the step [s] that follows a kept one, and the time until a release that comes within it."""
+        first, second = (jnp.where(mode == 0, expected[0, i], expected[1, i]) for i in (0, 1))
+        is_second = (state.n_since == 0) & ~is_event
+        by_error = jnp.where(is_second, jnp.maximum(longer, second), longer)
+        following = jnp.where(is_event & (first > 0), first, by_error)
+        share = self._share_to_release(state, end, size, following, may_release)
+        until = jnp.where(share < 1, share * following, jnp.inf)
+        return following * share, until
+
+    def _event(self, contacts: Contacts, step: Step, state: Pace, was_pressing, passes) -> Found:
+        """The first contact event inside the steps, on the states inside them."""
+        size = step.t1 - step.t0
+
+        def by_fraction(crossing: Crossing) -> Crossing:
+            return crossing._replace(rate=crossing.rate * size, velocity=crossing.velocity * size)
+
+        def inside(share) -> Crossing:
+            y = self._state_inside(step, state, share)
+            return by_fraction(in_lanes(contacts.crossings)(step.parameters, step.t0 + size * share, y))
+
+        end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
+        numbers = by_fraction(state.start), by_fraction(end)
+        before = state.acceleration * size**2
+        found = first_event(*numbers, inside, was_pressing, passes, LANDING_WINDOW, contacts.n_contacts, before)
+        return found._replace(x=jax.lax.stop_gradient(found.x))
+
+    def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
+        """The share of the following step that ends just behind a release, as the motion of the last one has it."""
+        ratio = following / size
+        start = state.start
+        slope0, slope1 = start.rate * size, end.rate * size
+        c3 = 2 * (start.value - end.value) + slope0 + slope1
+        c2 = 3 * (end.value - start.value) - 2 * slope0 - slope1 + 3 * c3
+        value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))
+        slope = slope1 + ratio * (2 * c2 + ratio * 3 * c3)
+        fractions = crossing_fraction(-end.value, -slope1 * ratio, -value, -slope * ratio, LANDING_WINDOW)
+        shares = jnp.where(may_release, fractions, 1.0)
+        return jnp.min(shares, axis=0)
+
+    def _state_inside(self, step: Step, state: Pace, share) -> Float[Array, "... n_lanes"]:
+        """The states after a share of the steps' time."""
+        x = own_time(share, self.bend_of_time(state, step.t1 - step.t0))
+        n, degree = self.inside.shape
+        coefficients = jnp.asarray(self.inside.T[::-1])
+        # A loop: XLA would evaluate the polynomials again for every entry of the state.
+        weights = jax.lax.fori_loop(
+            0, degree, lambda m, weights: (weights + coefficients[m, :, None]) * x, jnp.zeros((n, *x.shape))
+        )
+        k = step.dense_info["k"]
+        y = step.y0 + sum(weights[i] * k[i] for i in range(n) if self.inside[i].any())
+        return self._corrected(step.parameters, step.t0 + (step.t1 - step.t0) * share, y)
+
+    def _corrected(self, parameters, t, y) -> Float[Array, "... n_lanes"]:
+        return y if self.correct is None else in_lanes(self.correct)(parameters, t, y)
+
+    def _scaled_error(self, step: Step) -> Float[Array, " n_lanes"]:
+        """The root mean square of the errors by what is tolerated; of rows (`sensitivity_rows`) the worst."""
+
+        def tolerances(parameters):
+            controller = self.problem.controller_of(parameters)
+            return controller.atol, controller.rtol
+
+        atol, rtol = in_lanes(tolerances)(step.parameters)
+        scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
+        by_row = self._by_row(step.error / scale)
+        error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / SLOPES_TOLERANCE)
+        is_right = jnp.logical_not(jnp.isnan(error))
+        if self.stray is not None:
+            is_right = is_right & self._holds_together(self.stray, step, scale)
+        return jax.lax.stop_gradient(jnp.where(is_right, error, jnp.inf))
+
+    def _holds_together(self, weights: np.ndarray, step: Step, scale) -> Bool[Array, " n_lanes"]:
+        """Whether the last stage that has the step's end for its instant is nearer to it than the start is.
+
+        The check of the error's estimate, which knows only stages that have a weight in it. A first step in contact of
+        25 times the duration of the impact (a ball at 0.03 m/s in a socket of 3.5 mm) sent those that have none into
+        the wall, and the others flew out of it at 300 m/s, where no force is: an error of nothing, and an end as if
+        there were no wall; 75 of 3,600 balls fell through stops in that way. There the stage strayed 5,000 times as
+        far as the step went. In steps that are right it does by 0.8 times at most at an rtol of 1e-3, 0.3 at 1e-4 and
+        0.01 at 1e-8 (impacts of a four-bar and of balls in sockets).
+        """
+        k = step.dense_info["k"]
+        stray = sum(weight * k[i] for i, weight in enumerate(weights) if weight)
+        strayed, moved = (self._by_row(each / scale)[0] for each in (stray, step.y1 - step.y0))
+        return strayed <= jnp.maximum(moved, _NO_STRAY)
+
+    def _by_row(self, by_scale) -> Float[Array, "n_rows n_lanes"]:
+        """The root mean square of what is judged, of the state and of each row below it (`sensitivity_rows`)."""
+        judged = by_scale[..., : self.problem.n_judged, :]
+        rows = judged.reshape(-1, *judged.shape[-2:])
+        return jnp.sqrt(jnp.mean(rows * rows, axis=1))
+
+    def _room(self, parameters, t, y) -> Float[Array, " n_lanes"] | float:
+        """How soon something comes that the coming steps must not pass over."""
+        return jnp.inf if self.problem.room is None else in_lanes(self.problem.room)(parameters, t, y)
+
+    def _limited(self, size, room, shortest) -> Float[Array, " n_lanes"]:
+        size = jnp.minimum(size, jnp.maximum(room, shortest))
+        longest = self.problem.longest_step
+        return size if longest is None else jnp.minimum(size, longest)
+
+
+def _bend(near, far) -> Float[Array, " n_lanes"]:
+    """(x1 - x0) / (x1 + x0) with the roots of two times to an event; 0 for one that is not expected."""
+    is_known = far < jnp.inf
+    near, far = (jnp.sqrt(jnp.where(is_known, jnp.maximum(each, 0.0), 1.0)) for each in (near, far))
+    return (far - near) / jnp.maximum(far + near, 1e-300)
+
+
+def _verdict(has_stalled):
+    return diffrax.RESULTS.where(has_stalled, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful)

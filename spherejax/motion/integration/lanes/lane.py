@@ -1,0 +1,143 @@
+"""What runs in lanes are made of: the problem, a run under way, and what becomes of all of them."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from spherejax.motion.integration.audit import Audit, Watch
+from spherejax.motion.solvers.landing import Contacts
+
+
+class Block(NamedTuple):
+    """How wide the block of lanes is (static).
+
+    Attributes:
+        width: lanes; 64 keep the working set of a mechanism of three bodies in the first-level cache.
+        narrow: lanes once the queue is empty and no more than these are busy.
+    """
+
+    width: int = 64
+    narrow: int = 16
+
+
+class LaneProblem(NamedTuple):
+    """What is integrated in every lane (static functions of one lane).
+
+    Attributes:
+        solver: a diffrax solver, not wrapped.
+        controller_of: the diffrax controller of a run, from its parameters.
+        rate: right-hand side (t, y, parameters).
+        correct: drift control's correction (parameters, t, y), or None.
+        contacts: contacts whose onsets are located, or None.
+        max_steps: largest number of steps of a run.
+        watch: numbers (t, y, parameters) whose largest values at the ends of all steps are kept, or None.
+        longest_step: of every run [s], or None.
+        audit: what is looked at, at the end of each step, or None.
+        room: how soon [s] something comes that no step may pass over (parameters, t, y), or None.
+        n_judged: entries of the state whose errors are judged, the first ones; None for all.
+    """
+
+    solver: diffrax.AbstractSolver
+    controller_of: Callable
+    rate: Callable
+    correct: Callable | None
+    contacts: Contacts | None
+    max_steps: int | Array
+    watch: Callable | None = None
+    longest_step: Array | None = None
+    audit: Audit | None = None
+    room: Callable | None = None
+    n_judged: int | None = None
+
+
+class StepLog(NamedTuple):
+    """The steps of all runs of a queue, one row each.
+
+    Attributes:
+        times: of the shares of each step that were asked for, and of its end [s], shape (n_jobs, capacity, k + 1).
+        states: there; at the end with what its events changed, shape (n_jobs, capacity, k + 1, ...). Rows of steps that
+            were not made are NaN.
+    """
+
+    times: Float[Array, "n_jobs capacity k+1"]
+    states: Float[Array, "n_jobs capacity k+1 ..."]
+
+
+class Lane(NamedTuple):
+    """A run under way (of all lanes: the last axis).
+
+    Attributes:
+        job: index of the run; the number of runs where the lane is idle.
+        t_end: where it ends [s].
+        t: start of the coming step [s].
+        t_next: end of the coming step [s].
+        y: state at t.
+        parameters: what the right-hand side is given.
+        solver_state: the solver's.
+        controller_state: the controller's.
+        made_jump: whether the state jumped at t.
+        n_accepted: steps kept.
+        n_rejected: steps repeated.
+        n_onsets: contact onsets of each contact.
+        touching: time in contact of each contact [s].
+        peaks: largest values of what is watched.
+        n_samples: samples taken.
+        status: integer of `Status`.
+        watch: of the audit.
+    """
+
+    job: Array
+    t_end: Array
+    t: Array
+    t_next: Array
+    y: Array
+    parameters: Any
+    solver_state: Any
+    controller_state: Any
+    made_jump: Array
+    n_accepted: Array
+    n_rejected: Array
+    n_onsets: Array
+    touching: Array
+    peaks: Array
+    n_samples: Array
+    status: Array
+    watch: Watch | None
+
+
+class LaneOutcome(NamedTuple):
+    """Results of all runs of a queue.
+
+    Attributes:
+        ys: states at the sample times; NaN where a run did not come, shape (n_jobs, n, ...).
+        t_reached: [s], shape (n_jobs,).
+        status: integers of `Status`, shape (n_jobs,).
+        n_accepted: steps kept, shape (n_jobs,).
+        n_rejected: steps repeated, shape (n_jobs,).
+        n_onsets: shape (n_jobs, n_contacts).
+        touching: time in contact [s], shape (n_jobs, n_contacts).
+        peaks: largest values of what is watched, shape (n_jobs, n_watched).
+        y_reached: states at `t_reached`, shape (n_jobs, ...).
+        audit: the worst of each of `audit.CHECKS`, as a share of its limit, shape (n_jobs, 5).
+        n_lane_steps: steps that the block made, those of idle lanes included.
+    """
+
+    ys: Float[Array, "n_jobs n ..."]
+    t_reached: Float[Array, " n_jobs"]
+    status: Int[Array, " n_jobs"]
+    n_accepted: Int[Array, " n_jobs"]
+    n_rejected: Int[Array, " n_jobs"]
+    n_onsets: Int[Array, "n_jobs n_contacts"]
+    touching: Float[Array, "n_jobs n_contacts"]
+    peaks: Float[Array, "n_jobs n_watched"]
+    y_reached: Float[Array, "n_jobs ..."]
+    audit: Float[Array, "n_jobs 4"]
+    n_lane_steps: Int[Array, ""]
+
+    @property
+    def lane_efficiency(self) -> Float[Array, ""]:
+        """Steps of runs divided by steps of lanes."""
+        return jnp.sum(self.n_accepted + self.n_rejected) / self.n_lane_steps

@@ -1,0 +1,146 @@
+"""A trial step of a block of lanes. Arrays have their lanes on the last axis.
+
+An explicit Runge-Kutta method evaluates its stages in one loop over all lanes, on contiguous vectors: `solver.step`
+under `jax.vmap` gives each lane an axis in front and calls a matrix product for each stage, and takes twice as long.
+Any other method is mapped as it is.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.integration.lanes.first_step import can_look
+from spherejax.motion.integration.lanes.inside import extension
+
+
+class Trial(NamedTuple):
+    """A step that nobody has judged yet.
+
+    Attributes:
+        y: state at its end.
+        error: estimate of its error.
+        dense_info: what the solver's interpolation is made from.
+        solver_state: the solver's state at its end.
+        result: whether the solver could make it, as `diffrax.RESULTS`; None where it always can.
+    """
+
+    y: Array
+    error: Array
+    dense_info: dict[str, Any]
+    solver_state: Any
+    result: Any
+
+
+def own_time(share: Array, bend: Array) -> Array:
+    """x of a share of a step's time: the root of (1 - bend) x + bend x^2 = share, for bends from -1 to 1."""
+    straight = 1 - bend
+    root = straight + jnp.sqrt(jnp.maximum(straight * straight + 4 * bend * share, 0.0))
+    return 2 * share / jnp.where(root > 0, root, 1.0)
+
+
+class ExplicitStages:
+    """Trial steps by the tableau of an explicit Runge-Kutta method.
+
+    Args:
+        tableau: of the method.
+        rate: takes (t, y, parameters) of one lane.
+        with_dense_output: whether states inside a step are wanted from the method's own interpolation.
+    """
+
+    def __init__(self, tableau: diffrax.ButcherTableau, rate: Callable, with_dense_output: bool):
+        n = len(tableau.b_sol)
+        self.coefficients = np.zeros((n, n))
+        for i, row in enumerate(tableau.a_lower, start=1):
+            self.coefficients[i, :i] = row
+        self.instants = np.concatenate([[0.0], tableau.c])
+        self.weights, self.error_weights = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
+        n_used = _last_used(self.weights, self.error_weights)
+        self.n_stages = n if with_dense_output else n_used
+        self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
+        self.stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
+        self.can_look = can_look(self.coefficients, self.instants)
+        self.rate = rate
+
+    def init(self, t, t_next, y, parameters) -> tuple:
+        """An explicit method carries nothing from step to step."""
+        del t, t_next, y, parameters
+        return ()
+
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> Trial:
+        """All stages of all lanes, in a time of their own: t = t0 + h ((1 - bend) x + bend x^2).
+
+        With `n_evaluated` only so many, which may be traced: then of the trial only their increments say something.
+        """
+        del solver_state, made_jump
+        h, n = t_next - t, self.n_stages
+        c = jnp.asarray(self.instants)
+        rate = in_lanes(self.rate)
+        # Each stage reads the increments that it needs, in one loop over lanes; a product of matrices is far slower.
+        moves = [partial(_moved, row) for row in self.coefficients[:n]]
+
+        def with_stage(i, k):
+            moved = jax.lax.switch(i, moves, y, k)
+            instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
+            change = h * speed * rate(t + instant * h, moved, parameters)
+            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
+
+        n_made = n if n_evaluated is None else n_evaluated
+        k = jax.lax.fori_loop(0, n_made, with_stage, jnp.zeros((n, *y.shape)))
+        end = y + _weighted(self.weights, k)
+        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
+
+
+class MappedSteps:
+    """Trial steps by any diffrax solver, lane by lane."""
+
+    def __init__(self, solver: diffrax.AbstractSolver, rate: Callable):
+        self.solver = solver
+        self.term = diffrax.ODETerm(rate)
+
+    def init(self, t, t_next, y, parameters):
+        """The solver's state of one lane."""
+        return self.solver.init(self.term, t, t_next, y, parameters)
+
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> Trial:
+        """One step of every lane."""
+        del bend, n_evaluated
+
+        def of_one(t, t_next, y, parameters, solver_state, made_jump):
+            step: Any = self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump)
+            return Trial(*step)
+
+        return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
+
+
+def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitStages | MappedSteps:
+    """How a solver makes the trial steps of a block; arguments as for `ExplicitStages`."""
+    if isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau):
+        return ExplicitStages(solver.tableau, rate, with_dense_output)
+    return MappedSteps(solver, rate)
+
+
+def _stray_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: np.ndarray) -> np.ndarray | None:
+    """Weights of how far the last stage at a step's end, other than the end itself, is from it; None without one."""
+    differences = [row - weights for row, c in zip(coefficients, instants, strict=True) if c == 1]
+    others = [difference for difference in differences if np.any(np.abs(difference) > 1e-12)]
+    return others[-1] if others else None
+
+
+def _last_used(*weights: np.ndarray) -> int:
+    """Number of stages up to the last one with a weight."""
+    return 1 + max(int(np.flatnonzero(w)[-1]) for w in weights)
+
+
+def _moved(row: np.ndarray, y: Array, k: Array) -> Array:
+    return y + _weighted(row, k)
+
+
+def _weighted(weights: np.ndarray, k: Array) -> Array:
+    return sum(w * k[j] for j, w in enumerate(weights) if w and j < k.shape[0])  # pyright: ignore[reportReturnType]

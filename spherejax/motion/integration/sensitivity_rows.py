@@ -1,0 +1,210 @@
+"""A state and its sensitivities as rows of one matrix, and what happens to them: rates, corrections, contact onsets.
+
+Sensitivities Y_k = s_k dy/dp_k are integrated together with the state (s_k = |p_k|, or 1 where p_k is 0, so that all
+are in the units of the state),
+
+    y_rate = f(y, p),    Y_k_rate = df/dy Y_k + s_k df/dp_k,
+
+as rows of one matrix: y first, then one Y_k for each number. The step-size controller judges every row. That is
+needed behind a contact onset, where df/dy grows like the root of time: steps that are right for the motion, whose
+force grows like the power 3/2, are too long for its sensitivities.
+
+At a contact onset the instant tau moves with the numbers. A step lands just behind it, and there
+
+    Y_k := Y_k + (f_flight - f_contact) s_k dtau/dp_k,
+
+while the memory's part jumps as `contacts.memory_after_step` says. The force of the landing window is below a
+micronewton, and yet without this term each impact would add a relative error of 1e-7: contact stiffens from zero with
+an infinite slope. Bristles, which begin to move at the onset, need the term in full.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.equations.contacts import GRAZING_RATE
+from spherejax.motion.equations.programs import Program
+from spherejax.motion.solvers.landing import Contacts
+
+
+def scales_of(values: Float[Array, " p"]) -> Float[Array, " p"]:
+    """s_k of each number: its size, or 1 where it is 0."""
+    return jnp.where(values == 0, 1.0, jnp.abs(values))
+
+
+class Linearized(NamedTuple):
+    """Something that follows from the traced numbers, and its derivatives along directions in them.
+
+    Attributes:
+        value: the value.
+        slopes: the derivatives, with a leading axis of directions; None for what is not a float.
+    """
+
+    value: Any
+    slopes: Any
+
+
+class RowParameters(NamedTuple):
+    """What the right-hand side of the rows is given.
+
+    Attributes:
+        value, slopes: what that of the state is given, and its derivatives, as `Linearized`.
+        limits: of the audit.
+    """
+
+    value: Any
+    slopes: Any
+    limits: Any
+
+
+def linearized(function, values: Float[Array, " p"], directions: Float[Array, "k p"]) -> Linearized:
+    """The value of a function of the traced numbers, and its derivatives."""
+
+    def floats(values):
+        return eqx.partition(function(values), lambda leaf: jnp.issubdtype(jnp.result_type(leaf), jnp.floating))
+
+    def along(direction):
+        return jax.jvp(floats, (values,), (direction,), has_aux=True)
+
+    value, slopes, others = jax.vmap(along, out_axes=(None, 0, None))(directions)
+    return Linearized(eqx.combine(value, others), slopes)
+
+
+def rows_rate(rate: Program, parameters: Linearized, t, rows: Float[Array, "rows size"]) -> Float[Array, "rows size"]:
+    """The right-hand side for the state and its sensitivities."""
+
+    def state_rate(numbers, y):
+        return rate.inside(numbers.theta, numbers.ahead, t, y)
+
+    return rows_of(state_rate, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))
+
+
+def rows_of(function, primals, slopes) -> Float[Array, "rows size"]:
+    """A function's value as first row, its derivatives below."""
+
+    def along(tangents):
+        return eqx.filter_jvp(function, primals, tangents)
+
+    value, tangents = eqx.filter_vmap(along, out_axes=(None, 0))(slopes)
+    return jnp.concatenate([value[None], tangents])
+
+
+def correcting_rows(correct: Callable | None) -> Callable | None:
+    """The drift control's correction of the state and of its sensitivities."""
+    if correct is None:
+        return None
+
+    def correct_rows(parameters, t, rows):
+        def corrected(numbers, y):
+            return correct(numbers, t, y)
+
+        return rows_of(corrected, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))
+
+    return correct_rows
+
+
+def with_rows(contacts: Contacts, rate: Program) -> Contacts:
+    """Contacts of the state in the first row; at an onset the sensitivities below it jump."""
+
+    def crossings_of_state(parameters, t, y):
+        return contacts.crossings(parameters.value, t, y)
+
+    def crossings(parameters, t, rows):
+        return crossings_of_state(parameters, t, rows[0])
+
+    first_row = (lambda array: array[..., 0, :], crossings_of_state)
+    if not contacts.onset_entries:
+        return contacts._replace(crossings=crossings, first_row=first_row)
+
+    def updated(parameters, t, start, end):
+        """The rows with the memory updated, and how much later the onset comes with each number."""
+
+        def of_state(numbers, y_start, y_end):
+            return contacts.update(numbers, t, y_start, y_end)
+
+        values = (parameters.value, start[0], end[0])
+        rows = rows_of(of_state, values, (parameters.slopes, start[1:], end[1:]))
+        weights = delay_weights(contacts, parameters.value, t, start[0], end[0], rows[0])
+        return rows, jnp.sum(_crossing_slopes(contacts, parameters, t, end) * weights, 1)
+
+    def rate_at(numbers, t, y):
+        return rate.inside(numbers.theta, numbers.ahead, jnp.asarray(t), y)
+
+    def jumped(rows, delays, rates):
+        flight, contact = rates
+        return jnp.concatenate([rows[:1], rows[1:] + delays[:, None] * (flight - contact)])
+
+    def update(parameters, t, start, end):
+        rows, delays = updated(parameters, t, start, end)
+        rates = jax.vmap(lambda y: rate_at(parameters.value, t, y))(jnp.stack([end[0], rows[0]]))
+        return jumped(rows, delays, rates)
+
+    def update_lanes(parameters, t, start, end):
+        rows, delays = in_lanes(updated)(parameters, t, start, end)
+
+        def with_jumps():
+            # A loop: fused with the sum, XLA would evaluate the right-hand side again for every entry of the state.
+            states = jnp.stack([end[0], rows[0]])
+            return jumped(rows, delays, jax.lax.map(lambda y: in_lanes(rate_at)(parameters.value, t, y), states))
+
+        return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
+
+    entries = tuple((0, entry) for entry in contacts.onset_entries)
+    return Contacts(crossings, update, update_lanes, entries, first_row)
+
+
+def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:
+    """By how much an onset comes later [s] for a unit of change of each crossing function there; 0 without an onset.
+
+    Args:
+        contacts: the contacts.
+        parameters: what they are given.
+        t: time at the end of the step [s].
+        start: flat state at its start.
+        end: at its end, in the mode of the start.
+        updated: at its end, in the new mode.
+
+    Limits: 0 for a grazing onset. Onsets in one step are taken as one, with the mean of their delays.
+    """
+    began = ~contacts.is_touching(start) & contacts.is_touching(updated)
+    onset_rate = jnp.stack([updated[entry] for entry in contacts.onset_entries])
+    counts = began & (onset_rate > GRAZING_RATE)
+    rates = jnp.where(counts, contacts.crossings(parameters, t, end).rate[: contacts.n_contacts], 1.0)
+    return -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
+
+
+def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Float[Array, "k n_contacts"]:
+    """Derivatives of the crossing functions at the end of a step."""
+
+    def value(numbers, y):
+        return contacts.crossings(numbers, t, y).value[: contacts.n_contacts]
+
+    return rows_of(value, (parameters.value, rows[0]), (parameters.slopes, rows[1:]))[1:]
+
+
+def of_first_row(function: Callable | None) -> Callable | None:
+    """A function (parameters, t, y) of the state, as one of the rows that it stands above."""
+    return None if function is None else lambda parameters, t, rows: function(parameters.value, t, rows[0])
+
+
+def judging_rows(controller, slack: float = 1.0):
+    """The controller with the norm of the worst row, so that many numbers do not dilute the error of one.
+
+    Args:
+        controller: a diffrax controller.
+        slack: how much larger the errors of the sensitivities may be than those of the state.
+    """
+    if not isinstance(controller, diffrax.PIDController):
+        return controller
+    norm = controller.norm
+
+    def worst(errors):
+        return jnp.maximum(norm(errors[0]), jnp.max(jax.vmap(norm)(errors[1:])) / slack)
+
+    return eqx.tree_at(lambda c: c.norm, controller, worst)

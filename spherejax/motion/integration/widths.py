@@ -1,0 +1,35 @@
+"""How many lanes a block has where nobody says: what a core's cache holds, or what an accelerator needs to be busy.
+
+A core makes one step of all lanes in a time that is proportional to their number as long as they fit its first-level
+cache. On an accelerator a step costs its kernels' launches (some hundred, of a few microseconds each) until all of its
+arithmetic units are busy, so that all runs side by side, up to very many, take no longer than a few.
+"""
+
+from typing import Any
+
+import jax
+
+from spherejax.motion.integration.lanes import Block
+
+ON_CPU = Block()
+"""64 lanes of a mechanism of three bodies are about 100 kB."""
+
+ON_ACCELERATOR = Block(width=65_536, narrow=8_192)
+"""About 20 kB a lane of a mechanism of three bodies with a method of 14 stages: 1.3 GB."""
+
+
+def block_for(platform: str | None = None) -> Block:
+    """The block of lanes for a kind of device.
+
+    Args:
+        platform: as JAX calls it (`"cpu"`, `"gpu"`, `"tpu"`); that of the default device when None.
+    """
+    return ON_CPU if (platform or platform_of_runs()) == "cpu" else ON_ACCELERATOR
+
+
+def platform_of_runs() -> str:
+    """The platform that runs are made on."""
+    chosen: Any = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    if chosen is None:
+        return jax.default_backend()
+    return chosen if isinstance(chosen, str) else chosen.platform

@@ -1,0 +1,1 @@
+"""What a run answers: its trajectory, tables, steps, impacts, spectra."""

@@ -1,0 +1,209 @@
+"""The steps of a run: it is made once more, and every step is written down.
+
+Samples are where the user wants them; impacts and peaks lie between them. A run keeps no steps, for it may make
+millions and lanes make thousands of runs; whoever asks for them has the run repeated, in a lane, by the same method and
+tolerances, from the same start. That the repeated motion is the same is tested at the run's samples.
+"""
+
+import warnings
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.model.system import Structure, System, flatten_system
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.asked import Asked
+from spherejax.motion.integration.integrate import Parameters
+from spherejax.motion.integration.jobs import JobKind, Numbers, audit_limits
+from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
+from spherejax.motion.integration.status import Status
+from spherejax.motion.integration.widths import block_for
+from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.start.tolerances import component_tolerances
+from spherejax.physics.state import unpack
+
+NODES, WEIGHTS = (np.asarray(each) for each in np.polynomial.legendre.leggauss(4))
+SHARES = tuple(float(x) for x in (NODES + 1) / 2)
+"""Where inside each step the state is looked at: Gauss and Legendre's four nodes, exact for polynomials of degree 7."""
+SHARE_WEIGHTS = WEIGHTS / 2
+
+APART = 1e-3
+"""Positions of two equal motions differ by less than this share of the smallest clearance, or of `LENGTH`."""
+
+LENGTH = 1e-4
+"""As if it were a clearance, where there is none [m]."""
+
+LARGEST_LOG = 2**31
+"""Bytes of steps that are kept."""
+
+
+class PartingWarning(UserWarning):
+    """A repeated run parts from the first one: the motion is chaotic, and what is told from then on is of another."""
+
+
+class Steps(NamedTuple):
+    """The steps of one run.
+
+    Attributes:
+        t0: where it starts [s].
+        y0: the flat state there.
+        ends: where the steps end [s], shape (n,).
+        at_ends: the flat states there, with what the events there changed, shape (n, size).
+        inside: `SHARES` of each step [s], shape (n, k).
+        at_inside: the flat states there, shape (n, k, size).
+    """
+
+    t0: float
+    y0: np.ndarray
+    ends: np.ndarray
+    at_ends: np.ndarray
+    inside: np.ndarray
+    at_inside: np.ndarray
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Of the steps [s]."""
+        return np.diff(self.ends, prepend=self.t0)
+
+
+def steps_of(
+    system: System, asked: Asked | None, ts, ys, n_accepted: int, t_reached: float, scalar: bool | None
+) -> Steps:
+    """The steps of a run.
+
+    Args:
+        system: what was run, with concrete numbers.
+        asked: how; None where that is not known.
+        ts, ys: its samples, the first one the start.
+        n_accepted: how many steps it made.
+        t_reached: how far it came [s]; steps beyond are not told.
+        scalar: whether on scalar programs.
+
+    Raises:
+        SceneError: where the run cannot be repeated, or has too many steps to keep.
+    """
+    if not is_concrete(ys) or np.ndim(ys) != 2:
+        raise SceneError(
+            "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep"
+        )
+    asked = _repeatable(asked)
+    structure, theta = flatten_system(system)
+    limits = audit_limits(system, asked.rtol, asked.solver)
+    atol, rtol = asked.atol, asked.rtol
+    tolerances = component_tolerances(system, rtol) if atol is None else None
+    pair = (rtol, atol) if tolerances is None else (tolerances.rtol, tolerances.atol)
+    arrays, solver = eqx.partition(asked.solver, eqx.is_array)
+    times = _at_least_three(np.asarray(ts, float))
+    kind = JobKind(structure, scalar, solver)
+    y0 = jnp.asarray(ys[0])
+    capacity = _room_for(n_accepted)
+    while True:
+        _refuse_too_many(capacity, y0.size)
+        outcome, log = _repeated(
+            kind, capacity, arrays, pair, np.asarray(asked.max_steps), jnp.asarray(theta), limits, y0, times
+        )
+        n = int(outcome.n_accepted[0])
+        if n <= capacity:
+            break
+        capacity = _room_for(n)
+    ends, states = np.asarray(log.times[0, :n]), np.asarray(log.states[0, :n])
+    told = ends[:, -1] <= t_reached
+    _warn_where_they_part(system, np.asarray(ts), np.asarray(ys), times, np.asarray(outcome.ys[0]))
+    ends, states = ends[told], states[told]
+    return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1])
+
+
+@bounded_jit(what="the steps of a run")
+def _repeated(
+    kind: JobKind, capacity: int, arrays, tolerances, budget, theta, limits, y0, ts
+) -> tuple[LaneOutcome, StepLog]:
+    rate = program_for(state_rate, kind.structure, kind.scalar)
+    numbers = Numbers(Parameters(theta, rate.ahead(theta)), None, None, limits)
+    problem = kind.problem(ts, (arrays, tolerances, budget))
+    own, first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (numbers, y0))
+    may_run, status = jnp.ones(1, bool), jnp.full(1, Status.SUCCEEDED, jnp.int64)
+    return steps_in_lanes(problem, own, first, ts, may_run, status, block_for(), capacity, SHARES)
+
+
+def _repeatable(asked: Asked | None) -> Asked:
+    if asked is None:
+        raise SceneError(
+            "the steps of this run cannot be told: its tolerances were traced, or a step-size controller of its own "
+            "judged them. Simulate it once more with rtol= as a number and without stepsize_controller="
+        )
+    solver: Any = asked.solver
+    is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
+    if not is_explicit and not isinstance(solver, AbstractRosenbrock):
+        raise SceneError(
+            f"the steps of {type(solver).__name__} cannot be told; those of explicit and of Rosenbrock methods can "
+            "(diffrax.Dopri8(), sj.Rodas5P()), and solver=None takes one of them"
+        )
+    return asked
+
+
+def _room_for(n: int) -> int:
+    """Rows for n steps and a few more, for few different programs."""
+    return max(256, 1 << int(np.ceil(np.log2(1.1 * n + 16))))
+
+
+def _refuse_too_many(capacity: int, size: int) -> None:
+    if 8 * capacity * (len(SHARES) + 1) * (size + 1) > LARGEST_LOG:
+        raise SceneError(
+            f"the run has more than {capacity // 2:,} steps of {size} numbers, too many to keep; simulate a shorter "
+            "span, or from a later start"
+        )
+
+
+def _at_least_three(ts: np.ndarray) -> np.ndarray:
+    """Sample times that ask for states inside of steps."""
+    if len(ts) == 1:
+        raise SceneError("a run of one instant has no steps; give ts an end")
+    return ts if len(ts) > 2 else np.array([ts[0], (ts[0] + ts[1]) / 2, ts[1]])
+
+
+def _warn_where_they_part(system: System, ts, ys, times, repeated) -> None:
+    at = np.searchsorted(times, ts)
+    models: list[Any] = [system.spherical(name).model for name in system.contact_joints]
+    gaps = [float(model.clearance) for model in models]
+    limit = APART * min([LENGTH, *gaps])
+    unpacked = (np.asarray(unpack(system.layout, jnp.asarray(each)).position) for each in (ys, repeated[at]))
+    first, second = unpacked
+    distance = np.abs(first - second).max(axis=(1, 2))
+    parted = np.flatnonzero(~(distance <= limit) & np.isfinite(ys).all(axis=1))
+    if parted.size:
+        warnings.warn(
+            f"the run was repeated to see its steps, and from t = {ts[parted[0]]:.6g} s on the repeated motion is "
+            f"another one (positions differ by more than {limit:.1g} m): the motion is chaotic, and both are equally "
+            "right. What is told of its steps from there on is of the repeated one",
+            PartingWarning,
+            stacklevel=4,
+        )
+
+
+# What is seen at the steps -------------------------------------------------------------------------------------------
+
+
+def seen_at(system: System, function, ts: np.ndarray, ys: np.ndarray, scalar: bool | None) -> Any:
+    """`function(system, t, y)` at many states, a tree of arrays with a leading axis."""
+    structure, theta = flatten_system(system)
+    n = len(ts)
+    # Few different programs: as many rows as a power of two.
+    rows = 1 << int(np.ceil(np.log2(max(n, 16))))
+    ts = np.concatenate([ts, np.full(rows - n, ts[-1] if n else 0.0)])
+    ys = np.concatenate([ys, np.broadcast_to(ys[-1], (rows - n, ys.shape[1]))])
+    found = _seen(structure, function, scalar, jnp.asarray(theta), jnp.asarray(ts), jnp.asarray(ys))
+    return jax.tree.map(lambda x: np.asarray(x)[:n], found)
+
+
+@bounded_jit(what="what is seen at the steps of a run")
+def _seen(structure: Structure, function, scalar: bool | None, theta, ts, ys):
+    system = structure.system(theta)
+    return jax.lax.map(lambda sample: function(system, *sample), (ts, ys), batch_size=64)

@@ -1,0 +1,448 @@
+"""The result of a run: times, states, observables, statistics, and how it ended."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.numerics import safe_norm
+from spherejax.model.system import System, flatten_system
+from spherejax.motion.equations.observables import Observation, looked_up, observe
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.quantities import quantity
+from spherejax.motion.integration.asked import Asked
+from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findings, suspects
+from spherejax.motion.integration.statistics import Statistics
+from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
+from spherejax.motion.results.dataset import table_of, to_dataset
+from spherejax.motion.results.impacts import Peak, impacts, peak
+from spherejax.motion.results.modes import modes
+from spherejax.motion.results.spectra import spectrum
+from spherejax.motion.results.steps import Steps, steps_of
+from spherejax.motion.start.assembly import Assembly
+from spherejax.motion.start.redundancy import ConstraintReport, report_at, singular_joints
+from spherejax.physics.state import Layout, State, unpack
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class Trajectory(eqx.Module):
+    """A simulated motion.
+
+    It is a pytree: it can be returned from `jax.jit` and `jax.vmap` (its arrays then have a leading axis of lanes; use
+    `jax.vmap(lambda run: run.acceleration("rocker"))(runs)` for observables that need an evaluation).
+
+    Attributes:
+        ts: sample times [s], shape (n,).
+        ys: flat states, shape (n, size); NaN at samples that a failed run did not reach.
+        system: the compiled scene.
+        stats: what the run cost.
+        ended: how it ended, an integer of `Status`; `status` says it in words.
+        t_reached: the time that was reached [s].
+        y_reached: the flat state there, shape (size,).
+        assembly: how the start was made consistent.
+        choice: which method was used, and why.
+        scalar: whether scalar programs are used; None: those that are not too large.
+        asked: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
+    """
+
+    ts: Float[Array, " n"]
+    ys: Float[Array, "n size"]
+    system: System
+    stats: Statistics
+    ended: Int[Array, ""]
+    t_reached: Float[Array, ""]
+    y_reached: Float[Array, " size"]
+    assembly: Assembly
+    choice: str = eqx.field(static=True)
+    scalar: bool | None = eqx.field(static=True)
+    asked: Asked | None = eqx.field(static=True, default=None)
+
+    def __repr__(self) -> str:
+        if not is_concrete(self.ended):
+            return "Trajectory(traced)"
+        bodies, n = ", ".join(self.system.bodies), self.ts.shape[-1]
+        ended = "succeeded" if bool(np.all(self.succeeded)) else self.diagnosis
+        steps = int(np.sum(self.stats.n_steps))
+        return f"Trajectory of {bodies}: {n} samples, {steps} steps, {self.choice}; {ended}"
+
+    # How it ended ------------------------------------------------------------------------------------------------
+
+    @property
+    def status(self) -> Any:
+        """How it ended: a `Status` of a single run; of many, or traced, the integers."""
+        # `eqx.tree_at` asks with marks that are no arrays: it is told by its own error that the leaf is `ended`.
+        single = isinstance(self.ended, (int, np.integer, np.ndarray, jax.Array)) and not np.ndim(self.ended)
+        return Status(int(self.ended)) if single and is_concrete(self.ended) else self.ended
+
+    @property
+    def succeeded(self):
+        """Whether the run reached its end."""
+        return self.ended == Status.SUCCEEDED
+
+    @property
+    def diagnosis(self) -> str:
+        """Which lane stopped, when, why, and what to do; empty after success.
+
+        Of a single run that its constraints have stopped, it names the joints whose equations become dependent there.
+        """
+        text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._found)
+        if np.ndim(self.ended) or not text or int(self.ended) not in STOPPED_IN_MOTION:
+            return text
+        start = (float(self.ts[0]), np.asarray(self.assembly.y))
+        joints = singular_joints(self.system, float(self.t_reached), np.asarray(self.y_reached), start)
+        if not joints:
+            return text
+        return (
+            f"{text} There the equations of joints {', '.join(map(repr, joints))} depend on each other: a singular "
+            "configuration, which a driver cannot pass where the mechanism reaches no further. Check the reach of what "
+            "is driven, or start or drive it otherwise."
+        )
+
+    @property
+    def audit(self) -> str:
+        """What the run's audit of itself has looked at and found, in words. For one run; `stats.audit` for many."""
+        if np.ndim(self.ended):
+            raise SceneError("audit reports on a single run; take one lane of the batch first")
+        shares = np.asarray(self.stats.audit)
+        made = {check: share for check, share in zip(CHECKS, shares, strict=True) if share != NOT_MADE}
+        worst = ", ".join(f"{check} {share:.1e}" for check, share in made.items())
+        text = f"at every step, as shares of what is allowed: {worst}"
+        if self.system.friction_passes:
+            text += " (that friction agrees with reactions counts among the constraints)"
+        if "energy" not in made:
+            text += "; energy is not audited: this method knows too coarsely what drivers, forces or bristles put in"
+        told = [said for said in (findings(shares) and self._found(()), cautions(shares), text) if said]
+        return "; ".join(told)
+
+    @property
+    def constraints(self) -> ConstraintReport:
+        """Number, rank and redundancy of the constraint equations at the start; prints as sentences. For one run."""
+        if np.ndim(self.ended):
+            raise SceneError("constraints reports on a single run; take one lane of the batch first")
+        return report_at(self.system, float(self.ts[0]), np.asarray(self.assembly.y))
+
+    def require_success(self) -> "Trajectory":
+        """The run itself; raises `SimulationError` with the diagnosis when it failed."""
+        if not bool(np.all(self.succeeded)):
+            raise SimulationError(self.diagnosis)
+        return self
+
+    # The state ---------------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        """The state by name, with leading axis of samples."""
+        return _unpacked(self.system.layout, self.ys)
+
+    def position(self, body: str) -> Float[Array, "n 3"]:
+        """Center of mass of a body, world axes [m]."""
+        return _of_body(self.state.position, self._body(body))
+
+    def quaternion(self, body: str) -> Float[Array, "n 4"]:
+        """Orientation of a body, unit quaternion, scalar first."""
+        return _of_body(self.state.quaternion, self._body(body))
+
+    def velocity(self, body: str) -> Float[Array, "n 3"]:
+        """Velocity of a body's center of mass, world axes [m/s]."""
+        return _of_body(self.state.velocity, self._body(body))
+
+    def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
+        """Angular velocity of a body, world axes [rad/s]."""
+        return _of_body(self.state.angular_velocity, self._body(body))
+
+    # Observables -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def observation(self) -> Observation:
+        """All observables at all samples, evaluated on first use."""
+        structure, theta = flatten_system(self.system)
+        return _observed(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
+
+    def acceleration(self, body: str) -> Float[Array, "n 3"]:
+        """Acceleration of a body's center of mass, world axes [m/s^2]."""
+        return self.observation.acceleration[:, self._body(body), :]
+
+    def angular_acceleration(self, body: str) -> Float[Array, "n 3"]:
+        """Angular acceleration of a body, world axes [rad/s^2]."""
+        return self.observation.angular_acceleration[:, self._body(body), :]
+
+    def reaction(self, joint: str) -> Float[Array, "n 3"]:
+        """Force of a joint on its second body (of a spherical joint: the ball's), world axes [N]."""
+        return self.observation.reactions[self._joint(joint)].force
+
+    def reaction_moment(self, joint: str) -> Float[Array, "n 3"]:
+        """Moment of a joint on its second body about the joint's point, world axes [N m]."""
+        return self.observation.reactions[self._joint(joint)].moment
+
+    def driving_effort(self, joint: str) -> Float[Array, "n ..."]:
+        """What a driver exerts on its second body to keep to what it prescribes.
+
+        Torque about the axis [N m] of a rotation, force along the axis or the line of points [N], shape (n,); force in
+        world axes [N] of a position, shape (n, 3).
+        """
+        effort = self._of_driver(self.observation.driving_effort, joint)
+        return effort[:, 0] if effort.shape[-1] == 1 else effort
+
+    def driving_power(self, joint: str) -> Float[Array, " n"]:
+        """Power that a driver puts into the mechanism [W]."""
+        return self._of_driver(self.observation.driving_power, joint)
+
+    def eccentricity(self, joint: str) -> Float[Array, "n 3"]:
+        """From the socket's center to the ball's center, world axes [m]."""
+        return self._of_spherical(self.observation.eccentricity, joint)
+
+    def eccentricity_rate(self, joint: str) -> Float[Array, "n 3"]:
+        """Time derivative of the eccentricity in world axes [m/s]."""
+        return self._of_spherical(self.observation.eccentricity_rate, joint)
+
+    def penetration(self, joint: str) -> Float[Array, " n"]:
+        """Penetration |e| - c of ball and socket [m]; negative where they do not touch."""
+        return jax.vmap(safe_norm)(self.eccentricity(joint)) - self.clearance(joint)
+
+    def eccentricity_ratio(self, joint: str) -> Float[Array, " n"]:
+        """|e| / c, above 1 in contact."""
+        return jax.vmap(safe_norm)(self.eccentricity(joint)) / self.clearance(joint)
+
+    def clearance(self, joint: str):
+        """Radial clearance of a joint [m]."""
+        model = getattr(self.system.joints[self._joint(joint)], "model", None)
+        clearance = getattr(model, "clearance", None)
+        if clearance is None:
+            raise SceneError(f"joint {joint!r} has no clearance: its model is {type(model).__name__}")
+        return clearance
+
+    def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
+        """A named contribution of a joint that resists, e.g. `"normal_force"`, `"film_force"` [N]."""
+        parts = self.parts(joint)
+        if name not in parts:
+            raise SceneError(f"joint {joint!r} has no part {name!r}; it has {sorted(parts) or 'none'}")
+        return parts[name]
+
+    def parts(self, joint: str) -> dict[str, Float[Array, "n ..."]]:
+        """All named contributions of a joint that answers with a force or has friction; of other joints none.
+
+        Every contact has `penetration` [m], `normal_force` (a number), `friction_force` and `sliding_velocity` [m/s];
+        films have `film_force` on the ball, `film_moment` [N m] about its center, `film_power` and `shear_power`
+        that they absorb [W], `film_thickness` at the thinnest [m], `film_pressure`, the largest [Pa], and
+        `film_pressure_place`, the unit vector from the socket's center to it; bushings have `deflection` [m] and
+        `rotation` [rad]; ideal joints with friction `friction_moment` [N m] and `friction_force` on the second body,
+        `friction_power` [W] that it takes, `bearing_load` [N], and of its fixed point `friction_contraction` and
+        `friction_remainder`; a user's own model what it returns. Vectors in world axes.
+        """
+        return self.observation.parts.get(self._joint(joint), {}) | self._looked_up.get(joint, {})
+
+    @cached_property
+    def _looked_up(self) -> dict[str, dict[str, Array]]:
+        structure, theta = flatten_system(self.system)
+        return _looked_up(structure, jnp.asarray(theta), self.ys)
+
+    def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:
+        """Named results of a force element, e.g. `run.force("shock")["length"]` [m].
+
+        Every element has `power`, which it puts into the bodies [W], and `potential_energy` [J]. Elements along a line
+        have `length`, `rate`, `force` (the tension) and `dissipated_power`; torsion springs `angle`, `angular_rate`,
+        `torque`; tyres `load`, `compression` and what the road does; a user's own what its `parts` returns.
+        """
+        if name not in self.system.forces:
+            known = ", ".join(map(repr, self.system.forces)) or "none"
+            raise SceneError(f"there is no force element {name!r}; the run has {known}")
+        return self.observation.forces[name]
+
+    def mode(self, joint: str) -> np.ndarray:
+        """What the ball does at each sample, integers of `Mode` (flight, impact, contact); see `motion.modes`.
+
+        For a concrete run whose samples are finer than a contact lasts.
+        """
+        return modes(self.system, self.ts, self.ys, self.penetration(joint), joint)
+
+    # Between the samples -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def _steps(self) -> Steps:
+        n = np.asarray(self.stats.n_accepted) if is_concrete(self.stats.n_accepted) else 0
+        reached = float(self.t_reached) if is_concrete(self.t_reached) and not np.ndim(self.t_reached) else np.nan
+        return steps_of(self.system, self.asked, self.ts, self.ys, int(np.max(n)), reached, self.scalar)
+
+    def impacts(self, joint: str) -> "xarray.Dataset":
+        """Each contact of a joint: onset, release, approach speed, peaks, impulse, energy lost, place.
+
+        A table with the dimension `contact`, in the order of the onsets; `.to_dataframe()` prints it, `.to_csv()` of
+        that writes it. The vectors have the dimension `axis`. Units and words are in the attributes.
+
+        | column | |
+        |---|---|
+        | `onset`, `release` [s] | a ball that touches at the start has its onset there; NaN where the run ends first |
+        | `approach_speed`, `sliding_speed` [m/s] | normal and tangential velocity at the onset |
+        | `peak_force` [N], `peak_penetration` [m] | the largest between onset and release |
+        | `impulse` [N s] | of the force on the ball, world axes |
+        | `energy_lost` [J] | what the joint absorbed, less what it stores |
+        | `place` | unit vector to the contact at the onset, in the axes of the socket's body |
+
+        The run is made once more to see its steps, so its samples need not be fine; where the motion is chaotic and the
+        repeated run parts from this one, a `PartingWarning` says when. Peaks are good to about 1e-4, integrals to
+        the tolerance of the run.
+
+        Raises:
+            SceneError: for a joint without contact, a batched or traced run, or a run that cannot be repeated.
+        """
+        steps = self._steps
+        return table_of(impacts(self.system, steps, joint, self.scalar), joint)
+
+    def spectrum(self, name: str, frequencies: Float[np.ndarray, " m"] | None = None) -> "xarray.Dataset":
+        """Amplitude and phase by frequency [Hz], e.g. of "reaction.elbow.z", from all steps: see `motion.spectra`."""
+        return spectrum(self.system, self._steps, quantity(name, self.system).name, frequencies, self.scalar)
+
+    def peak(self, name: str) -> Peak:
+        """Largest magnitude of a quantity over the whole run and when, e.g. `run.peak("reaction.elbow").value` [N].
+
+        Seen at five instants of each step, so that no impact is missed, however coarse the samples are; the names are
+        those of `sj.sweep`. The run is made once more, see `impacts`.
+        """
+        return peak(self.system, self._steps, quantity(name, self.system).name, self.scalar)
+
+    @property
+    def kinetic_energy(self) -> Float[Array, " n"]:
+        """Kinetic energy of all bodies [J]."""
+        return self.observation.kinetic_energy
+
+    @property
+    def potential_energy(self) -> Float[Array, " n"]:
+        """Potential energy of weight and force elements [J]."""
+        return self.observation.potential_energy
+
+    @property
+    def elastic_energy(self) -> Float[Array, " n"]:
+        """Energy stored in all joints [J]."""
+        return sum(self.observation.elastic_energy.values(), jnp.zeros(self.ts.shape))
+
+    @property
+    def mechanical_energy(self) -> Float[Array, " n"]:
+        """Kinetic, potential and elastic energy together [J]."""
+        return self.kinetic_energy + self.potential_energy + self.elastic_energy
+
+    def absorbed_work(self, joint: str) -> Float[Array, " n"]:
+        """Work that a joint has taken from the bodies since the start [J]; needs `track_work=True`."""
+        names = self.system.resisting_joints
+        if joint not in names:
+            raise SceneError(f"joint {self._joint(joint)!r} is ideal, without friction: it absorbs no work")
+        if not self.system.tracks_work:
+            raise SceneError(
+                "the work absorbed by each joint was not integrated; pass track_work=True to simulate, or read the "
+                "total loss from mechanical_energy"
+            )
+        return self.state.work[..., names.index(joint)]
+
+    @property
+    def supplied_work(self) -> Float[Array, " n"]:
+        """Work put in since the start by all parts that may add energy [J]; zeros where there are none.
+
+        Drivers, applied forces, forces and joints of your own, tyres on roads that move, bristles (`LuGre`), all of
+        them together; negative where they take more than they give. What such a part stores counts as taken. Explicit
+        and diffrax's implicit methods integrate it to about the tolerance, Rosenbrock methods more coarsely.
+        """
+        if not self.system.tracks_supply:
+            return jnp.zeros(self.ts.shape)
+        return self.state.work[..., -1]
+
+    def dissipated_energy(self, joint: str) -> Float[Array, " n"]:
+        """Energy that a joint has dissipated since the start [J]; needs `track_work=True`.
+
+        Absorbed work minus the change of the energy stored in the joint.
+        """
+        work = self.absorbed_work(joint)
+        stored = self.observation.elastic_energy[joint]
+        return work - (stored - stored[:1])
+
+    @property
+    def constraint_violation(self) -> Float[Array, " n"]:
+        """Largest entry of |Phi| [m or 1]."""
+        return self.observation.constraint_violation
+
+    @property
+    def velocity_violation(self) -> Float[Array, " n"]:
+        """Largest entry of |Phi_dot| [m/s or 1/s]."""
+        return self.observation.velocity_violation
+
+    def to_xarray(self, *, every: int = 1) -> "xarray.Dataset":
+        """The run as a labelled `xarray.Dataset`, with units in the attributes; see `motion.dataset.to_dataset`.
+
+        Args:
+            every: keep every so many samples.
+        """
+        return to_dataset(self, every=every)
+
+    def _found(self, lane: tuple) -> str:
+        """What the audit of a lane has found; of a single run it names the joint or the body."""
+        if np.ndim(self.ended):
+            return findings(np.asarray(self.stats.audit)[lane])
+        shares = np.asarray(self.stats.audit)
+        if not findings(shares):
+            return ""
+        return findings(shares, suspects(self.system, float(self.t_reached), np.asarray(self.y_reached)))
+
+    # Names -------------------------------------------------------------------------------------------------------
+
+    def _body(self, name: str) -> int:
+        names = list(self.system.bodies)
+        if name not in names:
+            raise SceneError(f"there is no body {name!r}; the run has {', '.join(map(repr, names))}")
+        return names.index(name)
+
+    def _joint(self, name: str) -> str:
+        if name not in self.system.joints:
+            raise SceneError(f"there is no joint {name!r}; the run has {', '.join(map(repr, self.system.joints))}")
+        return name
+
+    def _of_driver(self, values: dict, joint: str):
+        if self._joint(joint) not in values:
+            raise SceneError(f"joint {joint!r} is no driver; the run has {', '.join(map(repr, values)) or 'none'}")
+        return values[joint]
+
+    def _of_spherical(self, values: dict, joint: str):
+        if self._joint(joint) not in values:
+            raise SceneError(f"joint {joint!r} is not spherical: it has no eccentricity")
+        return values[joint]
+
+
+# Compiled, though it is little: by themselves a dozen kernels would be kept for each number of samples, 1.5 MB each.
+@bounded_jit(what="the state of a run")
+def _unpacked(layout: Layout, ys) -> State:
+    return unpack(layout, ys)
+
+
+@bounded_jit(what="the state of a body")
+def _of_body(quantity, body: int):
+    return quantity[..., body, :]
+
+
+@bounded_jit(what="what is looked up of a run")
+def _looked_up(structure, theta, ys) -> dict[str, dict[str, Array]]:
+    """As array code: what is looked up may search and loop, which scalar programs do not."""
+    return jax.vmap(lambda y: looked_up(structure.system(theta), y))(ys)
+
+
+@bounded_jit(what="the quantities of a run")
+def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
+    """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
+    program = program_for(observe, structure, use_scalars)
+    ahead = program.ahead(theta)
+
+    def flat(t, y):
+        return ravel_pytree(program.inside(theta, ahead, t, y))[0]
+
+    rows = jax.lax.map(lambda sample: flat(*sample), (ts, ys))
+    example = jax.eval_shape(program, theta, ts[0], ys[0])
+    leaves, tree = jax.tree.flatten(example)
+    sizes = [int(np.prod(leaf.shape)) for leaf in leaves]
+    columns = jnp.split(rows, np.cumsum(sizes)[:-1].tolist(), axis=1)
+    return jax.tree.unflatten(tree, [c.reshape(-1, *leaf.shape) for c, leaf in zip(columns, leaves, strict=True)])

@@ -1,0 +1,1 @@
+"""What users call: one run, many runs, and what is remembered between calls."""

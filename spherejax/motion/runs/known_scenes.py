@@ -1,0 +1,159 @@
+"""What a scene comes to before it moves, remembered: a loop that runs the same numbers again prepares them once.
+
+To check a scene, to place its joints, to choose a method, to find its tolerances and its start takes several times
+longer than the motion itself. Scenes are told by value, not by identity: whoever changes a number, in a dictionary or
+within an array, has another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.types import Numeric
+from spherejax.model.scene import Scene
+from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.motion.equations.paths import path_of
+from spherejax.motion.solvers.automatic import Choice, choose_solver
+from spherejax.motion.start.start_now import KnownStart, known_start
+from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+
+N_SCENES = 64
+"""Scenes that are remembered; those not used for longest are let go."""
+
+N_ANSWERS = 16
+"""Choices, tolerances and starts of a scene that are remembered."""
+
+
+class PreparedScene:
+    """A scene, checked and taken apart.
+
+    What is handed out is handed out anew each time: whoever changes an array or a dictionary of a scene, or of a run,
+    changes no other run.
+
+    Attributes:
+        structure: of the system that it calls for.
+        theta: all numbers of the system.
+        path: scalar programs or array code.
+        known: the numbers that are known, with zeros elsewhere.
+        unknown: indices of the others.
+        conditions: on the numbers that are traced.
+    """
+
+    def __init__(self, scene: Scene, track_work: bool, scalar: bool | None):
+        compiled = compile_scene(scene, track_work=track_work)
+        self._system = _apart(compiled.system)
+        self.structure, self.theta = flatten_system(self._system)
+        self.path = path_of(self.structure, scalar)
+        self.known, self.unknown = split(self._system)
+        self.conditions = compiled.conditions
+        # On the array path the linear systems of a stiff method are dense.
+        self._explicit_only = self.path.scalar is False and scalar is None
+        self._answers: OrderedDict[Hashable, Any] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def system(self) -> System:
+        """What the scene calls for."""
+        return _apart(self._system)
+
+    def choice(self, rtol: Any) -> Choice:
+        """The method that it calls for."""
+        return self._once(
+            "choice", (rtol,), lambda: choose_solver(self._system, rtol, explicit_only=self._explicit_only)
+        )
+
+    def tolerances(self, rtol: Any) -> tuple[Tolerances, diffrax.PIDController]:
+        """Tolerances by its scales, and the step-size control with them."""
+
+        def found() -> tuple[Tolerances, diffrax.PIDController]:
+            tolerances = component_tolerances(self._system, rtol)
+            return tolerances, controller_for(self.structure, tolerances.rtol, tolerances.atol)
+
+        return self._once("tolerances", (rtol,), found)
+
+    def start(self, ts: Numeric) -> KnownStart | None:
+        """The consistent start, where it is known."""
+        times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
+        found = self._once("start", times, lambda: known_start(self._system, ts))
+        return None if found is None else found._replace(assembly=_apart(found.assembly))
+
+    def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
+        key = None if self.unknown else values_of(numbers)
+        return make() if key is None else _remembered(self._answers, self._lock, N_ANSWERS, (what, key), make)
+
+
+def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
+    """A scene, checked and taken apart; one that was met before as it was found then.
+
+    Raises:
+        SceneError: for a scene that cannot be simulated.
+    """
+    key = values_of(scene)
+    if key is None:
+        return PreparedScene(scene, track_work, scalar)
+    return _remembered(
+        _scenes, _lock, N_SCENES, (key, track_work, scalar), lambda: PreparedScene(scene, track_work, scalar)
+    )
+
+
+def values_of(tree: Any) -> Hashable | None:
+    """All there is in a pytree, to be compared; None where something in it is traced, or cannot be compared."""
+    leaves, structure = jax.tree.flatten(tree)
+    values = []
+    for leaf in leaves:
+        if not is_concrete(leaf) or not isinstance(leaf, bool | int | float | np.ndarray | np.generic | jax.Array):
+            return None
+        array = np.asarray(leaf)
+        if array.dtype.hasobject:
+            return None
+        # A number and an array of no dimension are not the same to whoever checks them.
+        values.append((type(leaf), array.dtype.str, array.shape, array.tobytes()))
+    try:
+        hash(structure)
+    except TypeError:  # something static in it is not hashable
+        return None
+    return structure, tuple(values)
+
+
+def _apart(tree: Any) -> Any:
+    """The same, in arrays and containers of its own."""
+    return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, np.ndarray) else leaf, tree)
+
+
+def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
+    """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
+    known, unknown, start = [], [], 0
+    for leaf in jax.tree.leaves(system):
+        size = int(np.prod(np.shape(leaf)))
+        if is_concrete(leaf):
+            known.append(np.asarray(leaf, np.float64).ravel())
+        else:
+            known.append(np.zeros(size))
+            unknown.extend(range(start, start + size))
+        start += size
+    return np.concatenate(known), tuple(unknown)
+
+
+_scenes: OrderedDict[Hashable, PreparedScene] = OrderedDict()
+_lock = threading.Lock()
+
+
+def _remembered(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Callable[[], Any]) -> Any:
+    with lock:
+        if key in found:
+            found.move_to_end(key)
+            return found[key]
+    made = make()  # without the lock: it may take seconds, and two threads that make the same do no harm
+    if not is_concrete(jnp.zeros(())):
+        return made  # under `jax.jit` arrays belong to its trace, also those of known numbers
+    with lock:
+        found[key] = made
+        while len(found) > n:
+            found.popitem(last=False)
+    return made

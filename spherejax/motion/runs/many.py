@@ -1,0 +1,205 @@
+"""Many runs of one scene builder at once: what `jax.vmap(simulate)` does, in lanes that never idle.
+
+`jax.vmap` of an integration waits for its slowest lane and carries every buffer through every step. Here the runs
+queue for a block of lanes inside one compiled loop; see `motion.lanes`.
+"""
+
+import warnings
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import whole_number
+from spherejax.foundations.types import Numeric
+from spherejax.model.system import compile_scene
+from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
+from spherejax.motion.integration.audit import cautions
+from spherejax.motion.integration.lanes import Block, run_in_lanes
+from spherejax.motion.integration.sensitivity_rows import scales_of
+from spherejax.motion.integration.status import OutOfRangeWarning, Status
+from spherejax.motion.integration.widths import block_for
+from spherejax.motion.results.many_sensitivities import RunSlopes, slopes_of
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.known_builds import Build, built, known_build
+from spherejax.motion.runs.one_of_many import Method, Prepared
+from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
+from spherejax.motion.start.start_now import StartWarning, changed_starts
+from spherejax.runtime import require_float64
+
+
+class Runs(NamedTuple):
+    """Many runs.
+
+    Attributes:
+        trajectories: a `Trajectory` whose arrays have a leading axis of runs.
+        time_in_contact: of each contact joint [s], shape (n_runs, n_contacts).
+        peaks: largest magnitudes of the watched quantities at the ends of all steps, shape (n_runs, n_watched).
+        n_lane_steps: steps that the lanes made, those of idle ones included.
+        slopes: derivatives by the parameters that were asked for; None without.
+    """
+
+    trajectories: Trajectory
+    time_in_contact: Float[Array, "n_runs n_contacts"]
+    peaks: Float[Array, "n_runs n_watched"]
+    n_lane_steps: Int[Array, ""]
+    slopes: RunSlopes | None = None
+
+    @property
+    def lane_efficiency(self) -> Float[Array, ""]:
+        """Steps of runs divided by steps of lanes."""
+        return jnp.sum(self.trajectories.stats.n_steps) / self.n_lane_steps
+
+
+def simulate_many(
+    build: Build,
+    parameters: Any,
+    ts: Float[Array | np.ndarray, " n"],
+    *,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    max_steps: int = 20_000_000,
+    track_work: bool = False,
+    watch: tuple[str, ...] = (),
+    by: tuple[str, ...] = (),
+    block: Block | None = None,
+) -> Runs:
+    """Simulate many scenes of one structure.
+
+    Args:
+        build: makes a scene from one run's parameters, by keyword when `parameters` is a mapping. It is traced.
+        parameters: arrays with a leading axis of runs, in a mapping (or any pytree, given to `build` as it is).
+        ts: sample times [s], increasing.
+
+    Other args:
+        rtol, atol, solver, max_steps, track_work: as in `simulate`. The solver is chosen by the first, the last and two
+            runs in between; the stiffest of them decides.
+        watch: names of quantities (e.g. `"acceleration.rocker"`) whose largest magnitudes at the ends of all steps are
+            kept: unlike a largest sample they miss no impact.
+        by: names of parameters (entries of a mapping, one number for each run) whose sensitivities are integrated
+            beside the states, with the errors of both controlled: `runs.slopes`. They need an explicit method, or a
+            Rosenbrock one.
+        block: how wide the block of lanes is; by default by the kind of device (`motion.widths`).
+
+    Returns:
+        The runs; failed ones carry their status.
+
+    Raises:
+        SceneError: for a request that cannot be simulated.
+    """
+    require_float64()
+    ts = checked_times(ts)
+    check_tolerances(rtol, atol)
+    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    n_runs = count_of_runs(parameters)
+    method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
+    method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)
+    warn_of_starts(build, parameters, ts)
+    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
+    build = known_build(build, one, track_work, method.by)
+    runs = many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
+    stats, status = runs.trajectories.stats, runs.trajectories.status
+    if is_concrete(stats.audit) and (said := cautions(np.asarray(stats.audit)[np.asarray(status) == Status.SUCCEEDED])):
+        warnings.warn(said, OutOfRangeWarning, stacklevel=2)
+    return runs
+
+
+def count_of_runs(parameters: Any) -> int:
+    """Length of the leading axis.
+
+    Raises:
+        SceneError: where there is none, or where the lengths differ.
+    """
+    lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(parameters)}
+    if len(lengths) != 1 or lengths == {()}:
+        raise SceneError(
+            "the parameters of many runs must be arrays with one leading axis of equal length, the runs; they have "
+            f"leading axes {sorted(lengths)}"
+        )
+    return lengths.pop()[0]
+
+
+def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block) -> Method:
+    """The method for all runs; a stiff one when one of the runs that are looked at asks for it."""
+    if solver is not None:
+        return Method(choice_for(None, rtol, solver), rtol, atol, max_steps, track_work, block)
+    n_runs = count_of_runs(parameters)
+    choices, problem = [], None
+    for run in sorted({0, n_runs // 3, 2 * n_runs // 3, n_runs - 1}):
+        try:
+            scene = built(build, jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters))
+            choices.append(choice_for(compile_scene(scene, track_work=track_work).system, rtol, None))
+        except SceneError as error:
+            problem = error
+    if not choices:
+        assert problem is not None
+        raise problem
+    stiff = [choice for choice in choices if not isinstance(choice.solver, diffrax.AbstractERK)]
+    return Method((stiff or choices)[0], rtol, atol, max_steps, track_work, block)
+
+
+def in_words(parameters: dict[str, Any]) -> str:
+    """The parameters of one run."""
+    shown = {name: np.array2string(np.asarray(value), precision=6, threshold=6) for name, value in parameters.items()}
+    return ", ".join(f"{name} = {value}" for name, value in shown.items())
+
+
+def warn_of_starts(build: Build, parameters: Any, ts: Numeric) -> None:
+    """Give a `StartWarning` where runs do not start as their scenes describe; sixteen of them are looked at.
+
+    Parameters that are traced are not looked at.
+    """
+    if not all(is_concrete(leaf) for leaf in jax.tree.leaves((parameters, ts))):
+        return
+
+    change, numbers = changed_starts(partial(built, build), parameters, ts)
+    if change:
+        at = f" (its parameters: {in_words(numbers)})" if isinstance(numbers, dict) else ""
+        warnings.warn(change + at, StartWarning, stacklevel=3)
+
+
+def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> Method:
+    """The method with sensitivities by some of the parameters.
+
+    Raises:
+        SceneError: for a name that is no parameter, or a method that cannot integrate them.
+    """
+    if not by:
+        return method
+    names = list(parameters) if isinstance(parameters, dict) else []
+    for name in by:
+        if name not in names:
+            known = ", ".join(map(repr, names)) or "none (they must be a mapping)"
+            raise SceneError(f"sensitivities by {name!r}: no such parameter; there are {known}")
+        if np.ndim(parameters[name]) != 1:
+            raise SceneError(f"sensitivities by {name!r}: it must be one number for each run")
+    if not has_controlled_sensitivities(method.choice.solver):
+        raise SceneError(
+            f"sensitivities in lanes need an explicit or a Rosenbrock method, and these runs have another one "
+            f"({method.choice.reason}); pass solver=diffrax.Dopri8() or solver=sj.Ros34PW2()"
+        )
+    return method._replace(by=by)
+
+
+@bounded_jit(what="runs in lanes")
+def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
+    """`simulate_many` with everything decided; runs that are not wanted are not made."""
+    prepared = Prepared(partial(built, build), method, ts)
+    starts: Any = jax.vmap(prepared.start)(parameters)
+    may_run = starts.may_run & is_wanted
+    outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
+    slopes = None
+    if method.by:
+        scale = scales_of(jnp.stack([parameters[name] for name in method.by], axis=1))
+        slopes = slopes_of(starts.numbers.slopes, scale, outcome.ys)
+        outcome = outcome._replace(ys=outcome.ys[:, :, 0], y_reached=outcome.y_reached[:, 0])
+    runs = jax.vmap(prepared.trajectory)(starts, outcome._replace(n_lane_steps=jnp.zeros(is_wanted.shape)))
+    return Runs(runs, outcome.touching, outcome.peaks, outcome.n_lane_steps, slopes)

@@ -1,0 +1,273 @@
+"""Simulate a scene: the adapter between the equations of motion and diffrax."""
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import is_concrete, shown
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import real_number, whole_number
+from spherejax.model.scene import Scene
+from spherejax.model.system import System
+from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
+from spherejax.motion.integration.asked import Asked
+from spherejax.motion.integration.audit import cautions
+from spherejax.motion.integration.integrate import Options, Plan, integrate
+from spherejax.motion.integration.jobs import is_made_in_a_lane
+from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.known_scenes import PreparedScene, prepared
+from spherejax.motion.runs.times import seconds_of
+from spherejax.motion.solvers.automatic import Choice, choose_solver
+from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.start.start_now import StartWarning
+from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+from spherejax.runtime import require_float64
+
+SMALLEST_TOLERANCE = 1e-14
+"""Relative tolerances below this ask for digits that float64 does not carry (its resolution is 2.2e-16)."""
+
+NO_LIMIT = int(np.iinfo(np.int64).max)
+"""Steps that no run makes."""
+
+ENOUGH_STEPS = "Leave it out for 20,000,000."
+"""What to do about a number of steps that cannot be."""
+
+
+def simulate(
+    scene: Scene,
+    ts: Float[Array | np.ndarray, " n"],
+    *,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    max_steps: int = 20_000_000,
+    track_work: bool = False,
+    scalar: bool | None = None,
+    throw: bool = False,
+) -> Trajectory:
+    """Simulate a scene.
+
+    Args:
+        scene: the mechanism.
+        ts: sample times [s], increasing; the motion starts at the first and ends at the last.
+
+    Other args:
+        rtol: relative tolerance of a step.
+        atol: absolute tolerance of a step, one number for all entries of the state (m, m/s, rad/s, 1). With None each
+            kind of entry has its own, by the scales of the scene, and positions are judged against the clearance; see
+            `spherejax.motion.start.tolerances`. `run.stats.explanation` says what was used.
+        solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why). An implicit method
+            whose root finder is diffrax's default gets one that converges on stiff mechanisms.
+        stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
+            are landed on whichever controller judges the errors.
+        adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
+            traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
+            their errors controlled at twice its tolerance: through ten impacts they are good to 1e-6 at an `rtol` of
+            1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about six plain runs.
+            Explicit Runge-Kutta methods do so. Of Rosenbrock methods each step is differentiated beside the motion, and
+            repeated only where the derivatives' errors are a thousand times its tolerance: those of the lubricated
+            four-bar are right to 2e-4 at an `rtol` of 1e-8, to 1e-6 at 1e-10, for about eight values. With a controller
+            of your own they are integrated in a run of their own, of Rosenbrock methods by Ros34PW2, and it judges the
+            state and the sensitivities as rows of one array; a `PIDController` judges the worst row. A sample that the
+            sensitivities do not reach within `max_steps` has the derivative NaN. With any other
+            method each step of the run is differentiated, and nobody controls the error of the derivatives, which
+            behind impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
+            `sj.sensitivity`.
+        max_steps: largest number of steps; it may be traced, unless an `adjoint` lays out memory by it.
+        track_work: integrate the work that each non-ideal joint absorbs. Its error is not judged: the steps are those
+            of a run without.
+        scalar: True runs on the scalar program, False on the array code. With None the scalar program is taken up to
+            a size that compiles in seconds; larger systems run on the array code, whose time grows with the number of
+            bodies and whose compile time hardly does. `run.stats.explanation` says so.
+        throw: raise `SimulationError` when the run fails; otherwise a failed run carries its status, and a
+            `SimulationWarning` is given where the outcome is known at once.
+
+    Returns:
+        The motion at the sample times.
+
+    Raises:
+        SceneError: for a scene or a request that cannot be simulated, before anything is computed.
+        SimulationError: with `throw=True`, for a run that did not reach its end.
+    """
+    require_float64()
+    ts = checked_times(ts)
+    check_tolerances(rtol, atol)
+    budget: Any = None if is_concrete(max_steps) else max_steps
+    max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
+    found = prepared(scene, track_work, scalar)
+    system, path, unknown = found.system(), found.path, found.unknown
+    choice = found.choice(rtol) if solver is None else choice_for(system, rtol, solver)
+    if stepsize_controller is None:
+        controller, said = _control(found, choice.solver, rtol, atol)
+    else:
+        controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
+    start = found.start(ts)
+    for change in () if start is None else start.changes:
+        warnings.warn(change, StartWarning, stacklevel=2)
+    assembly = None if start is None else start.assembly
+    plan = Plan(found.structure, unknown, path.scalar)
+    # diffrax's forward mode has no reverse mode; the sensitivities serve both.
+    by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
+    adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
+    if budget is not None and not by_sensitivities:
+        raise SceneError(
+            f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
+            "or leave adjoint= out"
+        )
+    run_of = integrate_with_sensitivities if by_sensitivities else integrate
+    options = Options(with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget)
+    if stepsize_controller is None:
+        # diffrax's own loop has no better one to begin with; see `LandingController.init`.
+        by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
+        said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
+    # Known times have been checked; here they would be a kernel of their own for each number of samples.
+    conditions = [*found.conditions, *traced_tolerances(rtol, atol)]
+    conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
+    values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
+    values = jnp.asarray(found.theta)[np.array(unknown, int)] if unknown else np.zeros(0)
+    try:
+        outcome = run_of(plan, options, values, found.known, ts, assembly, values_are_legal)
+    except TypeError as error:
+        if "forward-mode" not in str(error):
+            raise
+        raise TypeError(
+            f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
+            "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
+        ) from error
+    run = Trajectory(
+        ts=ts,
+        ys=outcome.ys,
+        system=system,
+        stats=replace(outcome.stats, explanation="; ".join(filter(None, [choice.reason, said, path.reason]))),
+        ended=outcome.status,
+        t_reached=outcome.t_reached,
+        y_reached=outcome.y_reached,
+        assembly=outcome.assembly if assembly is None else assembly,
+        choice=choice.reason,
+        scalar=path.scalar,
+        asked=_asked(choice.solver, rtol, atol, max_steps) if stepsize_controller is None and budget is None else None,
+    )
+    return _reported(run, throw)
+
+
+def _asked(solver: diffrax.AbstractSolver, rtol, atol, max_steps: int) -> Asked | None:
+    if not all(is_concrete(each) for each in jax.tree.leaves((solver, rtol, atol)) if eqx.is_array(each)):
+        return None
+    return Asked(solver, float(rtol), None if atol is None else float(atol), max_steps)
+
+
+def choice_for(
+    system: System | None, rtol, solver: diffrax.AbstractSolver | None, *, explicit_only: bool = False
+) -> Choice:
+    """The solver asked for, or the one that the system calls for."""
+    if solver is not None:
+        if not isinstance(solver, diffrax.AbstractSolver):
+            raise SceneError(f"solver = {shown(solver)} is no solver; give an object, e.g. diffrax.Dopri8()")
+        return Choice(solver, f"{type(solver).__name__}: as asked for")
+    assert system is not None
+    return choose_solver(system, rtol, explicit_only=explicit_only)
+
+
+def checked_times(ts) -> Float[Array, " n"]:
+    """Sample times as an array, checked where they are known; `SceneError` says what is wrong."""
+    if is_concrete(ts):
+        times = seconds_of(ts)
+        if times.ndim != 1 or times.size == 0:
+            raise SceneError(f"ts must be a list of sample times of shape (n,), n >= 1; it has shape {times.shape}")
+        if not np.all(np.isfinite(times)):
+            raise SceneError("ts must hold finite times [s]; it has NaN or infinity")
+        steps = np.diff(times)
+        if np.any(steps <= 0):
+            at = int(np.argmax(steps <= 0))
+            raise SceneError(
+                f"ts must increase; ts[{at + 1}] = {times[at + 1]:.9g} follows ts[{at}] = {times[at]:.9g}. Sort the "
+                "times and remove repeated ones"
+            )
+        return jnp.asarray(times)
+    if ts.dtype.kind == "c":
+        raise SceneError("ts holds complex numbers; give real times [s]")
+    return jnp.asarray(ts, jnp.float64)
+
+
+def check_tolerances(rtol, atol) -> None:
+    """Raise `SceneError` for tolerances that no integration can keep, or that ask for none."""
+    real_number("rtol", rtol)
+    if atol is not None:
+        real_number("atol", atol)
+    if is_concrete(rtol) and float(rtol) >= 1:
+        raise SceneError(
+            f"rtol = {float(rtol):.3g} allows errors as large as the motion itself; use less than 1, e.g. 1e-8"
+        )
+    if is_concrete(rtol) and not float(rtol) >= SMALLEST_TOLERANCE:
+        raise SceneError(
+            f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
+            f"{SMALLEST_TOLERANCE:.0e}"
+        )
+    if atol is not None and is_concrete(atol) and not float(atol) > 0:
+        raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
+    if atol is not None and is_concrete(atol) and not float(atol) < np.inf:
+        raise SceneError(f"atol = {float(atol):.3g} allows any error; give a number, or leave it out")
+
+
+def traced_tolerances(rtol, atol) -> list:
+    """The same conditions for tolerances that are traced: a lane that violates them has the status of a bad value."""
+    conditions = []
+    if not is_concrete(rtol):
+        conditions.append((rtol >= SMALLEST_TOLERANCE) & (rtol < 1))
+    if atol is not None and not is_concrete(atol):
+        conditions.append((atol > 0) & (atol < np.inf))
+    return conditions
+
+
+def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
+    """Tolerances of each entry of the state, by the scales of the scene unless they are given."""
+    if atol is not None:
+        return Tolerances(rtol, atol, "tolerances as asked for")
+    if isinstance(solver, diffrax.AbstractImplicitSolver):
+        # Their root finders take their tolerances from the controller, as numbers.
+        return Tolerances(rtol, 1e-2 * rtol, "atol 1e-2 rtol in all units")
+    return component_tolerances(system, rtol)
+
+
+def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
+    """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it."""
+    if atol is None and not isinstance(solver, diffrax.AbstractImplicitSolver):
+        tolerances, controller = found.tolerances(rtol)
+    else:
+        tolerances = tolerances_of(found.system(), solver, rtol, atol)
+        controller = controller_for(found.structure, tolerances.rtol, tolerances.atol)
+    return controller, tolerances.description
+
+
+def _reported(run: Trajectory, throw: bool) -> Trajectory:
+    if not (is_concrete(run.status) and is_concrete(run.t_reached)):
+        if throw:
+            return eqx.error_if(
+                run, run.status != Status.SUCCEEDED, "a simulation did not reach its end; see Trajectory.status"
+            )
+        return run
+    if int(run.status) != Status.SUCCEEDED:
+        if throw:
+            raise SimulationError(run.diagnosis)
+        warnings.warn(run.diagnosis, SimulationWarning, stacklevel=3)
+    said = cautions(run.stats.audit)
+    if said:
+        limited = [name for name in run.system.contact_joints if _is_limited(run.system, name)]
+        of = f"joint {limited[0]!r}" if len(limited) == 1 else f"one of joints {', '.join(map(repr, limited))}"
+        warnings.warn(f"{of}: {said}", OutOfRangeWarning, stacklevel=3)
+    return run
+
+
+def _is_limited(system: System, joint: str) -> bool:
+    model: Any = system.spherical(joint).model
+    return model.largest_ratio is not None

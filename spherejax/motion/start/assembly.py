@@ -1,0 +1,240 @@
+"""A consistent start: positions and velocities that satisfy the constraints, and a report of what was moved.
+
+Printed tables carry few digits, and a parameter that changes a length moves its neighbors. Newton steps move the
+bodies as little as possible, in the metric of their masses and inertias, until the constraints close; then the
+velocities are projected. Joints with clearance or elastomer start concentric, as in the paper, unless the scene says
+otherwise.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import called, is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.lanes import over_lanes
+from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
+from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3
+from spherejax.model.drift import NoDriftControl
+from spherejax.model.system import Structure, System
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import assembly_set, velocity_violation
+from spherejax.motion.equations.programs import Program, program_for
+from spherejax.motion.equations.projection import least_correction, without_velocities
+from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, pack, unpack
+
+N_NEWTON_STEPS = 8
+"""Newton's method doubles the digits each step: eight are ample for a start that is off by a few percent."""
+
+CLOSING_TOLERANCE = 1e-9
+"""Largest constraint residual [m or 1] of a start that counts as consistent."""
+
+
+UNMET_TOLERANCE = 1e-5
+"""Velocities and accelerations that drivers ask for and do not get, as a share of the largest that is asked for, from
+which on they count as contradictory; redundant drivers may be written with five digits."""
+
+
+class Assembly(NamedTuple):
+    """A consistent start and how it was reached.
+
+    Attributes:
+        y: flat state without memory and work: positions, then velocities.
+        residual_before: largest constraint residual of the start as described [m or 1].
+        residual_after: largest constraint residual of the assembled start; where drivers contradict each other or the
+            joints, the share of their velocities or accelerations that they do not get.
+        displacement: how far each body's center of mass was moved [m], shape (n_bodies,).
+        rotation: how far each body was turned [rad], shape (n_bodies,).
+        velocity_change: change of each body's velocity [m/s], shape (n_bodies,).
+    """
+
+    y: Float[Array, " n"]
+    residual_before: Scalar
+    residual_after: Scalar
+    displacement: Float[Array, " b"]
+    rotation: Float[Array, " b"]
+    velocity_change: Float[Array, " b"]
+
+    def __repr__(self) -> str:
+        if not all(is_concrete(field) for field in self):
+            return "Assembly(traced)"
+        return (
+            f"start assembled: residual {self.residual_before:.1e} -> {self.residual_after:.1e}; bodies moved at most "
+            f"{np.max(self.displacement):.1e} m and {np.max(self.rotation):.1e} rad, velocities changed at most "
+            f"{np.max(self.velocity_change):.1e} m/s"
+        )
+
+
+def as_ideal(system: System) -> System:
+    """The system for assembly: geometry and inertia without models and forces; one program serves all models."""
+    ideal = {name: called(joint, "as_if_ideal") for name, joint in system.joints.items()}
+    joints = {name: joint for name, joint in ideal.items() if joint is not None}
+    return System(system.bodies, joints, {}, system.gravity, NoDriftControl(), (), False)
+
+
+def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> Assembly:
+    """Move bodies and velocities to a consistent start at time t [s]; for traced numbers, and differentiable."""
+    step, project, residual = _programs(structure)
+    described = described_state(structure.system(theta))
+    t = jnp.asarray(t, jnp.float64)
+    moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
+    moved = project(theta, t, moved)
+    before, after = (_largest(residual(theta, t, y)) for y in (described, moved))
+    if structure.system(theta).is_driven:
+        unmet = program_for(unmet_demands, structure)(theta, t, moved)
+        after = jnp.maximum(after, jnp.where(unmet > UNMET_TOLERANCE, unmet, 0.0))
+    return _report(described, moved, before, after)
+
+
+def assemble_now(structure: Structure, theta: Numeric, t: float = 0.0) -> Assembly:
+    """`assemble` for concrete numbers, computed at once, with a check of the result.
+
+    Raises:
+        SceneError: when the mechanism cannot be closed, naming the joint that gapes most.
+    """
+    return _assembled(structure, theta.tobytes(), float(t))
+
+
+@lru_cache(maxsize=1024)
+def _assembled(structure: Structure, numbers: bytes, t: float) -> Assembly:
+    """Kept: studies of joint models start from the same geometry again and again."""
+    theta = np.frombuffer(numbers)
+    step, project, residual = _programs(structure)
+    described = program_for(_described, structure).compute(theta, 0.0, np.zeros(_n_start(structure)))
+    moved = described
+    for _ in range(N_NEWTON_STEPS):
+        gaps = residual.compute(theta, t, moved)
+        if all(np.max(np.abs(gap)) <= _ROUNDING for gap in gaps.values()):
+            break
+        moved = step.compute(theta, t, moved)
+    moved = project.compute(theta, t, moved)
+    before, gaps = residual.compute(theta, t, described), residual.compute(theta, t, moved)
+    assembly = _report(described, moved, _largest(before, np), _largest(gaps, np), np)
+    if not assembly.residual_after < CLOSING_TOLERANCE:
+        size_of = {name: float(np.nan_to_num(np.max(np.abs(gap)), nan=np.inf)) for name, gap in gaps.items()}
+        worst = max(size_of, key=lambda name: size_of[name])
+        raise SceneError(
+            f"joint {worst!r} cannot be closed: from the start as described, with a residual of "
+            f"{float(assembly.residual_before):.3g}, the bodies cannot be moved so that all joints hold (remaining "
+            f"residual {size_of[worst]:.3g} m or rad). Check the joint's points and the bodies' positions and "
+            "quaternions."
+        )
+    return assembly
+
+
+_ROUNDING = 1e-16
+"""Residuals [m or 1] below this are rounding: another Newton step cannot make them smaller."""
+
+
+def _programs(structure: Structure) -> tuple[Program, Program, Program]:
+    functions = (newton_step, consistent_velocities, assembly_residuals)
+    step, project, residual = (program_for(function, structure) for function in functions)
+    return step, project, residual
+
+
+def _described(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    del t, y
+    return described_state(system)
+
+
+def _n_start(structure: Structure) -> int:
+    """Length of a flat state without memory: the programs of assembly are made for systems that have none."""
+    numbers = jax.ShapeDtypeStruct((sum(int(np.prod(shape)) for shape in structure.shapes),), jnp.float64)
+    return jax.eval_shape(structure.system, numbers).layout.size
+
+
+def _report(described, moved, before, after, xp: Any = jnp) -> Assembly:
+    """The report, in JAX, or in NumPy where everything is known: at once, without compiling anything."""
+    n = described.shape[0] // (POSITION_SIZE + VELOCITY_SIZE)
+    start, end = unpack(Layout(n), described), unpack(Layout(n), moved)
+    return Assembly(
+        moved,
+        before,
+        after,
+        _norms(end.position - start.position, xp),
+        2 * _norms(_difference(end.quaternion, start.quaternion, xp), xp),
+        _norms(end.velocity - start.velocity, xp),
+    )
+
+
+def _largest(gaps: dict[str, Float[Array, " n"]], xp: Any = jnp) -> Scalar:
+    return xp.max(xp.concatenate([xp.zeros(1), *(xp.abs(gap) for gap in gaps.values())]))
+
+
+def described_state(system: System) -> Float[Array, " n"]:
+    """The start as the scene describes it, with unit quaternions, as a flat state without memory."""
+    bodies = list(system.bodies.values())
+    return pack(
+        State(
+            jnp.stack([jnp.asarray(body.position) for body in bodies]),
+            jnp.stack([normalized(jnp.asarray(body.quaternion)) for body in bodies]),
+            jnp.stack([jnp.asarray(body.velocity) for body in bodies]),
+            jnp.stack([jnp.asarray(body.angular_velocity) for body in bodies]),
+            jnp.zeros(0),
+            jnp.zeros(0),
+        )
+    )
+
+
+def assembly_residuals(system: System, t: Scalar, y: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:
+    """Residual Phi of each joint that the start must satisfy [m or 1]."""
+    rows = assembly_set(system, t, body_motions(system, unpack(system.layout, y))).rows
+    return {name: found.residual for name, found in rows.items()}
+
+
+def newton_step(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Move the bodies by -M^-1 D^T (D M^-1 D^T)^-1 Phi."""
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
+    constraints = assembly_set(system, t, motions)
+    steps = least_correction(system, motions, constraints, constraints.residual)
+    turned = over_lanes(_turned_back, state.quaternion, steps[:, 3:])
+    return pack(state._replace(position=state.position - steps[:, :3], quaternion=turned))
+
+
+def _turned_back(p: Quaternion, turn: Vector3) -> Quaternion:
+    return normalized(quaternion_product(quaternion_from_rotation_vector(-turn), p))
+
+
+def consistent_velocities(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Remove the part of the velocities that violates the constraints."""
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
+    constraints = assembly_set(system, t, motions)
+    violation = velocity_violation(constraints, motions)
+    return pack(without_velocities(state, least_correction(system, motions, constraints, violation)))
+
+
+def unmet_demands(system: System, t: Scalar, y: Float[Array, " n"]) -> Scalar:
+    """What drivers ask for and do not get, as a share of the largest velocity or acceleration that is asked for.
+
+    Equations that depend on others are satisfied with them, or contradict them. Accelerations are looked at where there
+    are several drivers: with one, a configuration in which the mechanism can go on in two ways would be taken for a
+    contradiction.
+    """
+    motions = body_motions(system, unpack(system.layout, y))
+    constraints = assembly_set(system, t, motions)
+    share = _share(velocity_violation(constraints, motions), constraints.rate_at_rest)
+    if sum(joint.is_driven for joint in system.joints.values()) < 2:
+        return share
+    found = least_correction(system, motions, constraints, constraints.bias)
+    return jnp.maximum(share, _share(constraints.times(found) - constraints.bias, constraints.bias))
+
+
+def _share(missing: Float[Array, " n"], demanded: Float[Array, " n"]) -> Scalar:
+    largest = jnp.max(jnp.abs(demanded))
+    return jnp.where(largest > 0, jnp.max(jnp.abs(missing)) / jnp.where(largest > 0, largest, 1.0), 0.0)
+
+
+def _difference(a: Float[Array, "b 4"], b: Float[Array, "b 4"], xp: Any) -> Float[Array, "b 4"]:
+    """The shorter of a - b and a + b: q and -q are the same rotation."""
+    return xp.where(xp.sum(a * b, -1, keepdims=True) < 0, a + b, a - b)
+
+
+def _norms(rows: Float[Array, "b n"], xp: Any) -> Float[Array, " b"]:
+    square = xp.sum(rows * rows, -1)
+    return xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)

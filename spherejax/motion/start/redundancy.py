@@ -1,0 +1,224 @@
+"""Constraint equations that depend on others, and configurations in which more of them do.
+
+The rows of W = D M^(-1/2), each divided by its length, are independent where the smallest singular value of W is not
+zero. A left null vector of W names the equations that depend on each other, and so the joints. In a singular
+configuration the rank is smaller than nearby on the same motion.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.numerics import safe_sqrt
+from spherejax.foundations.types import Scalar
+from spherejax.model.scene import Scene
+from spherejax.model.system import Structure, System, compile_scene, flatten_system
+from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.constraints import constraint_set
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.start.assembly import as_ideal, assemble_now, consistent_velocities, newton_step
+from spherejax.physics.bodies import inertia_in_world
+from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, unpack
+
+DEPENDENT = 1e-7
+"""Singular values of W below this, relative to the largest, count as zero: a start is closed to 1e-9 at worst, and
+independent equations of usual mechanisms keep 1e-3 and more."""
+
+NEARLY_DEPENDENT = 1e-3
+"""The same where a run has stopped: it stops before the singular configuration, not in it."""
+
+SHARE = 1e-6
+"""A joint takes part in a dependence when its entries of the null vectors are larger than this."""
+
+STEP = 1e-2
+"""How far the mechanism is moved to look at its neighborhood, as a share of its size, and in rad."""
+
+
+class ConstraintReport(NamedTuple):
+    """How many of the constraint equations count, and which joints they come from; prints as sentences.
+
+    Attributes:
+        n_equations: number of equations.
+        rank: how many of them are independent.
+        degrees_of_freedom: independent velocities that they leave.
+        redundant_joints: names of the joints whose equations depend on each other; empty without redundancy.
+        is_singular: whether the rank is smaller than nearby on the same motion.
+    """
+
+    n_equations: int
+    rank: int
+    degrees_of_freedom: int
+    redundant_joints: tuple[str, ...]
+    is_singular: bool
+
+    @property
+    def n_redundant(self) -> int:
+        """Equations that could be left out."""
+        return self.n_equations - self.rank
+
+    def __str__(self) -> str:
+        sentences = [
+            f"{self.n_equations} constraint equations of rank {self.rank}; "
+            f"{_counted(self.degrees_of_freedom, 'degree')} of freedom."
+        ]
+        if self.n_redundant:
+            names = ", ".join(map(repr, self.redundant_joints))
+            sentences.append(
+                f"{_counted(self.n_redundant, 'equation')} of joints {names} can be left out: the motion is unique, "
+                "the share of each of these joints in the reactions is not."
+            )
+        if self.is_singular:
+            sentences.append(
+                "The configuration is singular: nearby fewer equations depend on others. From it the mechanism can go "
+                "on in more than one way."
+            )
+        return " ".join(sentences)
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
+
+
+def constraint_report(scene: Scene, t: float = 0.0) -> ConstraintReport:
+    """Number, rank and redundancy of a scene's constraint equations at its assembled start.
+
+    Args:
+        scene: the scene, with concrete numbers.
+        t: time of the start [s], for drivers.
+
+    Raises:
+        SceneError: for a scene that cannot be simulated, or whose numbers are traced.
+    """
+    system = compile_scene(scene).system
+    structure, theta = flatten_system(as_ideal(system))
+    if not is_concrete(theta):
+        raise SceneError("constraint_report looks at numbers; call it outside jit, vmap and grad")
+    y = np.asarray(assemble_now(structure, theta, t).y)
+    return report_at(system, t, y)
+
+
+def report_at(system: System, t: float, y: Float[np.ndarray, " size"]) -> ConstraintReport:
+    """The report at a state (positions and velocities first; what follows is not read)."""
+    bare = _without_forces(system)
+    structure, theta = flatten_system(bare)
+    start = np.asarray(y)[: bare.layout.size]
+    rows, names = _rows_at(structure, theta, t, start)
+    rank, redundant = _rank(rows, names, DEPENDENT)
+    nearby = _nearby(structure, theta, t, start, rows)
+    is_singular = nearby is not None and _rank(_rows_at(structure, theta, t, nearby)[0], names, DEPENDENT)[0] > rank
+    return ConstraintReport(len(names), rank, bare.layout.n_velocity - rank, redundant, is_singular)
+
+
+def singular_joints(
+    system: System, t: float, y: Float[np.ndarray, " size"], before: tuple[float, Float[np.ndarray, " size"]]
+) -> tuple[str, ...]:
+    """Names of the joints whose equations are nearly dependent at a state, and were not at another one before.
+
+    Args:
+        system: the system.
+        t: time [s].
+        y: flat state there.
+        before: an earlier time and state.
+    """
+    structure, theta = flatten_system(_without_forces(system))
+    size = structure.system(theta).layout.size
+    found = [_rows_at(structure, theta, when, np.asarray(state)[:size]) for when, state in (before, (t, y))]
+    if not all(np.all(np.isfinite(rows)) for rows, _ in found):
+        return ()
+    (rank_before, _), (rank, joints) = (_rank(*at, NEARLY_DEPENDENT) for at in found)
+    return joints if rank < rank_before else ()
+
+
+def _without_forces(system: System) -> System:
+    """Bodies and constraining joints alone."""
+    joints = {name: joint for name, joint in system.joints.items() if joint.n_rows}
+    return System(system.bodies, joints, {}, system.gravity, system.drift, (), False)
+
+
+def weighted_rows(system: System, t: Scalar, y: Float[Array, " size"]) -> dict[str, Float[Array, "n n_v"]]:
+    """Rows of D M^(-1/2) of each joint, with M^(-1/2) in each body's own axes of inertia (a bound on its size).
+
+    Rotations are weighted by the trace of the inertia: a positive weight is all that ranks need.
+    """
+    motions = body_motions(system, unpack(system.layout, y))
+    constraints = constraint_set(system, t, motions)
+    weighted = {}
+    for joint, rows in constraints.rows.items():
+        columns = []
+        for name, body in system.bodies.items():
+            block = constraints.blocks_of(name).get(joint, jnp.zeros((rows.residual.shape[0], VELOCITY_SIZE)))
+            turning = jnp.trace(inertia_in_world(body.inertia, motions[name].rotation)) / 3
+            weights = jnp.concatenate([body.mass * jnp.ones(3), turning * jnp.ones(3)])
+            columns.append(block / safe_sqrt(weights))
+        weighted[joint] = jnp.concatenate(columns, 1)
+    return weighted
+
+
+def _rows_at(structure: Structure, theta, t: float, y) -> tuple[Float[np.ndarray, "n n_v"], list[str]]:
+    """Rows of unit length, and the joint of each."""
+    found = program_for(weighted_rows, structure).compute(theta, float(t), np.asarray(y))
+    rows = [np.asarray(block) for block in found.values()]
+    names = [joint for joint, block in zip(found, rows, strict=True) for _ in block]
+    n_v = structure.system(theta).layout.n_velocity
+    W = np.concatenate([np.zeros((0, n_v)), *rows])
+    lengths = np.linalg.norm(W, axis=1, keepdims=True)
+    return W / np.where(lengths > 0, lengths, 1.0), names
+
+
+def _rank(rows: np.ndarray, names: list[str], tolerance: float) -> tuple[int, tuple[str, ...]]:
+    """Rank, and the joints that take part in dependences."""
+    if not names:
+        return 0, ()
+    left, sizes, _ = np.linalg.svd(rows, full_matrices=True)
+    rank = int(np.sum(sizes > tolerance * sizes[0]))
+    shares = np.linalg.norm(left[:, rank:], axis=1)
+    taking_part = [name for name, share in zip(names, shares, strict=True) if share > SHARE]
+    return rank, tuple(dict.fromkeys(taking_part))
+
+
+def _nearby(structure: Structure, theta, t: float, y: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
+    """A state a little further on a motion that the constraints allow; None where they allow none."""
+    system = structure.system(theta)
+    n, n_q = system.layout.n_bodies, system.layout.n_position
+    positions = y[:n_q].reshape(n, POSITION_SIZE)
+    size = max(float(np.ptp(positions[:, :3], axis=0).max()), _arm(system), SMALLEST_SIZE)
+    velocities = np.random.default_rng(0).normal(size=(n, VELOCITY_SIZE)) * ([size] * 3 + [1.0] * 3)
+    trial = np.concatenate([y[:n_q], velocities.ravel()])
+    moving = program_for(consistent_velocities, structure).compute(theta, t, trial)[n_q:].reshape(n, VELOCITY_SIZE)
+    fastest = max(float(np.abs(moving[:, :3]).max()) / size, float(np.abs(moving[:, 3:]).max()))
+    if fastest < DEPENDENT:
+        return None
+    moved = np.concatenate([_advanced(positions, moving * (STEP / fastest)).ravel(), np.zeros(n * VELOCITY_SIZE)])
+    close = program_for(newton_step, structure)
+    for _ in range(8):
+        moved = close.compute(theta, t, moved)
+    return moved if np.all(np.isfinite(moved)) else None
+
+
+SMALLEST_SIZE = 1e-3
+"""Size [m] of a mechanism that shows none."""
+
+
+def _arm(system: System) -> float:
+    return max(
+        (float(np.abs(np.asarray(p)).max()) for joint in system.joints.values() for p in joint.points), default=0
+    )
+
+
+def _advanced(positions: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Bodies displaced and turned by small steps."""
+    shift, turn = steps[:, :3], steps[:, 3:] / 2
+    scalar, vector = positions[:, 3:4], positions[:, 4:]
+    quaternion = np.concatenate(
+        [
+            scalar - np.sum(turn * vector, 1, keepdims=True),
+            vector + scalar * turn + np.cross(turn, vector),
+        ],
+        1,
+    )
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return np.concatenate([positions[:, :3] + shift, quaternion], 1)

@@ -1,0 +1,136 @@
+"""The start of a run whose numbers are known: assembled at once, and what it changes of the scene said aloud."""
+
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Numeric
+from spherejax.model.scene import Scene
+from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.motion.equations.friction_judgement import refuse_unsolvable_friction
+from spherejax.motion.start.assembly import Assembly, as_ideal, assemble_now
+from spherejax.motion.start.fighting_drivers import REMEDY, fighting_at, refuse_fighting_drivers
+from spherejax.motion.start.positions import moved_bodies
+from spherejax.motion.start.velocities import removed_velocities
+
+
+class StartWarning(UserWarning):
+    """A run starts with other positions or velocities than the scene describes, for the joints do not allow those.
+
+    Bodies that had to be moved far are named with how far each was moved and turned; so are joints that took velocities
+    away. Numbers that are traced (inside `jit`, `vmap`, `grad` and fits) are not looked at; `run.assembly` holds what
+    was changed. Of a sweep several runs are looked at before it begins.
+    """
+
+
+class KnownStart(NamedTuple):
+    """A start that is known before the run.
+
+    Attributes:
+        assembly: the consistent start.
+        changes: what it changes of what the scene describes, in sentences.
+    """
+
+    assembly: Assembly
+    changes: tuple[str, ...]
+
+
+def start_now(system: System, ts: Numeric, *, stacklevel: int = 3) -> Assembly | None:
+    """The consistent start, when the geometry is known now; None when it is traced.
+
+    What it changes of the positions and velocities of the scene is said in `StartWarning`s.
+
+    Args:
+        system: the system.
+        ts: sample times [s].
+        stacklevel: of the warnings; 3 is who called the caller.
+
+    Raises:
+        SceneError: for joints that cannot be closed, and drivers that fight.
+    """
+    start = known_start(system, ts)
+    if start is None:
+        return None
+    for change in start.changes:
+        warnings.warn(change, StartWarning, stacklevel=stacklevel)
+    return start.assembly
+
+
+def known_start(system: System, ts: Numeric) -> KnownStart | None:
+    """As `start_now`, without a warning."""
+    structure, theta = flatten_system(as_ideal(system))
+    if not is_concrete(theta) or (system.is_driven and not is_concrete(ts)):
+        return None
+    # What is not driven starts alike at any time.
+    t = float(ts[0]) if system.is_driven else 0.0
+    try:
+        start = assemble_now(structure, theta, t)
+    except SceneError as error:
+        fighting = fighting_at(structure, theta, t) if system.is_driven else ()
+        if not fighting:
+            raise
+        names = " and ".join(map(repr, fighting))
+        raise SceneError(
+            f"drivers {names} fight: at t = {t:.6g} s they ask for positions that cannot be had together. {REMEDY}"
+        ) from error
+    if system.is_driven:
+        refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
+    refuse_unsolvable_friction(system, t, np.asarray(start.y))
+    common = system, structure, theta, t, start
+    return KnownStart(start, tuple(filter(None, (moved_bodies(*common), removed_velocities(*common)))))
+
+
+LOOKED_AT = 16
+"""Runs of a sweep whose starts are looked at before it begins, the first and the last among them."""
+
+
+def changed_starts(scene_of: Callable[[Any], Scene], parameters: Any, ts: Numeric) -> tuple[str, Any]:
+    """What to say of runs that do not start as their scenes describe, and the parameters of the first; or nothing.
+
+    Args:
+        scene_of: the scene of a run, from its parameters.
+        parameters: known arrays with a leading axis of runs.
+        ts: sample times [s].
+    """
+    n_runs = len(jax.tree.leaves(parameters)[0])
+    runs = np.linspace(0, n_runs - 1, min(n_runs, LOOKED_AT)).round().astype(int).tolist()
+    if not _geometry_depends_on(scene_of, parameters, ts):
+        runs = runs[:1]
+    numbers = {run: jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters) for run in runs}
+    starts = {run: _start_of(scene_of(numbers[run]), ts) for run in runs}
+    changes = {run: start.changes for run, start in starts.items() if start is not None and start.changes}
+    if not changes:
+        return "", None
+    count = f"{len(changes)} of {len(runs)} runs that were looked at do not start as they are described"
+    first = next(iter(changes))
+    if len(runs) == 1:
+        count = "the runs do not start as they are described"
+    return f"{count}; of run {first}: {' '.join(changes[first])}", numbers[first]
+
+
+def _geometry_depends_on(scene_of: Callable[[Any], Scene], parameters: Any, ts: Numeric) -> bool:
+    """Whether what is assembled is traced where the parameters are."""
+    starts = []
+
+    def traced(numbers):
+        try:
+            starts.append(known_start(compile_scene(scene_of(numbers)).system, ts))
+        except SceneError:
+            starts.append(None)
+
+    jax.eval_shape(traced, jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.float64), parameters))
+    return starts[0] is None
+
+
+def _start_of(scene: Scene, ts: Numeric) -> KnownStart | None:
+    """Of one run; none of one that fails, which its status says."""
+    try:
+        return known_start(compile_scene(scene).system, ts)
+    except SceneError:
+        return None
