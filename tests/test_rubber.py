@@ -20,6 +20,10 @@ SPRING = sj.VectorElastomer(K, 0.0)
 MASS = 2.0
 
 
+def names_of(model):
+    return tuple(entry.name for entry in model.memory)
+
+
 def pressed(model, force=0.0):
     """A ball in rubber, under a constant force along x."""
     scene = cases.ball_in_socket(model, mass=MASS)
@@ -235,7 +239,7 @@ def moving(values):
 def remembered(model, values):
     """Deflections of the memory, friction's within its bound."""
     scales = {"m": 0.5 * HALF, "rad": 1e-2}
-    return np.clip(values[: len(model.memory_names)], -1, 1) * np.array([scales[u] for u in model.memory_units]) * 0.9
+    return np.clip(values[: len(model.memory)], -1, 1) * np.array([scales[entry.unit] for entry in model.memory]) * 0.9
 
 
 @models
@@ -281,7 +285,7 @@ def test_power_is_stored_or_dissipated_at_any_motion(model):
 
 def dissipated(model, motion, memory):
     """Written out once more, vector by vector."""
-    names = [name.rpartition("_")[0] for name in model.memory_names[::3]]
+    names = [name.rpartition("_")[0] for name in names_of(model)[::3]]
     kept = dict(zip(names, memory.reshape(-1, 3), strict=True))
     axes = np.asarray(motion.socket_rotation)
     rate = axes.T @ (motion.eccentricity_rate - np.cross(motion.socket_angular_velocity, motion.eccentricity))
@@ -333,7 +337,7 @@ def test_a_hinge_turns_freely_and_a_cross_about_both_arms():
         model = sj.Bushing(law=law, **SLIDING, friction=sj.Berg([1.0, 1.0, 0.0], HALF, **TILTED))
         zero = np.zeros(3)
         motion = moving(np.zeros(18))._replace(ball_angular_velocity=np.array(spin), eccentricity=zero)
-        response = model.respond(motion, jnp.zeros(len(model.memory_names)))
+        response = model.respond(motion, jnp.zeros(len(model.memory)))
         assert np.abs(response.memory_rate).max() < 1e-15
 
 
@@ -353,7 +357,7 @@ def test_friction_stays_within_its_limit_on_any_path():
 
 @models
 def test_derivatives_are_finite_at_rest_and_agree(model):
-    memory = jnp.zeros(len(model.memory_names))
+    memory = jnp.zeros(len(model.memory))
 
     def answer(e, rate, memory):
         motion = moving(np.zeros(18))._replace(eccentricity=e, eccentricity_rate=rate)
@@ -372,7 +376,7 @@ def test_derivatives_are_finite_at_rest_and_agree(model):
 
 def test_nothing_is_compiled_in_unasked():
     plain = sj.Bushing(law=SPRING)
-    assert plain.memory_names == ()
+    assert plain.memory == ()
     assert sj.compile_scene(sj.gallery.four_bar(plain)).system.layout.n_memory == 0
     rubber = sj.Bushing(law=SPRING, branches=BRANCHES, friction=FRICTION)
     assert sj.compile_scene(sj.gallery.four_bar(rubber)).system.layout.n_memory == 9
@@ -382,12 +386,12 @@ def test_nothing_is_compiled_in_unasked():
         "relaxation, 2 branches (Maxwell)",
         "friction in the rubber (Berg)",
     ]
-    shapes = [len(effect.model.memory_names) for effect in rubber.effects]
+    shapes = [len(effect.model.memory) for effect in rubber.effects]
     assert shapes == [0, 6, 9]
     turning = MODELS["six"]
-    assert turning.memory_names[:4] == ("branch_1_x", "branch_1_y", "branch_1_z", "branch_2_x")
-    assert turning.memory_names[-3:] == ("friction_turn_x", "friction_turn_y", "friction_turn_z")
-    assert turning.memory_units == ("m",) * 6 + ("rad",) * 6 + ("m",) * 3 + ("rad",) * 3
+    assert names_of(turning)[:4] == ("branch_1_x", "branch_1_y", "branch_1_z", "branch_2_x")
+    assert names_of(turning)[-3:] == ("friction_turn_x", "friction_turn_y", "friction_turn_z")
+    assert tuple(entry.unit for entry in turning.memory) == ("m",) * 6 + ("rad",) * 6 + ("m",) * 3 + ("rad",) * 3
 
 
 # Methods and tolerances -----------------------------------------------------------------------------------------------

@@ -21,9 +21,12 @@ OF_THE_PROGRAM = {
     "crossing",
     "detects_onsets",
     "effects",
+    "has_surfaces",
+    "is_touching",
+    "medium",
+    "memory",
     "memory_at_onset",
     "memory_at_release",
-    "memory_names",
     "requirements",
     "surfaces",
 }

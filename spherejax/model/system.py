@@ -18,6 +18,7 @@ from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
+from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.state import Layout
 
 
@@ -27,17 +28,22 @@ class MemorySlot(NamedTuple):
     Attributes:
         joint: name of the joint.
         start: index of its first entry in the memory.
-        names: names of the entries.
+        contents: what the entries are.
     """
 
     joint: str
     start: int
-    names: tuple[str, ...]
+    contents: tuple[MemoryEntry, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the entries."""
+        return tuple(entry.name for entry in self.contents)
 
     @property
     def entries(self) -> slice:
         """The joint's entries in the memory."""
-        return slice(self.start, self.start + len(self.names))
+        return slice(self.start, self.start + len(self.contents))
 
 
 class System(eqx.Module):
@@ -74,7 +80,7 @@ class System(eqx.Module):
     @property
     def layout(self) -> Layout:
         """Where things are in the flat state."""
-        n_memory = sum(len(slot.names) for slot in self.memory_slots)
+        n_memory = sum(len(slot.contents) for slot in self.memory_slots)
         n_work = (len(self.resisting_joints) if self.tracks_work else 0) + self.tracks_supply
         return Layout(len(self.bodies), n_memory, n_work)
 
@@ -171,10 +177,10 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
     slots, start = [], 0
     for name, joint in joints.items():
-        names = joint.memory_names
-        if names:
-            slots.append(MemorySlot(name, start, names))
-            start += len(names)
+        contents = joint.memory
+        if contents:
+            slots.append(MemorySlot(name, start, contents))
+            start += len(contents)
     refines = _masses_are_far_apart(bodies)
     # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
     is_driven = any(joint.is_driven for joint in joints.values())

@@ -68,7 +68,7 @@ def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> 
         if slot.joint in motions:
             model: Any = system.spherical(slot.joint).model
             motion = motions[slot.joint]
-            was_touching = memory_start[slot.start] > 0
+            was_touching = model.is_touching(memory_start[slot.entries])
             is_beyond = model.crossing(motion).value > 0
             rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
             now = jnp.where(~was_touching & is_beyond, model.memory_at_onset(rate), now)

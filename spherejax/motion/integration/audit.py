@@ -128,8 +128,9 @@ def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[st
     if outside and max(outside.values()) > 0:
         deepest = max(outside, key=lambda name: outside[name])
         found["energy"] = f"the ball of joint {deepest!r} is {outside[deepest]:.3g} clearances outside"
-        starts = {slot.joint: slot.start for slot in system.memory_slots}
-        flying = [name for name in outside if not state.memory[starts[name]] > 0]
+        memories = {name: state.memory[system.memory_of(name)] for name in outside}
+        models: dict[str, Any] = {name: system.spherical(name).model for name in outside}
+        flying = [name for name in outside if not models[name].is_touching(memories[name])]
         if flying:
             worst = max(flying, key=lambda name: outside[name])
             found["flight"] = f"the ball of joint {worst!r}, by {outside[worst]:.3g} clearances"
@@ -180,7 +181,8 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     for slot in system.memory_slots:
         if slot.joint in system.contact_joints:
             joint: Any = system.spherical(slot.joint)
-            g, is_touching = joint.model.crossing(joint.relative_motion(motions)).value, state.memory[slot.start] > 0
+            g = joint.model.crossing(joint.relative_motion(motions)).value
+            is_touching = joint.model.is_touching(state.memory[slot.entries])
             outside.append(jnp.where(is_touching, -0.5, g))
             if joint.model.largest_ratio is not None:
                 depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1

@@ -72,7 +72,7 @@ def _spherical(run: Any) -> list[str]:
 
 
 def _with_clearance(run: Any) -> list[str]:
-    return [name for name in _spherical(run) if hasattr(getattr(run.system.joints[name], "model", None), "clearance")]
+    return [name for name in _spherical(run) if run.system.spherical(name).model.has_surfaces]
 
 
 def _joint_coordinates(run: Any) -> dict:

@@ -12,7 +12,6 @@ from spherejax.motion.solvers.friction_rates import friction_rates
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.motion.start.tolerances import time_scale
-from spherejax.physics.joints import Bushing, Lubricated
 
 STABILITY_BOUND = 6.0
 """Dopri8 is stable for steps of up to about this over the fastest rate of decay."""
@@ -109,11 +108,12 @@ def _choice_by_joints(system: System, known_rtol: float) -> Choice:
     name_of_stiff = type(stiff).__name__
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
-        films = [name for name in looked_at if isinstance(system.spherical(name).model, Lubricated)]
-        if films:
-            return Choice(stiff, f"{name_of_stiff}: joint {films[0]!r} has a film; its numbers are traced")
-        what = "an elastomer" if isinstance(system.spherical(looked_at[0]).model, Bushing) else "friction"
-        return Choice(diffrax.Dopri8(), f"Dopri8: joint {looked_at[0]!r} has {what}; its numbers are traced")
+        resistance = {name: system.spherical(name).model.medium for name in looked_at}
+        fast = [name for name, by in resistance.items() if by is not None and by.is_usually_fast]
+        name = fast[0] if fast else looked_at[0]
+        by = resistance[name]
+        said = f"joint {name!r} has {'friction' if by is None else by.value}; its numbers are traced"
+        return Choice(stiff, f"{name_of_stiff}: {said}") if fast else Choice(diffrax.Dopri8(), f"Dopri8: {said}")
     fastest = max(_rates(system, structure, theta), key=lambda rate: rate.per_second / rate.limit(known_rtol))
     if fastest.per_second == 0:
         return Choice(diffrax.Dopri8(), "Dopri8: no friction acts faster than its contact vibrates under load")
@@ -172,19 +172,19 @@ def _rates(system: System, structure: Structure, theta) -> list[_Rate]:
     models = {name: system.spherical(name).model for name in system.force_joints}
     time = float(time_scale(system))
     found = []
-    if any(isinstance(model, Bushing | Lubricated) for model in models.values()):
+    if any(model.medium is not None for model in models.values()):
         floating = rates_in_clearance(structure, theta)
         found += [
             _Rate(name, "acts", float(rate), FOUR_BAR_TIME)
             for (name, model), rate in zip(models.items(), floating, strict=True)
-            if isinstance(model, Bushing | Lubricated)
+            if model.medium is not None
         ]
-    if any(hasattr(model, "surfaces") for model in models.values()):
+    if any(model.has_surfaces for model in models.values()):
         pressed = rates_under_load(structure, theta, patience=time)
         found += [
             _Rate(name, "resists under load", float(rate), time)
             for name, rate in zip(models, pressed, strict=True)
-            if hasattr(models[name], "surfaces")
+            if models[name].has_surfaces
         ]
     return found
 
@@ -200,4 +200,4 @@ def explicit_rate_limit(rtol: float, time: float = FOUR_BAR_TIME) -> float:
 
 
 def _may_be_stiff(model) -> bool:
-    return isinstance(model, Bushing | Lubricated) or getattr(model, "friction", None) is not None
+    return model.medium is not None or getattr(model, "friction", None) is not None

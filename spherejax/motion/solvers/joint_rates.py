@@ -120,7 +120,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> JointA
             return response.force, response.memory_rate
 
         place = distance * outward
-        fades = bool(joint.model.memory_names) and not joint.model.detects_onsets
+        fades = bool(joint.model.memory) and not joint.model.detects_onsets
         mobility = _mobility(system, motions, constraints, masses, joint)
         by = (0, 1, 2) if fades else (0, 1)
         (stiffness, damping, *by_memory), slopes = jax.jacfwd(answer, by)(place, CREEP * outward, memory)
@@ -172,7 +172,7 @@ def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> Pres
     decays, squares, times = [], [], []
     for name in system.force_joints:
         joint = system.spherical(name)
-        if not hasattr(joint.model, "surfaces") or name not in multipliers:
+        if not joint.model.has_surfaces or name not in multipliers:
             decays.append(jnp.zeros((2, 6, 6)))
             squares.append(jnp.zeros((2, 3, 3)))
             times.append(jnp.zeros(()))
@@ -200,7 +200,7 @@ def _pressed(joint: PlacedSpherical, motions, force: Vector3, along: Vector3, fa
     n = along / (safe_norm(along) + SMALLEST)
     motion, clearance = joint.relative_motion(motions), model.clearance
     depth = model.normal.depth(load, stiffness_of(model.normal, model.surfaces))
-    n_memory = len(model.memory_names)
+    n_memory = len(model.memory)
 
     def answer(e, rate, memory):
         moved = motion._replace(

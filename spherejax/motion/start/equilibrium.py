@@ -75,7 +75,7 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
             found near the start.
     """
     system = compile_scene(scene).system
-    loose = [name for name in system.force_joints if hasattr(system.spherical(name).model, "clearance")]
+    loose = [name for name in system.force_joints if system.spherical(name).model.has_surfaces]
     if loose:
         raise SceneError(
             f"joint {loose[0]!r} has a clearance, in which the ball has no place of its own at rest. Take Ideal() for "

@@ -75,7 +75,7 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
     energy = sum(masses) * speed * speed
     relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
-    memory = _memory_scales(system, xp, {"m": fine * length, "rad": 1.0}, speed)
+    memory = _memory_scales(system, xp, {"length": fine * length, "angle": 1.0, "speed": speed})
     scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, memory, energy)
     text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"
     if is_concrete(rtol) and rtol > asked:
@@ -134,12 +134,10 @@ def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocit
     return xp.concatenate([q, v, memory * xp.ones(layout.n_memory), work * xp.ones(layout.n_work)])
 
 
-def _memory_scales(system: System, xp, scales: dict[str, Any], usual) -> Any:
-    """What counts as one for each memory entry, by its unit."""
-    units: list[str] = []
-    for slot in system.memory_slots:
-        units += system.joints[slot.joint].memory_units or [""] * len(slot.names)
-    return xp.stack([xp.asarray(scales.get(unit, usual)) for unit in units]) if units else usual
+def _memory_scales(system: System, xp, scales: dict[str, Any]) -> Any:
+    """What counts as one for each memory entry."""
+    entries = [entry for slot in system.memory_slots for entry in slot.contents]
+    return xp.stack([xp.asarray(scales[entry.scale]) for entry in entries]) if entries else scales["speed"]
 
 
 def _scales(system: System):
@@ -150,7 +148,7 @@ def _scales(system: System):
     velocities = [body.velocity for body in system.bodies.values()]
     spins = [body.angular_velocity for body in system.bodies.values()]
     models: list[Any] = [getattr(joint, "model", None) for joint in joints]
-    clearances = [model.clearance for model in models if hasattr(model, "clearance")]
+    clearances = [model.clearance for model in models if model is not None and model.has_surfaces]
     known = all(is_concrete(value) for value in [*vectors, *velocities, *spins, *clearances, system.gravity])
     xp: Any = np if known else jnp
 

@@ -1,14 +1,16 @@
 """What a model of a spherical joint is: how the ball's motion in its socket is answered."""
 
 import abc
+import enum
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Scalar, Vector3
+from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.kinematics import RelativeMotion
 
 
@@ -97,24 +99,45 @@ class Effect(NamedTuple):
     model: "AbstractSphericalModel"
 
 
+class Medium(enum.Enum):
+    """What lies between ball and socket, and acts wherever the ball is.
+
+    Where numbers are traced the method of integration is chosen by this alone: a film is usually too fast for explicit
+    steps (1e4 to 1e6 per second), an elastomer is usually not.
+    """
+
+    FILM = "a film"
+    ELASTOMER = "an elastomer"
+
+    @property
+    def is_usually_fast(self) -> bool:
+        """Whether explicit steps would be held by it."""
+        return self is Medium.FILM
+
+
 class AbstractSphericalModel(eqx.Module):
     """How a spherical joint resists: one of ideal, dry, lubricated, bushing, or a user's own.
 
-    A model that is not ideal implements `respond`. A model with memory names its entries in `memory_names`; a
-    model whose contact begins and ends at sharp instants also implements `crossing` and `memory_at_onset`.
+    A model that is not ideal implements `respond`. A model with memory lists its entries in `memory`; a model whose
+    contact begins and ends at sharp instants also implements `crossing`, `is_touching` and `memory_at_onset`.
     """
 
     is_ideal: ClassVar[bool] = False
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
-        """Names of the memory entries (static); empty for a model without memory."""
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """What the model remembers (static); empty for a model without memory."""
         return ()
 
     @property
-    def memory_units(self) -> tuple[str, ...]:
-        """SI units of the memory entries (static), by which their errors are judged; none: as velocities are."""
-        return ()
+    def has_surfaces(self) -> bool:
+        """Whether the ball has a `clearance` in its socket, and presses in what `surfaces` describes (static)."""
+        return False
+
+    @property
+    def medium(self) -> Medium | None:
+        """What lies between ball and socket (static); None where only constraints or contact act."""
+        return None
 
     @property
     def detects_onsets(self) -> bool:
@@ -160,10 +183,14 @@ class AbstractSphericalModel(eqx.Module):
         """The function whose sign says whether there is contact."""
         raise TypeError(f"{type(self).__name__} has no contact")
 
+    def is_touching(self, memory: Float[Array, " n_memory"]) -> Bool[Array, ""]:
+        """Whether a contact has begun and not ended."""
+        raise TypeError(f"{type(self).__name__} has no contact")
+
     def memory_at_onset(self, onset_rate: Scalar) -> Float[Array, " n_memory"]:
         """The memory just after a contact onset with the normal velocity `onset_rate` [m/s]."""
         raise TypeError(f"{type(self).__name__} has no contact")
 
     def memory_at_release(self) -> Float[Array, " n_memory"]:
         """The memory just after a release."""
-        return jnp.zeros(len(self.memory_names))
+        return jnp.zeros(len(self.memory))

@@ -10,7 +10,8 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
 from spherejax.foundations.rotation import rotation_vector
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
-from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Response
+from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Medium, Response
+from spherejax.physics.joints.memory import MemoryEntry, Scale, vector
 from spherejax.physics.laws import AbstractElastomer, Berg, Maxwell, RadialElastomer
 from spherejax.physics.laws.viscoelastic import free_directions
 
@@ -138,14 +139,15 @@ class Bushing(AbstractSphericalModel):
         return tuple(found)
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
+    def memory(self) -> tuple[MemoryEntry, ...]:
         """Deflections of the branches, then of friction: none without them."""
-        return tuple(f"{name}_{axis}" for name, _ in self._remembered for axis in "xyz")
+        scales: dict[str, Scale] = {"m": "length", "rad": "angle"}
+        return tuple(entry for name, unit in self._remembered for entry in vector(name, unit, scales[unit]))
 
     @property
-    def memory_units(self) -> tuple[str, ...]:
-        """Metres, and radians for rotations."""
-        return tuple(unit for _, unit in self._remembered for _ in "xyz")
+    def medium(self) -> Medium:
+        """An elastomer."""
+        return Medium.ELASTOMER
 
     def respond(self, motion, memory) -> Response:
         """Elastic and damping force and moment on the ball, then those of branches and friction."""

@@ -10,9 +10,8 @@ from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.contact import (
     Surfaces,
     contact_crossing,
-    contact_memory_at_onset,
-    contact_memory_names,
 )
+from spherejax.physics.joints.memory import MemoryEntry, contact_memory, is_touching, memory_at_onset
 from spherejax.physics.laws import AbstractConformity, AbstractFrictionLaw, AbstractNormalLaw, Material
 from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO
 
@@ -54,9 +53,14 @@ class AbstractClearanceModel(AbstractSphericalModel):
         return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material, self.conformity)
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
+    def memory(self) -> tuple[MemoryEntry, ...]:
         """The onset rate, 0 in flight, for every law: it says that the ball touches; and bristles of laws with them."""
-        return contact_memory_names(self.friction)
+        return contact_memory(self.friction is not None and bool(self.friction.bristle_size))
+
+    @property
+    def has_surfaces(self) -> bool:
+        """It has."""
+        return True
 
     @property
     def detects_onsets(self) -> bool:
@@ -100,6 +104,10 @@ class AbstractClearanceModel(AbstractSphericalModel):
         """Sign change at |e| = c."""
         return contact_crossing(motion, self.clearance)
 
+    def is_touching(self, memory):
+        """Whether an onset is remembered."""
+        return is_touching(memory)
+
     def memory_at_onset(self, onset_rate):
         """Onset rate, and bristles undeflected."""
-        return contact_memory_at_onset(self.memory_names, onset_rate)
+        return memory_at_onset(self.memory, onset_rate)

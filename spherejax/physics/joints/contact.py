@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Vector3
+from spherejax.physics.joints import memory as remembered
 from spherejax.physics.joints.base import Crossing, Effect
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws import (
@@ -29,9 +30,6 @@ from spherejax.physics.laws import (
     PressedPair,
     generalized_stiffness,
 )
-
-SMALLEST_ONSET_RATE = 1e-12
-"""An onset slower than this [m/s] is remembered as this fast: a memory of 0 means flight."""
 
 
 class Surfaces(NamedTuple):
@@ -168,7 +166,7 @@ def contact_forces(
 
     Args:
         motion: motion of the ball in the socket.
-        memory: onset rate [m/s] (0 in flight), then the bristle deflection [m], as `memory_names` lists them.
+        memory: onset rate [m/s] (0 in flight), then the bristle deflection [m], as `contact_memory` lists them.
         surfaces: geometry and material.
         normal: normal law.
         friction: friction law, or None.
@@ -184,7 +182,7 @@ def contact_forces(
     penetration_rate = motion.eccentricity_rate @ n
     stiffness = stiffness_of(normal, surfaces)
     n_bristle = 0 if friction is None else friction.bristle_size
-    onset_rate = memory[0]
+    onset_rate = remembered.onset_rate(memory)
     is_touching = onset_rate > 0
     penetration = jnp.where(is_touching, penetration, -surfaces.clearance)
     normal_force = share * normal.force(penetration, penetration_rate, onset_rate, stiffness)
@@ -194,12 +192,12 @@ def contact_forces(
     velocity = sliding_velocity(motion, surfaces)
     bristle_energy = jnp.zeros(())
     if n_bristle:
-        bristle = memory[1:]
-        bristle = bristle - (bristle @ n) * n
+        deflection = remembered.bristle(memory)
+        bristle = deflection - (deflection @ n) * n
         traction = friction.bristle_traction(bristle, velocity, normal_force)
         bristle_energy = friction.bristle_energy(bristle, normal_force)
         # The bristles are carried by the socket's surface; in flight they rest.
-        carried = friction.bristle_rate(bristle, velocity) + jnp.cross(motion.socket_angular_velocity, memory[1:])
+        carried = friction.bristle_rate(bristle, velocity) + jnp.cross(motion.socket_angular_velocity, deflection)
         bristle_rate = jnp.where(is_touching, carried, 0.0)
     else:
         traction = friction.traction(velocity, normal_force)
@@ -211,18 +209,6 @@ def contact_moments(motion: RelativeMotion, surfaces: Surfaces, friction: Vector
     """Moments [N m] of the friction force about the ball's and the socket's center; the normal force has none."""
     ball_arm, socket_arm = contact_arms(motion, surfaces)
     return jnp.cross(ball_arm, friction), -jnp.cross(socket_arm, friction)
-
-
-def contact_memory_names(friction: AbstractFrictionLaw | None) -> tuple[str, ...]:
-    """Memory entries of a contact: the onset rate, which says that it touches, and bristles of laws that have them."""
-    bristles = ("bristle_x", "bristle_y", "bristle_z")
-    return ("onset_rate", *(bristles if friction is not None and friction.bristle_size else ()))
-
-
-def contact_memory_at_onset(names: tuple[str, ...], onset_rate: Scalar) -> Float[Array, " n_memory"]:
-    """The onset rate is remembered; bristles start undeflected."""
-    first = jnp.maximum(onset_rate, SMALLEST_ONSET_RATE)[None]
-    return jnp.concatenate([first, jnp.zeros(len(names) - 1)])
 
 
 def contact_crossing(motion: RelativeMotion, clearance: Number) -> Crossing:

@@ -7,7 +7,6 @@ from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.bushing import Bushing
-from spherejax.physics.joints.clearance import AbstractClearanceModel
 from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.journal import PlacedJournal
@@ -42,7 +41,7 @@ def with_model(
     start = relative_start(bodies, *ideal.bodies)
     frame = None if axis is None else frame_along(bodies, ideal.bodies[0], axis, second_axis)
     placed = (ideal.bodies, *ideal.points, start, model, starts_concentric, frame, ideal)
-    return PlacedJournal(*placed, guide) if isinstance(model, AbstractClearanceModel) else PlacedSpherical(*placed)
+    return PlacedJournal(*placed, guide) if model.has_surfaces else PlacedSpherical(*placed)
 
 
 def model_requirements(
@@ -59,7 +58,7 @@ def model_requirements(
         return [*model.requirements(), *friction_requirements(model, turns=turns_freely, slides=slides)]
     if model.is_ideal:
         return []
-    if is_bearing and isinstance(model, AbstractClearanceModel):
+    if is_bearing and model.has_surfaces:
         return [*model.requirements(), *model.requirements_of(is_bearing=True)]
     if not isinstance(model, Bushing) or not model.law.resists_rotation:
         remedy = (

@@ -11,7 +11,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.legal import at_least, non_negative, positive
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit
-from spherejax.physics.joints.base import Response
+from spherejax.physics.joints.base import Medium, Response
 from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
     contact_effects,
@@ -177,6 +177,11 @@ class Lubricated(AbstractClearanceModel):
             Requirement("film", type(film).__name__, fits, f"be {of}", remedy),
             *super().requirements_of(is_bearing=is_bearing),
         ]
+
+    @property
+    def medium(self) -> Medium:
+        """A film."""
+        return Medium.FILM
 
     def respond(self, motion, memory) -> Response:
         """Film and contact forces on the ball."""

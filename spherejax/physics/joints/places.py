@@ -14,6 +14,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.bodies import Body
 from spherejax.physics.functions import AbstractFunction
+from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.joints.reaction_friction import AbstractJointFriction
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
@@ -70,14 +71,9 @@ class AbstractPlacedJoint(eqx.Module):
         return None
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
-        """Names of the joint's memory entries (static); empty without memory."""
-        return () if self.friction is None else self.friction.memory_names
-
-    @property
-    def memory_units(self) -> tuple[str, ...]:
-        """SI units of the memory entries (static), by which their errors are judged; none: as velocities are."""
-        return ()
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """What the joint remembers (static); empty without memory."""
+        return () if self.friction is None else self.friction.memory
 
     @property
     def never_adds_energy(self) -> bool:

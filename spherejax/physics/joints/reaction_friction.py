@@ -27,6 +27,7 @@ from spherejax.foundations.numerics import safe_divide, safe_norm
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
 from spherejax.physics.joints.base import Reaction
 from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.kinematics import BodyMotion, point_motion
 
 
@@ -62,9 +63,9 @@ class AbstractJointFriction(eqx.Module):
         """Names of the directions in which the surfaces slide: bristles deflect in them (static)."""
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
-        """Memory entries: bristles of laws that have them (static)."""
-        return self.directions if self._law.bristle_size else ()
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """Bristles of laws that have them (static), judged as those of a contact."""
+        return tuple(MemoryEntry(name, "m", "speed") for name in self.directions) if self._law.bristle_size else ()
 
     @property
     @abc.abstractmethod
@@ -164,7 +165,7 @@ class BallFriction(AbstractJointFriction):
             rate = rate + jnp.cross(first.angular_velocity, bristle)
             along = loads * safe_divide(loads @ bristle, loads @ loads)
             energy = self._law.bristle_energy(bristle, always) + self._law.bristle_energy(along, about)
-        return Resistance(jnp.zeros(3), moment, rate[: len(self.memory_names)], energy)
+        return Resistance(jnp.zeros(3), moment, rate[: len(self.memory)], energy)
 
 
 class ShaftFriction(AbstractJointFriction):
@@ -216,7 +217,7 @@ class ShaftFriction(AbstractJointFriction):
         around = self._radius * normal * traction[0] if self.turns else jnp.zeros(())
         along = normal * traction[n - 1] if self.slides else jnp.zeros(())
         energy = self._law.bristle_energy(bristle, normal)
-        return Resistance(along * a, around * a, rate[: len(self.memory_names)], energy)
+        return Resistance(along * a, around * a, rate[: len(self.memory)], energy)
 
     def _sliding(self, first, second, place, a) -> Scalar:
         """Velocity of the second body's point against the first body, along the axis [m/s]."""

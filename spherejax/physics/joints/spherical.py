@@ -11,6 +11,7 @@ from spherejax.foundations.rotation import conjugate, quaternion_product
 from spherejax.foundations.types import Named, Numeric
 from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
 from spherejax.physics.joints.placing import relative_start
 from spherejax.physics.joints.reaction_friction import BallFriction, friction_requirements
@@ -104,14 +105,9 @@ class PlacedSpherical(AbstractPlacedJoint):
         return BallFriction(model) if isinstance(model, Ideal) and model.friction is not None else None
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
-        """Those of the model, or of its friction."""
-        return self.model.memory_names if self.friction is None else self.friction.memory_names
-
-    @property
-    def memory_units(self) -> tuple[str, ...]:
-        """Those of the model; friction of an ideal joint says none."""
-        return self.model.memory_units
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """That of the model, or of its friction."""
+        return self.model.memory if self.friction is None else self.friction.memory
 
     @property
     def never_adds_energy(self) -> bool:

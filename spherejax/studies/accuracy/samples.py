@@ -64,7 +64,7 @@ class Samples(NamedTuple):
 def samples_of(run: Trajectory) -> Samples:
     """The histories of a run, integrated with `track_work=True` where joints answer with a force."""
     bodies, joints, ts = list(run.system.bodies), list(run.system.joints), np.asarray(run.ts)
-    gaps = [name for name in joints if hasattr(getattr(run.system.joints[name], "model", None), "clearance")]
+    gaps = [name for name in run.system.force_joints if run.system.spherical(name).model.has_surfaces]
     work, dissipated = np.zeros(ts.shape), np.zeros(ts.shape)
     for name in run.system.resisting_joints:
         work = work + np.asarray(run.absorbed_work(name))

@@ -1,0 +1,71 @@
+"""What a joint remembers: entries of the state beside positions and velocities, with names, units and scales."""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from spherejax.foundations.types import Scalar, Vector3
+
+Scale = Literal["length", "angle", "speed"]
+
+SMALLEST_ONSET_RATE = 1e-12
+"""Onset rates are at least this [m/s]: a contact that begins without velocity has begun all the same."""
+
+
+class MemoryEntry(NamedTuple):
+    """One number that a joint remembers (static).
+
+    Attributes:
+        name: in tables, files and tests.
+        unit: SI unit.
+        scale: what its errors are judged against: lengths, angles or speeds of the mechanism; see
+            `component_tolerances`.
+    """
+
+    name: str
+    unit: str
+    scale: Scale
+
+
+ONSET_RATE = MemoryEntry("onset_rate", "m/s", "speed")
+"""Normal velocity at the onset of contact, 0 in flight: first entry of every model with contact."""
+
+
+def vector(name: str, unit: str, scale: Scale) -> tuple[MemoryEntry, ...]:
+    """The entries of a vector."""
+    return tuple(MemoryEntry(f"{name}_{axis}", unit, scale) for axis in "xyz")
+
+
+def bristles() -> tuple[MemoryEntry, ...]:
+    """Deflections of the bristles of a contact.
+
+    Their scale is that of speeds: they turn into force by a stiffness of 1e5/m and more, and are small against every
+    length; the relative tolerance alone judges them.
+    """
+    return vector("bristle", "m", "speed")
+
+
+def contact_memory(remembers_bristles: bool) -> tuple[MemoryEntry, ...]:
+    """Entries of a contact: the onset rate, and bristles of laws that have them."""
+    return (ONSET_RATE, *(bristles() if remembers_bristles else ()))
+
+
+def onset_rate(memory: Float[Array, " n_memory"]) -> Scalar:
+    """Of a contact [m/s]; 0 in flight."""
+    return memory[0]
+
+
+def bristle(memory: Float[Array, " n_memory"]) -> Vector3:
+    """Deflection of a contact's bristles [m]."""
+    return memory[1:]
+
+
+def is_touching(memory: Float[Array, " n_memory"]) -> Bool[Array, ""]:
+    """Whether a contact has begun and not ended."""
+    return onset_rate(memory) > 0
+
+
+def memory_at_onset(entries: tuple[MemoryEntry, ...], rate: Scalar) -> Float[Array, " n_memory"]:
+    """The onset rate is remembered; bristles start undeflected."""
+    return jnp.concatenate([jnp.maximum(rate, SMALLEST_ONSET_RATE)[None], jnp.zeros(len(entries) - 1)])
