@@ -14,9 +14,9 @@ import xarray
 import spherejax as sj
 from spherejax import cli
 from spherejax.output.plot.style import typeset
+from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
 from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, price, spreads, usual_target
 from spherejax.studies.accuracy.reference import AGREEMENT, PARTED, Reference, make_reference, parting
-from spherejax.studies.accuracy.result import Row, WorkPrecision
 from spherejax.studies.accuracy.runs import PROBE_STEPS, Program, Trial
 from spherejax.studies.accuracy.samples import UNITS, errors, samples_of, scales, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS

@@ -231,7 +231,7 @@ def test_noise_that_nobody_stated():
 
 
 def test_arrays_keep_their_shape():
-    from spherejax.studies.bayes.result import Posterior
+    from spherejax.studies.bayes.bayes_result import Posterior
 
     unknowns, start = unknowns_from({"matrix": np.arange(1.0, 7.0).reshape(2, 3), "number": 7.0})
     problem = SimpleNamespace(unknowns=unknowns, values_of=unknowns.values_of, names=unknowns.names)

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 import spherejax as sj
 from spherejax.studies.design.constrained import Constrained, Interrupted, search
-from spherejax.studies.design.problem import Evaluation, checked_limits
+from spherejax.studies.design.problem import Measures, checked_limits
 
 SPEED, MASS, ROOM = 1.0, 2.0, 0.02
 """A mass [kg] that comes with a speed [m/s], and the way that it may go [m]."""
@@ -71,7 +71,7 @@ class Analytic:
         values = np.array([f(u) for f in self.functions])
         steps = 1e-6 * np.eye(len(u))
         slopes = np.array([[(f(u + h) - f(u - h)) / 2e-6 for h in steps] for f in self.functions])
-        return Evaluation(np.array(u), values, values, slopes, why or "")
+        return Measures(np.array(u), values, values, slopes, why or "")
 
 
 def searched(problem, limits, tolerance=1e-6):

@@ -10,7 +10,7 @@ from spherejax.cli import main
 from spherejax.motion.integration.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
 from spherejax.studies.sweep import product, sobol_samples, zipped
-from spherejax.studies.sweep.dataset import COUNTED, Account, Column, coordinates_of, dataset_of
+from spherejax.studies.sweep.dataset import COUNTED, Account, RunsColumn, coordinates_of, dataset_of
 
 TIMES = np.linspace(0.0, 0.2, 11)
 
@@ -28,8 +28,8 @@ def swept(grid) -> xarray.Dataset:
         "peak": peak, "ends": ends, "motion": motion, "status": status, "t_reached": np.where(failed, 0.1, 0.2),
         "n_steps": (100 * a).astype(int), "n_rejected": (10 * a).astype(int),
     }  # fmt: skip
-    columns = {"peak": Column((), {"units": "N"}), "ends": Column(("axis",), {"units": "m"})}
-    columns |= {"motion": Column(("time",), {"units": "m"}), **{name: Column((), {}) for name in COUNTED}}
+    columns = {"peak": RunsColumn((), {"units": "N"}), "ends": RunsColumn(("axis",), {"units": "m"})}
+    columns |= {"motion": RunsColumn(("time",), {"units": "m"}), **{name: RunsColumn((), {}) for name in COUNTED}}
     shaped = {name: each.reshape(*grid.shape, *each.shape[1:]) for name, each in values.items()}
     account = Account.of_nothing(np.array([True]), grid.n_runs, np.zeros(1), np.zeros(1, int))
     account.add(0, status, values["n_steps"])

@@ -18,8 +18,8 @@ from typing import Any
 from zlib import crc32
 
 from spherejax.files.fields import Context, words_of
+from spherejax.files.location import Place
 from spherejax.files.parts import OwnFunction
-from spherejax.files.place import Place
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions import AbstractFunction
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spherejax.files.place import Place
+from spherejax.files.location import Place
 from spherejax.files.units import simplified
 from spherejax.foundations.errors import one_of
 

@@ -15,8 +15,8 @@ from typing import Any, get_args, get_origin
 from spherejax.files.code import named_by, users_own
 from spherejax.files.dimensions import FIELDS, Fields, described_field, parameters_of
 from spherejax.files.fields import Context, Plain, words_of
+from spherejax.files.location import Place
 from spherejax.files.parts import OwnFunction, Part
-from spherejax.files.place import Place
 from spherejax.files.quantities import Quantity
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl

@@ -12,7 +12,7 @@ from spherejax.files.code import reported
 from spherejax.files.dimensions import FIELDS
 from spherejax.files.fields import Context
 from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
-from spherejax.files.place import Place
+from spherejax.files.location import Place
 from spherejax.files.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spherejax.files.fields import Context
+from spherejax.files.location import Place, read_toml
 from spherejax.files.objects import build, built, describe
-from spherejax.files.place import Place, read_toml
 from spherejax.files.quantities import Points, vector
 from spherejax.files.rotations import read_rotation
 from spherejax.files.settings import SimulationSettings, read_settings

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields import Context
-from spherejax.files.place import Place
+from spherejax.files.location import Place
 from spherejax.files.quantities import listed, number, vector
 from spherejax.physics.orientations import SEQUENCE, orientation
 

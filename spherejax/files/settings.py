@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from spherejax.files.fields import Choice, Context, Field, Plain
-from spherejax.files.place import Place
+from spherejax.files.location import Place
 from spherejax.files.quantities import number
 from spherejax.files.solvers import SOLVERS
 from spherejax.foundations.errors import one_of

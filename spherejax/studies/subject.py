@@ -23,7 +23,7 @@ SceneOf = Callable[[AbstractSphericalModel], Scene]
 """Makes the scene from the model of the studied joint."""
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """A column of the table of models.
 
     Attributes:
@@ -124,7 +124,7 @@ class Subject:
     parameters: str
     full: Length
     quick: Length
-    columns: Sequence[Column]
+    columns: Sequence[TableColumn]
     figures: "Callable[[Comparison], dict[str, Callable]]"
     measures: Callable[[Trajectory, Curves], Mapping[str, float]] = field(default=lambda run, curves: {})
     summaries: "Callable[[Comparison], list[TableOf]]" = field(default=lambda comparison: [])

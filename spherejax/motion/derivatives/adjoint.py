@@ -46,7 +46,8 @@ from spherejax.motion.integration.integrate import (
 )
 from spherejax.motion.integration.sensitivity_rows import delay_weights, linearized
 from spherejax.motion.integration.status import Status
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, Ros34PW2
+from spherejax.motion.solvers.rosenbrock import Ros34PW2
+from spherejax.motion.solvers.traits import can_step_in_lanes, is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
 
 FIRST_ROOM, MORE_ROOM = 4096, 16
@@ -121,8 +122,7 @@ def gradients(
 
 def _differentiable(solver: Any) -> diffrax.AbstractSolver:
     """The method of a run whose steps are to be differentiated; for one that has no explicit stages, Ros34PW2."""
-    is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
-    return solver if is_explicit or isinstance(solver, AbstractRosenbrock) else Ros34PW2()
+    return solver if can_step_in_lanes(solver) else Ros34PW2()
 
 
 @bounded_jit(what="a run that keeps its steps")
@@ -224,7 +224,7 @@ def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
 def _step_of(plan: Plan, solver: Any, rate: Program) -> Callable:
     """The state at the end of a step from t to t_next, with the drift control's correction; differentiable."""
     correct = correction_for(plan)
-    by_solver = _rosenbrock_step if isinstance(solver, AbstractRosenbrock) else _explicit_step
+    by_solver = _rosenbrock_step if is_linearly_implicit(solver) else _explicit_step
     of_state = by_solver(plan, solver, rate)
 
     def step(parameters: Parameters, t, t_next, y):

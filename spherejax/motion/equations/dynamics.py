@@ -17,7 +17,7 @@ from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.state import State, unpack
 
 
-class Evaluation(NamedTuple):
+class SolvedEquations(NamedTuple):
     """One evaluation of the equations of motion.
 
     Attributes:
@@ -37,7 +37,7 @@ class Evaluation(NamedTuple):
     friction: JointFriction | None = None
 
 
-def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> Evaluation:
+def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> SolvedEquations:
     """Evaluate the equations of motion at a flat state."""
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
@@ -46,9 +46,9 @@ def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> Evaluation:
     constraints = constraint_set(system, t, motions)
     if not system.friction_joints:
         solution = constrained_accelerations(system, motions, constraints, applied)
-        return Evaluation(state, motions, loads, constraints, solution)
+        return SolvedEquations(state, motions, loads, constraints, solution)
     solution, friction = solution_with_friction(system, motions, state.memory, constraints, applied)
-    return Evaluation(state, motions, loads, constraints, solution, friction)
+    return SolvedEquations(state, motions, loads, constraints, solution, friction)
 
 
 def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " size"]:

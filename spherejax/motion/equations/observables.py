@@ -12,7 +12,7 @@ from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import BodyMotions, between, body_motions
 from spherejax.motion.equations.constraints import velocity_violation
-from spherejax.motion.equations.dynamics import Evaluation, evaluate
+from spherejax.motion.equations.dynamics import SolvedEquations, evaluate
 from spherejax.motion.equations.joint_friction import constraint_reaction, resistances
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce, power_on_bodies
@@ -84,7 +84,7 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     )
 
 
-def _relative_motions(system: System, evaluation: Evaluation) -> dict[str, RelativeMotion]:
+def _relative_motions(system: System, evaluation: SolvedEquations) -> dict[str, RelativeMotion]:
     """Motion of ball in socket of each spherical joint."""
     found = {}
     for group in stacks_of(system).joints:
@@ -111,7 +111,7 @@ def _looked_up(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion) ->
     return joint.model.observed(joint.relative_motion(between(first, second)))
 
 
-def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
+def _reactions(evaluation: SolvedEquations) -> dict[str, Reaction]:
     """What each joint exerts on its second body."""
     constraints = evaluation.constraints
     found = {}
@@ -131,12 +131,12 @@ def _reactions(evaluation: Evaluation) -> dict[str, Reaction]:
     return dict(sorted(found.items()))
 
 
-def _parts(evaluation: Evaluation) -> dict[str, dict[str, Array]]:
+def _parts(evaluation: SolvedEquations) -> dict[str, dict[str, Array]]:
     parts = {name: load.response.parts for name, load in evaluation.loads.items()}
     return parts if evaluation.friction is None else dict(sorted((parts | evaluation.friction.parts()).items()))
 
 
-def _elastic_energies(system: System, evaluation: Evaluation) -> dict[str, Scalar]:
+def _elastic_energies(system: System, evaluation: SolvedEquations) -> dict[str, Scalar]:
     stored = {name: load.response.elastic_energy for name, load in evaluation.loads.items()}
     if evaluation.friction is not None:
         rubbing = resistances(evaluation.friction.groups)
@@ -148,7 +148,7 @@ def _by_name(group: JointGroup, stacked: Any) -> dict[str, Any]:
     return {name: jax.tree.map(lambda x, i=i: x[i], stacked) for i, name in enumerate(group.names)}
 
 
-def _driving_power(evaluation: Evaluation, name: str) -> Scalar:
+def _driving_power(evaluation: SolvedEquations, name: str) -> Scalar:
     """-(D^T lambda).v = lambda.Phi_t, for D v = -Phi_t."""
     return evaluation.solution.multipliers[name] @ evaluation.constraints.rows[name].rate_at_rest
 
@@ -165,7 +165,7 @@ def _kinetic_energy(body: Body, motion: BodyMotion) -> Scalar:
     return (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
 
 
-def _force_results(force: AbstractForce, t: Scalar, evaluation: Evaluation) -> dict[str, Array]:
+def _force_results(force: AbstractForce, t: Scalar, evaluation: SolvedEquations) -> dict[str, Array]:
     motions = evaluation.motions
     power = power_on_bodies(force.wrenches(t, motions), motions)
     return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
@@ -193,7 +193,7 @@ def _weight_energy(gravity: Vector3, body: Body, motion: BodyMotion) -> Scalar:
     return -body.mass * (gravity @ motion.position)
 
 
-def _violations(evaluation: Evaluation) -> tuple[Scalar, Scalar]:
+def _violations(evaluation: SolvedEquations) -> tuple[Scalar, Scalar]:
     constraints = evaluation.constraints
     if not constraints.groups:
         return jnp.zeros(()), jnp.zeros(())

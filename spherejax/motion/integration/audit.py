@@ -33,7 +33,7 @@ from spherejax.motion.equations.friction_judgement import friction_found, fricti
 from spherejax.motion.equations.loads import joint_loads
 from spherejax.motion.equations.observables import kinetic_energy, potential_energy
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.start.tolerances import energy_scale, length_scale
 from spherejax.physics.state import unpack
 
@@ -319,7 +319,7 @@ def limits_of(system: System, rtol, solver: Any) -> Limits:
             evaluates the power of stiff joints at states inside the step, far from the motion.
     """
     share = LARGEST_SHARE if rtol is None else ENERGY_SHARE + TOLERANCES * jnp.max(jnp.asarray(rtol))
-    is_known = not (system.tracks_supply and isinstance(solver, AbstractRosenbrock))
+    is_known = not (system.tracks_supply and is_linearly_implicit(solver))
     energy = jnp.minimum(share, LARGEST_SHARE) if is_known else np.inf
     length = jnp.minimum(length_scale(system), 1.0)
     return Limits(energy, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)

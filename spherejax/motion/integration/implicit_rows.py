@@ -24,6 +24,7 @@ from spherejax.model.system import Structure
 from spherejax.motion.equations.programs import Program
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, Ros34PW2, RosenbrockInterpolation, linearize_dense
+from spherejax.motion.solvers.traits import is_linearly_implicit
 
 
 class DifferentiatedRosenbrock(diffrax.AbstractAdaptiveSolver):
@@ -80,12 +81,12 @@ state, they cost 180 values and were right to 2e-4 as well."""
 
 def slack_of(solver: Any) -> float:
     """See `SLACK`; 1 for an explicit method, whose sensitivities behind an onset need shorter steps than the state."""
-    return SLACK if isinstance(solver, AbstractRosenbrock) else 1.0
+    return SLACK if is_linearly_implicit(solver) else 1.0
 
 
 def solver_of_rows(solver: Any, structure: Structure, rate: Program) -> Any:
     """The method that integrates the state and its sensitivities; an explicit one is the same."""
-    if not isinstance(solver, AbstractRosenbrock):
+    if not is_linearly_implicit(solver):
         return solver
     return DifferentiatedRosenbrock(with_structure(solver, structure), rate)
 
@@ -96,7 +97,7 @@ def rows_with_fixed_matrix(solver: Any, structure: Structure, rate: Program) -> 
     For runs whose steps are kept for a reverse sweep, which holds the matrix fixed too, and with controllers of a
     user's own: their errors are judged as the state's, which such a matrix needs.
     """
-    if not isinstance(solver, AbstractRosenbrock):
+    if not is_linearly_implicit(solver):
         return solver
     own = _w_method(solver, structure)
 

@@ -52,7 +52,7 @@ from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.implicit import with_structure
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.start.tolerances import controller_for
 
@@ -242,8 +242,7 @@ def with_slopes(
 def can_be_a_job(structure: Structure, options: Options) -> bool:
     """Whether the lanes can make a run: with the step-size control that they have themselves."""
     solver: Any = options.solver
-    is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
-    return (is_explicit or isinstance(solver, AbstractRosenbrock)) and _rest(options.controller) == _own_rest(structure)
+    return can_step_in_lanes(solver) and _rest(options.controller) == _own_rest(structure)
 
 
 @lru_cache(maxsize=64)

@@ -8,7 +8,6 @@ tolerances, from the same start. That the repeated motion is the same is tested 
 import warnings
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -26,7 +25,7 @@ from spherejax.motion.integration.jobs import JobKind, Numbers, audit_limits
 from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.tolerances import component_tolerances
 from spherejax.physics.state import unpack
 
@@ -140,8 +139,7 @@ def _repeatable(asked: Asked | None) -> Asked:
             "judged them. Simulate it once more with rtol= as a number and without stepsize_controller="
         )
     solver: Any = asked.solver
-    is_explicit = isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
-    if not is_explicit and not isinstance(solver, AbstractRosenbrock):
+    if not can_step_in_lanes(solver):
         raise SceneError(
             f"the steps of {type(solver).__name__} cannot be told; those of explicit and of Rosenbrock methods can "
             "(diffrax.Dopri8(), sj.Rodas5P()), and solver=None takes one of them"

@@ -29,7 +29,7 @@ from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_builds import Build, built, known_build
-from spherejax.motion.runs.one_of_many import Method, Prepared
+from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
 from spherejax.motion.start.start_now import StartWarning, changed_starts
 from spherejax.runtime import require_float64
@@ -127,10 +127,10 @@ def count_of_runs(parameters: Any) -> int:
     return lengths.pop()[0]
 
 
-def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block) -> Method:
+def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block) -> LaneMethod:
     """The method for all runs; a stiff one when one of the runs that are looked at asks for it."""
     if solver is not None:
-        return Method(choice_for(None, rtol, solver), rtol, atol, max_steps, track_work, block)
+        return LaneMethod(choice_for(None, rtol, solver), rtol, atol, max_steps, track_work, block)
     n_runs = count_of_runs(parameters)
     choices, problem = [], None
     for run in sorted({0, n_runs // 3, 2 * n_runs // 3, n_runs - 1}):
@@ -143,7 +143,7 @@ def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, blo
         assert problem is not None
         raise problem
     stiff = [choice for choice in choices if not isinstance(choice.solver, diffrax.AbstractERK)]
-    return Method((stiff or choices)[0], rtol, atol, max_steps, track_work, block)
+    return LaneMethod((stiff or choices)[0], rtol, atol, max_steps, track_work, block)
 
 
 def in_words(parameters: dict[str, Any]) -> str:
@@ -166,7 +166,7 @@ def warn_of_starts(build: Build, parameters: Any, ts: Numeric) -> None:
         warnings.warn(change + at, StartWarning, stacklevel=3)
 
 
-def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> Method:
+def with_sensitivities(method: LaneMethod, by: tuple[str, ...], parameters: Any) -> LaneMethod:
     """The method with sensitivities by some of the parameters.
 
     Raises:
@@ -190,9 +190,9 @@ def with_sensitivities(method: Method, by: tuple[str, ...], parameters: Any) -> 
 
 
 @bounded_jit(what="runs in lanes")
-def many(build: Build, method: Method, parameters, ts, is_wanted) -> Runs:
+def many(build: Build, method: LaneMethod, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
-    prepared = Prepared(partial(built, build), method, ts)
+    prepared = PreparedRuns(partial(built, build), method, ts)
     starts: Any = jax.vmap(prepared.start)(parameters)
     may_run = starts.may_run & is_wanted
     outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)

@@ -25,7 +25,7 @@ from spherejax.motion.solvers.automatic import Choice
 from spherejax.motion.start.start_now import known_start
 
 
-class Method(NamedTuple):
+class LaneMethod(NamedTuple):
     """How to integrate (static).
 
     Attributes:
@@ -49,10 +49,10 @@ class Method(NamedTuple):
     by: tuple[str, ...] = ()
 
 
-class Prepared:
+class PreparedRuns:
     """What is known of all runs once one has been traced: the plan and the tolerances that they share."""
 
-    def __init__(self, scene_of: Callable[[Any], Scene], method: Method, ts):
+    def __init__(self, scene_of: Callable[[Any], Scene], method: LaneMethod, ts):
         self.scene_of, self.method, self.ts = scene_of, method, ts
         self.plan: Plan | None = None
         self.shared_tolerances: Any = None

@@ -15,7 +15,8 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
 from spherejax.motion.solvers.low_rank import inexact_product, solve_inexact_stage
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, factorize_dense
+from spherejax.motion.solvers.rosenbrock import factorize_dense
+from spherejax.motion.solvers.traits import is_linearly_implicit
 
 
 class Linearization(NamedTuple):
@@ -36,7 +37,7 @@ class Linearization(NamedTuple):
 
 def with_structure(solver: Any, structure: Structure) -> Any:
     """A Rosenbrock method with the system's own linear algebra; any other solver, or one with its own, unchanged."""
-    if not isinstance(solver, AbstractRosenbrock):
+    if not is_linearly_implicit(solver):
         return solver
     if solver.jacobian is not None or solver.factorize is not factorize_dense:
         return solver

@@ -9,9 +9,9 @@ from spherejax.physics.joints.drivers import PositionDriver, RotationDriver, Tra
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.joint import AbstractJoint, AbstractPlacedJoint, Motions
 from spherejax.physics.joints.lubricated import Lubricated
 from spherejax.physics.joints.pairs import Fixed, PointOnPlane, Universal
-from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint, Motions
 from spherejax.physics.joints.reaction_friction import AbstractJointFriction, Resistance
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical

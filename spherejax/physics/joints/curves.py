@@ -14,14 +14,14 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import OWN, Named, Number, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import numbers
-from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedJoint
-from spherejax.physics.joints.placing import (
+from spherejax.physics.joints.body_axes import (
     cross,
     direction_requirement,
     perpendicular,
     point_requirements,
     world_at_start,
 )
+from spherejax.physics.joints.joint import AbstractJoint, AbstractPlacedJoint
 from spherejax.physics.joints.rows import differentiated_rows
 from spherejax.physics.kinematics import point_motion
 

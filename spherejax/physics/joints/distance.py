@@ -12,8 +12,8 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Function, Named, Number, Numeric, Single, Unit
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints.places import AbstractJoint, AbstractPlacedAtPoints
-from spherejax.physics.joints.placing import in_world
+from spherejax.physics.joints.body_axes import in_world
+from spherejax.physics.joints.joint import AbstractJoint, AbstractPlacedAtPoints
 from spherejax.physics.joints.prescribed import prescribed, time_requirements
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.kinematics import centripetal_acceleration, point_motion

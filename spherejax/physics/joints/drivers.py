@@ -21,13 +21,7 @@ from spherejax.foundations.forms import two_names
 from spherejax.foundations.types import OWN, Function, Named, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints.places import (
-    AbstractJoint,
-    AbstractPairJoint,
-    AbstractPlacedAtPoints,
-    AbstractPlacedJoint,
-)
-from spherejax.physics.joints.placing import (
+from spherejax.physics.joints.body_axes import (
     cross,
     direction_requirement,
     perpendicular,
@@ -37,6 +31,12 @@ from spherejax.physics.joints.placing import (
     turned,
     unit,
     world_at_start,
+)
+from spherejax.physics.joints.joint import (
+    AbstractJoint,
+    AbstractPairJoint,
+    AbstractPlacedAtPoints,
+    AbstractPlacedJoint,
 )
 from spherejax.physics.joints.prescribed import prescribed, time_requirements
 from spherejax.physics.joints.rows import differentiated_rows

@@ -6,12 +6,12 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.body_axes import frame_along, relative_start
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.joints.journal import PlacedJournal
-from spherejax.physics.joints.places import AbstractPlacedJoint
-from spherejax.physics.joints.placing import frame_along, relative_start
 from spherejax.physics.joints.reaction_friction import friction_requirements
 from spherejax.physics.joints.spherical import PlacedSpherical
 

@@ -6,8 +6,8 @@ import equinox as eqx
 
 from spherejax.foundations.types import Numeric
 from spherejax.physics.bodies import Body
-from spherejax.physics.joints.places import AbstractPlacedAtPoints
-from spherejax.physics.joints.placing import cross, perpendicular, turned, unit
+from spherejax.physics.joints.body_axes import cross, perpendicular, turned, unit
+from spherejax.physics.joints.joint import AbstractPlacedAtPoints
 from spherejax.physics.joints.reaction_friction import AbstractJointFriction
 from spherejax.physics.joints.rows import coincidence_rows, perpendicularity_row, plane_row, stacked
 

@@ -5,7 +5,7 @@ within the clearance, where a model answers: the same laws, modes and landings a
 """
 
 from spherejax.physics.joints.elementary import PlacedPair
-from spherejax.physics.joints.places import Motions
+from spherejax.physics.joints.joint import Motions
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
 

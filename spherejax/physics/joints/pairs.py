@@ -12,11 +12,7 @@ from spherejax.foundations.forms import two_names
 from spherejax.foundations.types import Named, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
-from spherejax.physics.joints.elastic import model_requirements, with_model
-from spherejax.physics.joints.elementary import PlacedPair, right_angles_of_all_axes
-from spherejax.physics.joints.ideal import Ideal
-from spherejax.physics.joints.places import AbstractJoint, AbstractPairJoint
-from spherejax.physics.joints.placing import (
+from spherejax.physics.joints.body_axes import (
     direction_requirement,
     places_of,
     point_requirements,
@@ -24,6 +20,10 @@ from spherejax.physics.joints.placing import (
     turned,
     unit,
 )
+from spherejax.physics.joints.elastic import model_requirements, with_model
+from spherejax.physics.joints.elementary import PlacedPair, right_angles_of_all_axes
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.joint import AbstractJoint, AbstractPairJoint
 from spherejax.physics.joints.reaction_friction import CrossFriction
 
 

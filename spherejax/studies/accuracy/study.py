@@ -13,8 +13,8 @@ from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.status import diagnosis as told_by_status
 from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.runtime import require_float64
+from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
 from spherejax.studies.accuracy.reference import METHODS, STIFF_METHODS, TIGHTEST, Reference, make_reference
-from spherejax.studies.accuracy.result import Row, WorkPrecision
 from spherejax.studies.accuracy.runs import Ending, Program, Trial
 from spherejax.studies.accuracy.samples import errors, samples_of, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS, SolverOf

@@ -5,8 +5,8 @@ draws                  `sampling`: chains of the no-U-turn sampler
 how far to trust them  `result`
 """
 
+from spherejax.studies.bayes.bayes_result import Posterior
 from spherejax.studies.bayes.posterior import posterior
 from spherejax.studies.bayes.priors import LogNormal, LogUniform, Normal, Prior, Uniform
-from spherejax.studies.bayes.result import Posterior
 
 __all__ = ["LogNormal", "LogUniform", "Normal", "Posterior", "Prior", "Uniform", "posterior"]

@@ -8,12 +8,12 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.terminals import console, is_watched
+from spherejax.studies.bayes.bayes_result import Posterior
 from spherejax.studies.bayes.density import log_density_of, priors_for
 from spherejax.studies.bayes.priors import Prior
-from spherejax.studies.bayes.result import Posterior
 from spherejax.studies.bayes.sampling import blackjax_or_error, draw, whitening
+from spherejax.studies.fit.fit_result import Fit
 from spherejax.studies.fit.problem import Problem
-from spherejax.studies.fit.result import Fit
 
 
 def posterior(

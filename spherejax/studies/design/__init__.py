@@ -1,7 +1,7 @@
 """Design: parameters that make a measure of a motion least, within limits, by gradients."""
 
+from spherejax.studies.design.design_result import Design
 from spherejax.studies.design.optimize import optimize
 from spherejax.studies.design.peaks import smooth_peak
-from spherejax.studies.design.result import Design
 
 __all__ = ["Design", "optimize", "smooth_peak"]

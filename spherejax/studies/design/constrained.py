@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.studies.design.problem import DesignProblem, Evaluation
+from spherejax.studies.design.problem import DesignProblem, Measures
 
 FAILED = 10.0
 """A design whose run fails counts as this many times the worst seen, so that a line search turns back."""
@@ -30,9 +30,9 @@ class Search(NamedTuple):
         converged: whether it ended by its tolerance.
     """
 
-    start: Evaluation
-    end: Evaluation
-    seen: list[Evaluation]
+    start: Measures
+    end: Measures
+    seen: list[Measures]
     n_iterations: int
     message: str
     converged: bool
@@ -57,7 +57,7 @@ class Constrained:
         tolerance: how closely limits are kept, as a share.
     """
 
-    def __init__(self, problem: DesignProblem, first: Evaluation, limits, limited: list[int], tolerance: float):
+    def __init__(self, problem: DesignProblem, first: Measures, limits, limited: list[int], tolerance: float):
         self.problem, self.first, self.tolerance = problem, first, tolerance
         self.limits, self.limited = limits, limited
         self.objective_scale = abs(first.true[0]) or 1.0
@@ -78,11 +78,11 @@ class Constrained:
         rows = [sign * slopes[index] / scale for index, sign, _, scale in self.rows]
         return np.array(rows).reshape(-1, slopes.shape[1])
 
-    def keeps_limits(self, one: Evaluation) -> bool:
+    def keeps_limits(self, one: Measures) -> bool:
         """Whether the true measures are within the limits, to the tolerance."""
         return one.succeeded and bool(np.all(self.excesses(one.true) <= self.tolerance))
 
-    def best(self, seen: list[Evaluation]) -> Evaluation:
+    def best(self, seen: list[Measures]) -> Measures:
         """The design of the least measure that keeps the limits; if none does, the one that oversteps least."""
         legal = [one for one in seen if self.keeps_limits(one)]
         if legal:
@@ -90,7 +90,7 @@ class Constrained:
         finite = [one for one in seen if one.succeeded]
         return min(finite, key=lambda one: np.max(self.excesses(one.true), initial=-np.inf))
 
-    def multipliers(self, one: Evaluation) -> tuple[np.ndarray, float]:
+    def multipliers(self, one: Measures) -> tuple[np.ndarray, float]:
         """Prices of the limits, and what remains of the gradient (0 at an optimum), by the conditions of Karush, Kuhn
         and Tucker, both for scaled measures.
 
@@ -117,7 +117,7 @@ class Constrained:
         return prices, float(residual / size) if size else 0.0
 
 
-def corrections(problem: DesignProblem, one: Evaluation) -> Float[np.ndarray, " m"]:
+def corrections(problem: DesignProblem, one: Measures) -> Float[np.ndarray, " m"]:
     """True over smooth measures; 1 where they are the same."""
     peaks = np.array([each.kind == "peak" for each in problem.measures])
     return np.where(peaks & (one.smooth != 0), one.true / np.where(one.smooth == 0, 1.0, one.smooth), 1.0)
@@ -131,7 +131,7 @@ def search(
     Raises:
         Interrupted: by Ctrl-C, with what had been seen.
     """
-    seen: list[Evaluation] = []
+    seen: list[Measures] = []
     state = Search(_seen(task, u, sharpnesses[0], seen), task.first, seen, 0, "", False)
     if not state.start.succeeded:
         return state._replace(message=f"the run of this start failed: {state.start.diagnosis}")
@@ -153,12 +153,12 @@ def search(
     return state
 
 
-def _round(task: Constrained, u, sharpness: float, max_iterations: int, seen: list[Evaluation]):
+def _round(task: Constrained, u, sharpness: float, max_iterations: int, seen: list[Measures]):
     correction = corrections(task.problem, _seen(task, u, sharpness, seen))
     low, high = task.problem.bounds.T
     worst = [1.0]
 
-    def at(u) -> Evaluation:
+    def at(u) -> Measures:
         return _seen(task, np.clip(u, low, high), sharpness, seen)
 
     def value(u):
@@ -187,14 +187,14 @@ def _round(task: Constrained, u, sharpness: float, max_iterations: int, seen: li
     return optimize.minimize(value, u, jac=slope, method="SLSQP", bounds=bounds, constraints=limits, options=options)
 
 
-def _seen(task: Constrained, u, sharpness: float, seen: list[Evaluation]) -> Evaluation:
+def _seen(task: Constrained, u, sharpness: float, seen: list[Measures]) -> Measures:
     one = task.problem.evaluate(u, sharpness)
     if not seen or seen[-1] is not one:
         seen.append(one)
     return one
 
 
-def _line(task: Constrained, end: Evaluation, label: str, sharpness: float, found) -> str:
+def _line(task: Constrained, end: Measures, label: str, sharpness: float, found) -> str:
     values = ", ".join(
         f"{name} {value:.6g}" for name, value in zip(task.problem.unknowns.names, _flat(task, end), strict=True)
     )
@@ -206,5 +206,5 @@ def _line(task: Constrained, end: Evaluation, label: str, sharpness: float, foun
     )
 
 
-def _flat(task: Constrained, one: Evaluation) -> np.ndarray:
+def _flat(task: Constrained, one: Measures) -> np.ndarray:
     return task.problem.unknowns.flat_values_of(one.u)

@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.design.constrained import Constrained, Interrupted, Search, search
+from spherejax.studies.design.design_result import Design, design_of
 from spherejax.studies.design.measures import Function
 from spherejax.studies.design.problem import Build, DesignProblem, checked_limits
-from spherejax.studies.design.result import Design, design_of
 
 SHARPNESSES = (10.0, 50.0, 250.0)
 """Exponents of smooth peaks, round by round: first the broad outline of the histories, in the end their peaks."""

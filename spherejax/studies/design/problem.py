@@ -25,7 +25,7 @@ Build = Callable[..., Scene]
 """Makes a scene from the parameters, by keyword."""
 
 
-class Evaluation(NamedTuple):
+class Measures(NamedTuple):
     """Measures of one design.
 
     Attributes:
@@ -89,7 +89,7 @@ class DesignProblem:
             "rtol": rtol, "atol": atol, "solver": solver, "max_steps": max_steps, "track_work": needs_work
         }  # fmt: skip
         self._derivatives = jax.jit(jax.jacfwd(self._measured, has_aux=True))
-        self.remembered: dict[tuple[bytes, float], Evaluation] = {}
+        self.remembered: dict[tuple[bytes, float], Measures] = {}
         self.n_evaluations = 0
 
     @property
@@ -106,14 +106,14 @@ class DesignProblem:
         values = {name: np.asarray(value) for name, value in self.unknowns.values_of(jnp.asarray(u)).items()}
         return {name: value.item() if value.ndim == 0 else value for name, value in values.items()}
 
-    def evaluate(self, u: Float[np.ndarray, " k"], sharpness: float) -> Evaluation:
+    def evaluate(self, u: Float[np.ndarray, " k"], sharpness: float) -> Measures:
         """Measures and derivatives; remembered, for a method asks for values and slopes separately."""
         key = np.asarray(u, np.float64).tobytes(), float(sharpness)
         if key not in self.remembered:
             self.remembered[key] = self._evaluated(np.array(u, np.float64), sharpness)
         return self.remembered[key]
 
-    def _evaluated(self, u, sharpness: float) -> Evaluation:
+    def _evaluated(self, u, sharpness: float) -> Measures:
         slopes, (smooth, true, status, t_reached) = self._derivatives(jnp.asarray(u), jnp.asarray(sharpness))
         self.n_evaluations += 1
         why = ""
@@ -121,7 +121,7 @@ class DesignProblem:
             why = diagnosis(status, t_reached, float(self.ts[-1]))
         elif not (np.all(np.isfinite(slopes)) and np.all(np.isfinite(smooth))):
             why = "a measure or its derivative is not finite"
-        return Evaluation(u, np.asarray(smooth), np.asarray(true), np.asarray(slopes), why)
+        return Measures(u, np.asarray(smooth), np.asarray(true), np.asarray(slopes), why)
 
     def _measured(self, u, sharpness):
         run = simulate(self.build(**self.unknowns.values_of(u)), self.ts, **self._options)

@@ -7,6 +7,7 @@ how far to trust it    `statistics`, `judgement`, in the `result`
 """
 
 from spherejax.studies.fit.descent import Descent
+from spherejax.studies.fit.fit_result import Fit
 from spherejax.studies.fit.fitting import fit
 from spherejax.studies.fit.growth import Growth
 from spherejax.studies.fit.horizon import GrowingHorizon
@@ -16,7 +17,6 @@ from spherejax.studies.fit.methods import Course, Ending, Method
 from spherejax.studies.fit.parameters import Parameter
 from spherejax.studies.fit.problem import Evaluation, Problem, problem_of
 from spherejax.studies.fit.record import Grown, Horizon, Whole
-from spherejax.studies.fit.result import Fit
 from spherejax.studies.fit.statistics import Undetermined
 
 __all__ = [

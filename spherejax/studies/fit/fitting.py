@@ -12,13 +12,13 @@ from spherejax.foundations.errors import SceneError
 from spherejax.motion.runs.many import Build
 from spherejax.runtime import interrupts_kept
 from spherejax.studies.fit.columns import tables_of, widths_of
+from spherejax.studies.fit.fit_result import Fit
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.methods import Course, Ending, Method, Seen, Watch
 from spherejax.studies.fit.problem import MAX_STEPS, Problem, problem_of
 from spherejax.studies.fit.progress import reporting
 from spherejax.studies.fit.reading import experiments_from
 from spherejax.studies.fit.record import Grown, Horizon, Whole
-from spherejax.studies.fit.result import Fit
 
 SPREAD = np.log(10.0)
 """Further starts lie within this of the first in each unknown: a factor of ten for positive parameters."""

@@ -39,7 +39,7 @@ class Wanted(Protocol):
         ...
 
 
-class Method(NamedTuple):
+class RunMethod(NamedTuple):
     """How a run is integrated.
 
     Attributes:
@@ -74,14 +74,14 @@ def system_at(flat: FlatBuild, numbers: Any, track_work: bool) -> System:
     return compile_scene(scene, track_work=track_work).system
 
 
-def choice_at(flat: FlatBuild, numbers: Any, method: Method) -> Choice:
+def choice_at(flat: FlatBuild, numbers: Any, method: RunMethod) -> Choice:
     """The method for a run, chosen by the numbers themselves: they are known here, if traced later on."""
     system = system_at(flat, numbers, method.track_work)
     is_large = path_of(flatten_system(system)[0]).scalar is False
     return choice_for(system, method.rtol, method.solver, explicit_only=is_large and method.solver is None)
 
 
-class Prepared(eqx.Module):
+class PreparedStudy(eqx.Module):
     """A run that can be made.
 
     Attributes:
@@ -101,7 +101,7 @@ class Prepared(eqx.Module):
     start: Assembly | None
 
 
-def prepare(flat: FlatBuild, numbers, times, method: Method) -> Prepared:
+def prepare(flat: FlatBuild, numbers, times, method: RunMethod) -> PreparedStudy:
     """Choose the method by the numbers, and find what of the system depends on the parameters."""
     check_tolerances(method.rtol, method.atol)
     method = method._replace(max_steps=whole_number("max_steps", method.max_steps, ENOUGH_STEPS))
@@ -126,7 +126,7 @@ def prepare(flat: FlatBuild, numbers, times, method: Method) -> Prepared:
     plan, known, start = found[0]
     if not plan.unknown:
         raise SceneError(f"the scene does not depend on {', '.join(map(repr, flat.unknowns.names))}")
-    return Prepared(plan, choice, options, known, jnp.asarray(times), start)
+    return PreparedStudy(plan, choice, options, known, jnp.asarray(times), start)
 
 
 def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool):
@@ -142,7 +142,7 @@ def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool
     return values, slopes.T * scale[:, None], are_legal
 
 
-def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: Method) -> Found:
+def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: RunMethod) -> Found:
     """The run with its sensitivities.
 
     Args:
@@ -175,7 +175,7 @@ _integrated = bounded_jit(integrate_along, what="a run and its derivatives")
 
 
 @bounded_jit(what="the derivatives of what is observed")
-def _observed(prepared: Prepared, wanted: tuple[Wanted, ...], values, directions, ys, slopes):
+def _observed(prepared: PreparedStudy, wanted: tuple[Wanted, ...], values, directions, ys, slopes):
     """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
 
     def observed(values, ys):
@@ -189,7 +189,9 @@ def _observed(prepared: Prepared, wanted: tuple[Wanted, ...], values, directions
     return list(zip(results, derivatives, strict=True))
 
 
-def observable_run(prepared: Prepared, theta: Float[Array, " n_numbers"], ys: Float[Array, "n size"]) -> Trajectory:
+def observable_run(
+    prepared: PreparedStudy, theta: Float[Array, " n_numbers"], ys: Float[Array, "n size"]
+) -> Trajectory:
     """A run as observables see it."""
     nothing, ts = jnp.zeros((), jnp.int64), prepared.ts
     none = jnp.zeros(0)

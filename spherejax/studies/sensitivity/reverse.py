@@ -12,8 +12,8 @@ from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
 from spherejax.studies.sensitivity.forward import (
     Found,
-    Method,
-    Prepared,
+    PreparedStudy,
+    RunMethod,
     Wanted,
     observable_run,
     prepare,
@@ -24,7 +24,7 @@ from spherejax.studies.sensitivity.unknowns import FlatBuild
 ERRORS = "the errors of the derivatives are controlled along a mixture of all parameters, not one by one"
 
 
-def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: Method) -> Found:
+def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: RunMethod) -> Found:
     """The run, and the gradient of the one number that is wanted of it; see `motion.adjoint`.
 
     The start follows from the parameters in forward mode, which is cheap; the run is gone back along its steps. The
@@ -49,7 +49,7 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
 
 
 @bounded_jit(what="the gradient of what is observed")
-def _value_and_slopes(prepared: Prepared, wanted: Wanted, values, ys):
+def _value_and_slopes(prepared: PreparedStudy, wanted: Wanted, values, ys):
     """The number, and its derivatives by the numbers of the system and by the sampled states."""
 
     def number(values, ys):

@@ -15,9 +15,9 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import Build, built
 from spherejax.motion.runs.simulate import checked_times
 from spherejax.studies.fit.observables import Observable, labels_of, observable
-from spherejax.studies.sensitivity.forward import Method, forward
-from spherejax.studies.sensitivity.result import Column, Sensitivities
+from spherejax.studies.sensitivity.forward import RunMethod, forward
 from spherejax.studies.sensitivity.reverse import reverse
+from spherejax.studies.sensitivity.sensitivity_result import Sensitivities, SlopesColumn
 from spherejax.studies.sensitivity.unknowns import FlatBuild, unknowns_of
 
 REVERSE_FROM = 60
@@ -74,7 +74,7 @@ def sensitivity(
     except TypeError as error:
         raise SceneError(f"build cannot be called with the parameters {', '.join(parameters)}: {error}") from error
     wanted = _observables(observables, of, compile_scene(scene).system)
-    method = Method(rtol, atol, solver, max_steps, _needs_work(wanted))
+    method = RunMethod(rtol, atol, solver, max_steps, _needs_work(wanted))
     chosen, why = _mode(mode, of is not None, len(numbers))
     compute = forward if chosen == "forward" else reverse
     found = compute(flat, numbers, times, wanted, method)
@@ -177,6 +177,6 @@ def _needs_work(wanted: tuple[Seen, ...]) -> bool:
     return any(each.function is not None or (isinstance(each, Observable) and each.needs_work) for each in wanted)
 
 
-def _column(seen: Seen, values, slopes) -> Column:
+def _column(seen: Seen, values, slopes) -> SlopesColumn:
     labels = (seen.name,) if isinstance(seen, Number) else tuple(labels_of(seen.name, values.shape[1]))
-    return Column(seen.name, seen.unit, labels, values, slopes)
+    return SlopesColumn(seen.name, seen.unit, labels, values, slopes)

@@ -18,7 +18,7 @@ from spherejax.physics.laws import (
     Threlfall,
 )
 from spherejax.studies.cases import CLEARANCE, VISCOSITY, five_models, limit_studies, parameter_studies
-from spherejax.studies.subject import Column, Comparison, Length, StudyResult, Subject
+from spherejax.studies.subject import Comparison, Length, StudyResult, Subject, TableColumn
 
 PARAMETERS = "c = 0.10 mm, Lankarani-Nikravesh 0.9, Threlfall mu 0.1, 0.4 Pa s, k = 1e6 N/m, b = 1e-2 s"
 """Parameters of the five models, for titles."""
@@ -27,14 +27,14 @@ AFTER_IMPACTS, HALF_WINDOW = 0.3, 0.02
 """The close-up of Fig. 14 looks from here on [s], and shows this much on either side [s]."""
 
 COLUMNS = (
-    Column("energy lost [mJ]", lambda row: 1e3 * row.lost_energy),
-    Column("peak acceleration [m/s^2]", lambda row: row.peak_acceleration),
-    Column("max |e| / 0.10 mm", lambda row: row.eccentricity_ratio),
-    Column("onsets", lambda row: row.n_onsets, "d"),
-    Column("steps", lambda row: row.n_steps, ",d"),
-    Column("warm run [s]", lambda row: row.seconds, ".3g"),
-    Column("time ratio", lambda row: row.time_ratio, ".3g"),
-    Column("repeatable until [s]", lambda row: row.horizon, lambda t: "the end" if t is None else f"{t:.3g}"),
+    TableColumn("energy lost [mJ]", lambda row: 1e3 * row.lost_energy),
+    TableColumn("peak acceleration [m/s^2]", lambda row: row.peak_acceleration),
+    TableColumn("max |e| / 0.10 mm", lambda row: row.eccentricity_ratio),
+    TableColumn("onsets", lambda row: row.n_onsets, "d"),
+    TableColumn("steps", lambda row: row.n_steps, ",d"),
+    TableColumn("warm run [s]", lambda row: row.seconds, ".3g"),
+    TableColumn("time ratio", lambda row: row.time_ratio, ".3g"),
+    TableColumn("repeatable until [s]", lambda row: row.horizon, lambda t: "the end" if t is None else f"{t:.3g}"),
 )
 
 

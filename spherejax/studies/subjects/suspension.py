@@ -10,7 +10,7 @@ from spherejax.gallery import suspension
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.studies.cases import CLEARANCE, five_models
-from spherejax.studies.subject import Column, Comparison, Length, Subject, TableOf
+from spherejax.studies.subject import Comparison, Length, Subject, TableColumn, TableOf
 
 BODY, JOINT = "wheel", "wheel_a_arm"
 
@@ -66,15 +66,15 @@ def _measure(name: str, factor: float = 1.0) -> Callable:
 
 
 COLUMNS = (
-    Column("peak joint force [kN]", _measure("peak_joint_force [N]", 1e-3)),
-    Column("at [s]", _measure("time_of_peak [s]")),
-    Column("max |e| [mm]", _measure("largest_eccentricity [m]", 1e3)),
-    Column("penetration [mm]", _measure("penetration [m]", 1e3)),
-    Column("in contact [%]", _measure("contact_share [-]", 1e2)),
-    Column("joint dissipates [J]", _measure("dissipated_in_joint [J]"), ".3g"),
-    Column("peak tyre load [kN]", _measure("peak_tyre_load [N]", 1e-3)),
-    Column("wheel travel [mm]", _measure("wheel_travel [m]", 1e3), ".5g"),
-    Column("at rest from [s]", _measure("at_rest_from [s]"), ".3f"),
+    TableColumn("peak joint force [kN]", _measure("peak_joint_force [N]", 1e-3)),
+    TableColumn("at [s]", _measure("time_of_peak [s]")),
+    TableColumn("max |e| [mm]", _measure("largest_eccentricity [m]", 1e3)),
+    TableColumn("penetration [mm]", _measure("penetration [m]", 1e3)),
+    TableColumn("in contact [%]", _measure("contact_share [-]", 1e2)),
+    TableColumn("joint dissipates [J]", _measure("dissipated_in_joint [J]"), ".3g"),
+    TableColumn("peak tyre load [kN]", _measure("peak_tyre_load [N]", 1e-3)),
+    TableColumn("wheel travel [mm]", _measure("wheel_travel [m]", 1e3), ".5g"),
+    TableColumn("at rest from [s]", _measure("at_rest_from [s]"), ".3f"),
 )
 
 

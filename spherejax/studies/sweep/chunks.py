@@ -23,7 +23,7 @@ from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.known_builds import Build
 from spherejax.motion.runs.many import many
-from spherejax.motion.runs.one_of_many import Method
+from spherejax.motion.runs.one_of_many import LaneMethod
 from spherejax.studies.sweep.records import Record
 
 
@@ -40,7 +40,7 @@ class Work:
     """
 
     build: Build
-    method: Method
+    method: LaneMethod
     record: Record
     ts: tuple[float, ...]
     size: int

@@ -27,7 +27,7 @@ RUN = "run"
 """The dimension of runs that are just numbered."""
 
 
-class Column(NamedTuple):
+class RunsColumn(NamedTuple):
     """One thing that is known of every run.
 
     Attributes:
@@ -39,7 +39,7 @@ class Column(NamedTuple):
     attributes: dict[str, Any]
 
 
-def columns_of(record: Record, n_dims: Mapping[str, int]) -> dict[str, Column]:
+def columns_of(record: Record, n_dims: Mapping[str, int]) -> dict[str, RunsColumn]:
     """What is known of every run, by name.
 
     Args:
@@ -52,13 +52,13 @@ def columns_of(record: Record, n_dims: Mapping[str, int]) -> dict[str, Column]:
         if own is None:
             last = (PARAMETER,) if kept.by else ()
             own = (*(f"{kept.name}_{axis}" for axis in range(n_dims[kept.name] - len(last))), *last)
-        columns[kept.name] = Column(own, dict(kept.attributes))
+        columns[kept.name] = RunsColumn(own, dict(kept.attributes))
     for name, (unit, long_name) in COUNTED.items():
         attributes: dict[str, Any] = {"units": unit, "long_name": long_name}
         if name == "status":
             attributes["flag_values"] = [int(status) for status in Status]
             attributes["flag_meanings"] = " ".join(status.name.lower() for status in Status)
-        columns[name] = Column((), attributes)
+        columns[name] = RunsColumn((), attributes)
     return columns
 
 
@@ -73,7 +73,7 @@ def coordinates_of(grid: Grid, ts: Float[np.ndarray, " n"]) -> dict[str, tuple]:
 def dataset_of(
     dims: tuple[str, ...],
     coordinates: Mapping[str, tuple],
-    columns: Mapping[str, Column],
+    columns: Mapping[str, RunsColumn],
     values: Mapping[str, Any],
     facts: Mapping[str, Any],
     account: "Account",

@@ -17,7 +17,7 @@ from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_builds import Known, built, known, numbers_fingerprint
-from spherejax.motion.runs.one_of_many import Method, Prepared
+from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Kept, Record
 
@@ -43,7 +43,7 @@ def identity_of(build: Known, grid: Grid, wanted: Record) -> dict[str, Any]:
     }
 
 
-def with_known_functions(wanted: Record, build: Known, method: Method, grid: Grid, ts: np.ndarray) -> Record:
+def with_known_functions(wanted: Record, build: Known, method: LaneMethod, grid: Grid, ts: np.ndarray) -> Record:
     """The record, its functions told by what they compute: two calls with equal lambdas share one program."""
     if not any((kept.inner or kept).function for kept in wanted.kept):
         return wanted
@@ -64,9 +64,9 @@ def _known(kept: Kept, run: Trajectory, has_slopes: bool) -> Kept:
     return replace(kept, function=known(kept.function, traced))
 
 
-def _run_of(build: Known, method: Method, ts, parameters) -> Trajectory:
+def _run_of(build: Known, method: LaneMethod, ts, parameters) -> Trajectory:
     """What a function is given, with zeros where the integration would be: only shapes matter."""
-    prepared = Prepared(partial(built, build), method, ts)
+    prepared = PreparedRuns(partial(built, build), method, ts)
     start = prepared.start_of_state(parameters)
     zero, n_contacts = jnp.zeros((), jnp.int64), len(prepared.contact_joints)
     ys = jnp.zeros((len(ts), len(start.y0)))

@@ -12,7 +12,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.integration.widths import platform_of_runs
 from spherejax.motion.runs.known_builds import Build, built
-from spherejax.motion.runs.one_of_many import Method
+from spherejax.motion.runs.one_of_many import LaneMethod
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Record
 from spherejax.studies.sweep.store import times_fingerprint
@@ -38,7 +38,7 @@ def example_of(build: Build, grid: Grid) -> Scene:
     raise problem
 
 
-def provenance(scene: Scene, grid: Grid, method: Method, ts: np.ndarray, wanted: Record) -> dict[str, Any]:
+def provenance(scene: Scene, grid: Grid, method: LaneMethod, ts: np.ndarray, wanted: Record) -> dict[str, Any]:
     """Scene, tolerances, method, versions, commit."""
     from importlib.metadata import version
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.studies.sweep.dataset import RUN, Account, Column, dataset_of
+from spherejax.studies.sweep.dataset import RUN, Account, RunsColumn, dataset_of
 from spherejax.studies.sweep.failures import StoreWarning
 from spherejax.studies.sweep.store import Store, opened
 
@@ -56,7 +56,7 @@ def dataset_in(store: Store, account: Account) -> "xarray.Dataset":
 
     attrs, arrays = store.group.attrs, store.arrays
     dims, shape = tuple(attrs["grid_dims"]), tuple(attrs["grid_shape"])
-    columns = {name: Column(_own_dims(arrays[name]), dict(arrays[name].attrs)) for name in store.names}
+    columns = {name: RunsColumn(_own_dims(arrays[name]), dict(arrays[name].attrs)) for name in store.names}
     on_disk: Any = _on_disk()
     lazy: Any = indexing
 

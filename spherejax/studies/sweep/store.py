@@ -23,7 +23,7 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult
-from spherejax.studies.sweep.dataset import RUN, Account, Column
+from spherejax.studies.sweep.dataset import RUN, Account, RunsColumn
 from spherejax.studies.sweep.failures import StoreWarning, writing
 from spherejax.studies.sweep.grids import SLAB, Grid
 
@@ -190,7 +190,7 @@ def open_store(
     identity: Mapping[str, Any],
     facts: Mapping[str, Any],
     shapes: Mapping[str, jax.ShapeDtypeStruct],
-    columns: Mapping[str, Column],
+    columns: Mapping[str, RunsColumn],
     grid: Grid,
     ts: np.ndarray,
     chunk_size: int,

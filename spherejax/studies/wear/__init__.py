@@ -1,6 +1,6 @@
 """What a motion rubs off a ball and its socket, in one cycle and in many."""
 
-from spherejax.studies.wear.result import Wear, WearWarning
 from spherejax.studies.wear.study import wear
+from spherejax.studies.wear.wear_result import Wear, WearWarning
 
 __all__ = ["Wear", "WearWarning", "wear"]

@@ -14,8 +14,8 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.wear.contacts import CREEPING, Contacts, contacts_of
 from spherejax.studies.wear.cycles import Rate, over_cycles
 from spherejax.studies.wear.deposit import Joint, Maps, Told, rubbed
-from spherejax.studies.wear.result import Checks, Wear, WearWarning
 from spherejax.studies.wear.sphere import cell_solid_angle
+from spherejax.studies.wear.wear_result import Checks, Wear, WearWarning
 
 CELLS_PER_PATCH = 4.0
 """Cells from the middle of a patch to its edge, where the number of cells is chosen."""

@@ -18,6 +18,7 @@ from jaxtyping import Array
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
+from spherejax.motion.solvers.traits import is_explicit
 
 
 class Trial(NamedTuple):
@@ -121,7 +122,7 @@ class MappedSteps:
 
 def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitStages | MappedSteps:
     """How a solver makes the trial steps of a block; arguments as for `ExplicitStages`."""
-    if isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau):
+    if is_explicit(solver):
         return ExplicitStages(solver.tableau, rate, with_dense_output)
     return MappedSteps(solver, rate)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.design.constrained import Constrained, Search, corrections
-from spherejax.studies.design.problem import DesignProblem, Evaluation
+from spherejax.studies.design.problem import DesignProblem, Measures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -185,7 +185,7 @@ def _sharpnesses(problem: DesignProblem):
     return [sharpness for _, sharpness in problem.remembered]
 
 
-def _limits(task: Constrained, allowed, best: Evaluation, prices) -> list[Limit]:
+def _limits(task: Constrained, allowed, best: Measures, prices) -> list[Limit]:
     found = []
     for name, (low, high) in allowed.items():
         index = [each.name for each in task.problem.measures].index(name)
@@ -197,7 +197,7 @@ def _limits(task: Constrained, allowed, best: Evaluation, prices) -> list[Limit]
     return found
 
 
-def _gradient(problem: DesignProblem, one: Evaluation) -> dict[str, dict[str, float]]:
+def _gradient(problem: DesignProblem, one: Measures) -> dict[str, dict[str, float]]:
     """By the parameters themselves: dp/du = p for those by their logarithms, the scale for others."""
     values = problem.unknowns.flat_values_of(one.u)
     rates = np.where(problem.unknowns.each("is_relative"), values, problem.unknowns.each("scale"))
@@ -209,7 +209,7 @@ def _gradient(problem: DesignProblem, one: Evaluation) -> dict[str, dict[str, fl
     }
 
 
-def _history(task: Constrained, seen: list[Evaluation]) -> dict[str, np.ndarray]:
+def _history(task: Constrained, seen: list[Measures]) -> dict[str, np.ndarray]:
     problem = task.problem
     values = np.array([problem.unknowns.flat_values_of(one.u) for one in seen])
     measures = np.array([one.true for one in seen])

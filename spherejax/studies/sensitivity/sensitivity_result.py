@@ -42,7 +42,7 @@ class Influence(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Column:
+class SlopesColumn:
     """One observable, and its derivatives by all parameters.
 
     Attributes:
@@ -78,7 +78,7 @@ class Sensitivities:
 
     ts: Float[np.ndarray, " n"]
     parameters: Mapping[str, float]
-    columns: tuple[Column, ...]
+    columns: tuple[SlopesColumn, ...]
     mode: str
     reason: str
     method: str
@@ -97,7 +97,7 @@ class Sensitivities:
         values = np.array(list(self.parameters.values()))
         return np.where(values == 0, 1.0, np.abs(values))
 
-    def column(self, name: str) -> Column:
+    def column(self, name: str) -> SlopesColumn:
         """An observable by name.
 
         Raises:
@@ -123,7 +123,7 @@ class Sensitivities:
         found = [self._influence(column, k) for column in self.columns for k in range(len(self.names))]
         return sorted(found, key=lambda influence: (-influence.share, influence.parameter))
 
-    def _influence(self, column: Column, k: int) -> Influence:
+    def _influence(self, column: SlopesColumn, k: int) -> Influence:
         effects = np.linalg.norm(0.01 * self.sizes[k] * column.slopes[:, :, k], axis=1)
         reached = np.isfinite(effects)
         effects = np.where(reached, effects, 0.0)
@@ -212,7 +212,7 @@ def _dataset_of(found: Sensitivities) -> "xarray.Dataset":
     return xarray.Dataset(variables, coordinates, {**facts, "diagnosis": found.diagnosis or "none"})
 
 
-def _own_dims(column: Column) -> tuple[tuple[str, ...], dict[str, list[str]]]:
+def _own_dims(column: SlopesColumn) -> tuple[tuple[str, ...], dict[str, list[str]]]:
     n = len(column.labels)
     if n == 1:
         return (), {}

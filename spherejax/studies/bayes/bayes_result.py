@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.studies.bayes.priors import Prior
+from spherejax.studies.fit.fit_result import Fit
 from spherejax.studies.fit.problem import Problem
-from spherejax.studies.fit.result import Fit
 
 if TYPE_CHECKING:
     import xarray
