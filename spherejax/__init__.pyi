@@ -29,12 +29,16 @@ from .output.citations import cite
 from .output.drawing import animate, draw, view
 from .physics.bodies import Body
 from .physics.forces import (
+    AbstractCoordinate,
     AbstractForce,
     AppliedWrench,
     BumpStop,
+    Coupler,
     ShockAbsorber,
     SpringDamper,
     TorsionalSpring,
+    Travel,
+    Turn,
     Tyre,
     Wrench,
 )
@@ -173,6 +177,7 @@ from .studies.wear import Wear, WearWarning, wear
 __all__ = [
     "SOLVERS",
     "AbstractConformity",
+    "AbstractCoordinate",
     "AbstractCurve",
     "AbstractDriftControl",
     "AbstractElastomer",
@@ -207,6 +212,7 @@ __all__ = [
     "ConstraintRows",
     "CosinePressure",
     "Coulomb",
+    "Coupler",
     "CrossElastomer",
     "CurveElastomer",
     "Cylindrical",
@@ -313,6 +319,8 @@ __all__ = [
     "TorsionalSpring",
     "Trajectory",
     "TranslationDriver",
+    "Travel",
+    "Turn",
     "Tyre",
     "UniformPressure",
     "Unit",

@@ -51,6 +51,12 @@ CONSERVATIVE: dict[str, sj.AbstractForce] = {
     "stop, short": sj.BumpStop(ENDS, shortest=0.9, stiffness=1e3),
     "stop, long": sj.BumpStop(ENDS, longest=0.2, stiffness=1e3, onset=0.1),
     "stop, both": sj.BumpStop(ENDS, shortest=0.35, longest=0.5, stiffness=1e3, spring=table(), direction=UP),
+    "coupler": sj.Coupler(
+        sj.Turn(("ground", "first"), UP, 0.3), sj.Turn(("first", "second"), (1.0, 2.0, 2.0)), -0.7, 40.0, offset=0.1
+    ),
+    "coupler of a turn and a travel": sj.Coupler(
+        sj.Turn(("ground", "second"), UP), sj.Travel(ENDS, (1.0, 0.3, 0.0)), 0.4, 40.0, offset=0.1
+    ),
     "tyre": sj.Tyre("second.eye", 0.8, 2e3),
     "tyre, onset and table": sj.Tyre("second.eye", 0.8, 2e3, onset=0.05, spring=table()),
     "tyre, normal": sj.Tyre("second.eye", 0.8, 2e3, road=sj.Sine(0.1, 0.5), normal_to_road=True),
@@ -63,6 +69,9 @@ DAMPED: dict[str, sj.AbstractForce] = {
     ),
     "shock absorber": sj.ShockAbsorber(ENDS, sj.Linear(2.0), table(), spring=table(2.0), free_length=0.3),
     "torsion damper": sj.TorsionalSpring(("first", "second"), UP, 8.0, 2.0, damper=jnp.tanh),
+    "coupler with damping": sj.Coupler(
+        sj.Travel(("ground", "first.eye"), UP), sj.Travel(ENDS, (1.0, 0.3, 0.0)), 0.4, 40.0, 3.0
+    ),
     "stop with damping": sj.BumpStop(ENDS, 0.9, None, 1e3, 30.0, 0.01, damper=lambda v: 5.0 * v),
     "damped tyre": sj.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, damper=sj.Linear(3.0)),
     "tyre on a moving road": sj.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, road=road, speed=4.0),

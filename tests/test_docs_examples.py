@@ -18,6 +18,7 @@ SLOW = (
     "howto/fit.md",
     "howto/own_law.md",
     "howto/own_mechanism.md",
+    "howto/robots.md",
     "howto/sensitivity.md",
     "howto/solvers.md",
     "howto/swap_models.md",

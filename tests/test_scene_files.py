@@ -379,6 +379,7 @@ FORCES = [
     sj.BumpStop(("ground.hook", "a"), shortest=0.1, longest=0.5, stiffness=1e5, damping=10.0, onset=1e-3),
     sj.BumpStop(("ground.hook", "a"), longest=0.5, spring=sj.Polynomial([0.0, 0.0, 1e6])),
     sj.TorsionalSpring(BOTH, AXIS, 3.0, 0.1, 0.2, spring=sj.Linear(2.0), damper=sj.Linear(0.1)),
+    sj.Coupler(sj.Turn(BOTH, AXIS, 0.2), sj.Travel(("ground.hook", "a.tip"), AXIS), -0.5, 1e3, 2.0, 0.01),
     sj.Tyre("a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True),
     sj.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
     my_laws.Motor("a", sj.Sine(1.0, 2.0)),

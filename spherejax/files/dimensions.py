@@ -100,7 +100,7 @@ def _kinds() -> list[type]:
     bases: Mapping[Any, tuple[type, ...]] = {
         joints: (joints.AbstractJoint, joints.AbstractCurve, joints.AbstractSphericalModel),
         laws: (laws.AbstractLaw, laws.Material),
-        forces: (forces.AbstractForce,),
+        forces: (forces.AbstractForce, forces.AbstractCoordinate),
         functions: (functions.AbstractFunction,),
         drift: (drift.AbstractDriftControl,),
     }

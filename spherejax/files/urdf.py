@@ -3,27 +3,37 @@
 from collections.abc import Collection, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
-from spherejax.files.robot import FREE, SLIDING, TURNING, Edge, Pose, Robot, in_other_axes, poses, read_robot
-from spherejax.files.rotations import UNTURNED, product, turn_about, turned
+from spherejax.files.robot import (
+    FREE,
+    SLIDING,
+    TURNING,
+    Edge,
+    Pose,
+    Robot,
+    poses,
+    read_robot,
+    undotted,
+    with_fixed,
+    with_followers,
+)
+from spherejax.files.robot_bodies import Least, body_of, check_all_have_mass, solid_of
+from spherejax.files.robot_joints import Groups, Ways, forces_of, joints_of, three_feet
+from spherejax.files.rotations import UNTURNED, product, turned
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
-from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.forces import AbstractForce, SpringDamper, TorsionalSpring
-from spherejax.physics.joints import AbstractJoint, PointOnPlane, Prismatic, Revolute
+from spherejax.physics.bodies import GROUND, UNIT_NORM_TOLERANCE, numbers
+from spherejax.physics.forces import AbstractForce
+from spherejax.physics.joints import AbstractJoint
+from spherejax.physics.laws import AbstractFrictionLaw
+from spherejax.physics.orientations import as_quaternion
 
 CAN_BE_IGNORED = ("friction", "mimic", "damping")
-"""What a description may ask for and no joint here does."""
-
-_ROUNDING = 1e-15
-"""Products of inertia below this share of the largest moment are rounding: the axes are principal."""
-
-_FOOT = 0.1
-"""Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""
+"""What a description may ask for and no joint here does by itself."""
 
 
 def load_urdf(
@@ -35,6 +45,17 @@ def load_urdf(
     gravity: Sequence[float] = (0.0, 0.0, -9.81),
     drift: AbstractDriftControl | None = None,
     ignore: Collection[str] = (),
+    fixed: Collection[str] = (),
+    least_mass: float = 0.0,
+    least_moment: float = 0.0,
+    balance_inertia: bool = False,
+    friction: AbstractFrictionLaw | None = None,
+    mimic: Mapping[str, Any] | None = None,
+    stops: Mapping[str, Any] | None = None,
+    base_position: Sequence[float] = (0.0, 0.0, 0.0),
+    base_quaternion: Any = (1.0, 0.0, 0.0, 0.0),
+    base_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    base_angular_velocity: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Scene:
     """Read a robot description (URDF) as a scene.
 
@@ -44,67 +65,135 @@ def load_urdf(
     prismatic ones `Prismatic`, planar ones three `PointOnPlane` (named by the joint with _1, _2, _3), and floating ones
     nothing: their link is free. A joint's damping becomes a force element of the same name.
 
-    Limits of positions, velocities and efforts, shapes, materials and transmissions are not read.
+    Dots in names become underscores: link "arm.2" is the body "arm_2"; arguments take either. A link "ground" becomes
+    "ground_link". The axis of a fixed or floating joint is not read.
+
+    A description says where a joint's stops are, not how stiff; how large its friction is, not what it does at rest;
+    and that a joint follows another, not by what. So these three are asked for: limits are left out without `stops`;
+    friction and mimic joints are errors until `friction`, `mimic` or `ignore` says what to do. Limits of velocities and
+    efforts, shapes, materials and transmissions are not read.
 
     Args:
         path: the file; xacro must have been expanded.
-        base: whether the base link stands on the ground, at the origin, or is free.
-        positions: of joints at the start by name [rad or m]; 0 for those that are not named.
+        base: whether the base link stands on the ground or is free.
+        positions: of joints at the start by name [rad or m]; 0 for those that are not named, or, for one that mimics
+            another, where that puts it.
         velocities: of joints at the start by name [rad/s or m/s].
         gravity: world axes [m/s^2].
         drift: drift control.
         ignore: what to leave out where a joint asks for it: "friction", "mimic" (joints that follow others then move by
             themselves), "damping" (of planar and floating joints).
+        fixed: names of joints that are held where they are at the start, as if they were fixed ones; their velocity,
+            friction and mimicry do not count.
+        least_mass: given to bodies with less [kg]; as MuJoCo's boundmass.
+        least_moment: a ball's moment of inertia is added to bodies until their least one is this [kg m^2]; as MuJoCo's
+            boundinertia. Files that draw a joint of three axes as links without inertia need both.
+        balance_inertia: whether three moments that no body has, one larger than the sum of the others, become their
+            mean; as MuJoCo's balanceinertia.
+        friction: law by which a joint's friction, a torque F [N m] or force [N], changes with its rate: F mu(v)/mu_k,
+            with v in rad/s of joints that turn and in m/s of those that slide. `sj.Threlfall(mu=1.0, v1=1e-2)` is F
+            tanh(rate/0.01); `sj.LuGre(...)` sticks.
+        mimic: how stiff a joint is coupled to the one it mimics, with arguments of `sj.Coupler` for joints that turn
+            and for those that slide: `{"turning": {"stiffness": 50.0, "damping": 0.1}, "sliding": {...}}`, [N m/rad],
+            [N m s/rad] or [N/m], [N s/m]; a joint's own name stands before both. The coupler has the joint's name with
+            _mimic.
+        stops: how stiff joints are beyond their limits: `{"turning": 500.0, "sliding": 1e5}` [N m/rad, N/m]; a joint's
+            own name stands before both, and None leaves its stops out. They are elastic, a `TorsionalSpring` or a
+            `BumpStop` with the joint's name and _stop. Of joints that turn, angles are known within one turn to either
+            side of the start.
+        base_position: of the base link's origin [m], shape (3,).
+        base_quaternion: of the base link, scalar first, or any form that `Body` takes.
+        base_velocity: of the base link's origin, of a free base [m/s], shape (3,).
+        base_angular_velocity: of a free base, world axes [rad/s], shape (3,).
 
     Raises:
-        SceneError: naming file, link or joint, and remedy: for a link that moves and has no mass, for what `ignore`
-            names and no joint here has, for what is no tree.
+        SceneError: naming file, link or joint, and remedy: for a link that moves and has no mass, for what a joint asks
+            for and no argument answers, for what is no tree.
     """
     robot = read_robot(Path(path).expanduser())
-    positions, velocities = dict(positions or {}), dict(velocities or {})
-    _check(robot, base, positions, velocities, ignore)
-    groups = _groups(robot, base)
-    start = poses(robot, positions, velocities)
+    positions, velocities = _by_plain_name(positions), _by_plain_name(velocities)
+    fixed = [undotted(name) for name in fixed]
+    ways = Ways(friction, _by_plain_name(mimic), _by_plain_name(stops), tuple(ignore))
+    _check(robot, base, positions, velocities, ignore, fixed)
+    if "mimic" not in ignore:
+        own = [name for name in fixed if name in positions]
+        alone = robot._replace(
+            edges={name: e._replace(follows=None) if name in own else e for name, e in robot.edges.items()}
+        )
+        positions = with_followers(alone, positions, "positions")
+    robot = with_fixed(robot, fixed, positions)
+    if "mimic" not in ignore:
+        velocities = with_followers(robot, velocities, "velocities")
+    ways.check(robot)
+    for name, edge in robot.edges.items():
+        _check_edge(robot, name, edge, ways)
+    first = _base_pose(base, base_position, base_quaternion, base_velocity, base_angular_velocity)
+    groups = _groups(robot, base, first)
+    start = poses(robot, positions, velocities, first)
     joints: dict[str, AbstractJoint] = {}
     forces: dict[str, AbstractForce] = {}
+    axes = {
+        name: turned(product(start[edge.parent].quaternion, edge.quaternion), edge.axis)
+        for name, edge in robot.edges.items()
+    }
     for name, edge in robot.edges.items():
-        if edge.kind == "fixed":
-            continue
-        axis = turned(product(start[edge.parent].quaternion, edge.quaternion), edge.axis)
-        joints |= _joints(name, edge, groups, axis)
-        forces |= _damper(name, edge, groups, axis)
-    bodies = {head: _body(robot, groups, head, start[head]) for head in groups.places if head != GROUND}
+        if edge.kind != "fixed":
+            joints |= joints_of(name, edge, groups, axes[name], ways)
+            forces |= forces_of(name, robot, groups, axes, ways, positions)
+    least = Least(_number(least_mass, "least_mass"), _number(least_moment, "least_moment"), balance_inertia)
+    solids = {head: solid_of(robot, groups, head) for head in groups.places if head != GROUND}
+    solids = {head: solid.with_least(least) for head, solid in solids.items()}
+    check_all_have_mass(robot, groups, solids)
+    bodies = {head: body_of(solid, groups.places[head], start[head]) for head, solid in solids.items()}
     scene = Scene(bodies, joints, forces, gravity=gravity, ground_points=groups.places.get(GROUND), drift=drift)
+    if not bodies:
+        raise SceneError(f"{robot.path}: nothing moves on a base that stands on the ground; give base='free'")
     try:
         check_scene(scene)
     except SceneError as error:
-        raise SceneError(f"{robot.path}: {error}") from error
+        remedy = " Or take load_urdf(..., balance_inertia=True)." if "triangle rule" in str(error) else ""
+        raise SceneError(f"{robot.path}: {error}{remedy}") from error
     return scene
 
 
-class Groups(NamedTuple):
-    """Which links are one body.
+def _by_plain_name(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {undotted(name): value for name, value in (given or {}).items()}
 
-    Attributes:
-        heads: name of the body of each link: the link of the group nearest to the base, or the ground.
-        quaternions: of each link's axes in those of its body's head.
-        origins: of each link in the axes of its head [m].
-        places: points of each body by name, from the head's origin, in its axes [m].
-        feet: name of the point of each joint on the parent's body, "body.point".
+
+def _number(value: float, name: str) -> float:
+    if not (isinstance(value, int | float | np.number) and 0 <= value < np.inf):
+        raise SceneError(f"{name} = {value!r} must be a number, not negative")
+    return float(value)
+
+
+def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> Pose:
+    """Where the base link is.
+
+    Raises:
+        SceneError: for what is no vector, no orientation, or a velocity of a base on the ground.
     """
+    found = []
+    vectors = {"base_position": position, "base_velocity": velocity, "base_angular_velocity": angular_velocity}
+    for name, given in {**vectors, "base_quaternion": as_quaternion(quaternion)}.items():
+        value, size = numbers(given), 4 if name == "base_quaternion" else 3
+        if np.shape(value) != (size,) or not np.all(np.isfinite(value)):
+            raise SceneError(f"{name} = {given!r} must be {size} finite numbers")
+        if base == GROUND and "velocity" in name and np.any(value):
+            raise SceneError(f"{name} = {given!r}: the base stands on the ground; give base='free', or leave it out")
+        found.append(np.asarray(value, np.float64))
+    norm = np.linalg.norm(found[3])
+    if not abs(norm - 1.0) < UNIT_NORM_TOLERANCE:
+        raise SceneError(f"base_quaternion = {quaternion!r} must have unit norm; divide it by its norm")
+    return Pose(found[3] / norm, *found[:3])
 
-    heads: dict[str, str]
-    quaternions: dict[str, np.ndarray]
-    origins: dict[str, np.ndarray]
-    places: dict[str, dict[str, np.ndarray]]
-    feet: dict[str, str]
 
-
-def _groups(robot: Robot, base: str) -> Groups:
-    """Links that fixed joints hold together, and the points on them."""
-    first = GROUND if base == GROUND else robot.base
+def _groups(robot: Robot, base: str, first_pose: Pose) -> Groups:
+    """Links that fixed joints hold together, and the points on them; the ground's axes are those of the world."""
     zero = np.zeros(3)
-    found = Groups({robot.base: first}, {robot.base: UNTURNED}, {robot.base: zero}, {first: {robot.base: zero}}, {})
+    first, turn, place = robot.base, UNTURNED, zero
+    if base == GROUND:
+        first, turn, place = GROUND, first_pose.quaternion, first_pose.place
+    found = Groups({robot.base: first}, {robot.base: turn}, {robot.base: place}, {first: {robot.base: place}}, {})
     for name, edge in robot.edges.items():
         head, turn = found.heads[edge.parent], found.quaternions[edge.parent]
         place = found.origins[edge.parent] + turned(turn, edge.place)
@@ -120,104 +209,54 @@ def _groups(robot: Robot, base: str) -> Groups:
         found.places[head][point] = place
         found.feet[name] = f"{head}.{point}"
         if edge.kind == "planar":
-            found.places[edge.child] |= {f"{name}_{k + 1}": foot for k, foot in enumerate(_three_feet(edge.axis))}
+            found.places[edge.child] |= {f"{name}_{k + 1}": foot for k, foot in enumerate(three_feet(edge.axis))}
     return found
 
 
-def _three_feet(axis: np.ndarray) -> list[np.ndarray]:
-    """Three points around the origin in the plane across an axis."""
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across = _FOOT * across / np.linalg.norm(across)
-    return [turned(turn_about(axis, k * 2 * np.pi / 3), across) for k in range(3)]
-
-
-def _body(robot: Robot, groups: Groups, head: str, start: Pose) -> Body:
-    """Mass, center and inertia of a group, by the parallel axes theorem."""
-    links = {name: robot.links[name] for name, one in groups.heads.items() if one == head}
-    mass = sum(link.mass for link in links.values())
-    if not mass > 0:
-        joint = next((name for name, edge in robot.edges.items() if edge.child == head), None)
-        how = "as a free base" if joint is None else f"by joint {joint!r}"
-        raise SceneError(
-            f"{robot.path}: link {head!r} moves {how} and has no mass; give it <inertial> with mass and inertia, or "
-            + ("leave the base on the ground" if joint is None else "make the joint fixed")
-        )
-    centers = {
-        name: groups.origins[name] + turned(groups.quaternions[name], link.center) for name, link in links.items()
-    }
-    center = sum(link.mass * centers[name] for name, link in links.items()) / mass
-    inertia = np.zeros((3, 3))
-    for name, link in links.items():
-        arm = centers[name] - center
-        inertia += in_other_axes(groups.quaternions[name], link.inertia)
-        inertia += link.mass * ((arm @ arm) * np.eye(3) - np.outer(arm, arm))
-    arm = turned(start.quaternion, center)
-    return Body(
-        mass,
-        _principal_where_it_is(inertia),
-        start.place + arm,
-        start.quaternion,
-        start.velocity + np.cross(start.angular_velocity, arm),
-        start.angular_velocity,
-        {name: place - center for name, place in groups.places[head].items()},
-    )
-
-
-def _principal_where_it_is(inertia: np.ndarray) -> np.ndarray:
-    """Three moments where the axes are principal, else the matrix."""
-    products = inertia - np.diag(np.diag(inertia))
-    return np.diag(inertia) if np.abs(products).max() <= _ROUNDING * np.abs(inertia).max() else inertia
-
-
-def _joints(name: str, edge: Edge, groups: Groups, axis: np.ndarray) -> dict[str, AbstractJoint]:
-    """The joints that a joint of the description becomes."""
-    parent = groups.heads[edge.parent]
-    bodies, point = (parent, edge.child), f"{edge.child}.{edge.child}"
-    if edge.kind in TURNING:
-        return {name: Revolute(bodies, point, axis)}
-    if edge.kind in SLIDING:
-        return {name: Prismatic(bodies, point, axis)}
-    if edge.kind == "planar":
-        names = [f"{name}_{k}" for k in (1, 2, 3)]
-        return {one: PointOnPlane(f"{edge.child}.{one}", groups.feet[name], axis, parent) for one in names}
-    return {}
-
-
-def _damper(name: str, edge: Edge, groups: Groups, axis: np.ndarray) -> dict[str, AbstractForce]:
-    """The force element of a joint's damping."""
-    if edge.damping and edge.kind in TURNING:
-        return {name: TorsionalSpring((groups.heads[edge.parent], edge.child), axis, damping=edge.damping)}
-    if edge.damping and edge.kind in SLIDING:
-        ends = (groups.feet[name], f"{edge.child}.{edge.child}")
-        return {name: SpringDamper(ends, damping=edge.damping, direction=axis)}
-    return {}
-
-
-def _check(robot: Robot, base: str, positions: Mapping, velocities: Mapping, ignore: Collection[str]) -> None:
+def _check(robot: Robot, base, positions: Mapping, velocities: Mapping, ignore, fixed: Collection[str]) -> None:
     """Names, and what no scene can hold."""
     if base not in (GROUND, "free"):
         raise SceneError(f"base = {base!r} is unknown; give 'ground' or 'free'")
     for one in ignore:
         if one not in CAN_BE_IGNORED:
             raise SceneError(f"ignore: {one!r} is unknown; {one_of(CAN_BE_IGNORED, str(one))}")
+    movable = [name for name, edge in robot.edges.items() if edge.kind in (*TURNING, *SLIDING)]
     for what, given in (("positions", positions), ("velocities", velocities)):
-        movable = [name for name, edge in robot.edges.items() if edge.kind in (*TURNING, *SLIDING)]
         for name in given:
             if name not in movable:
                 raise SceneError(f"{robot.path}: {what}: no joint {name!r} turns or slides; {one_of(movable, name)}")
-    for name in robot.links:
-        if "." in name or name == GROUND:
-            raise SceneError(f"{robot.path}: link {name!r}: a body cannot have this name; rename the link")
-    for name, edge in robot.edges.items():
-        _check_edge(robot, name, edge, ignore)
-
-
-def _check_edge(robot: Robot, name: str, edge: Edge, ignore: Collection[str]) -> None:
-    asked = {"friction": edge.friction != 0, "mimic": edge.follows is not None}
-    asked["damping"] = edge.damping != 0 and edge.kind in FREE
-    for what, is_asked in asked.items():
-        if is_asked and what not in ignore:
+    for name in fixed:
+        if name not in robot.edges:
+            raise SceneError(f"{robot.path}: fixed: there is no joint {name!r}; {one_of(robot.edges, name)}")
+        if velocities.get(name):
             raise SceneError(
-                f"{robot.path}: joint {name!r} has {what}, which no {edge.kind} joint here has; remove it, or leave it "
-                f'out with load_urdf(..., ignore=("{what}",))'
+                f"{robot.path}: joint {name!r} is held by fixed= and has no velocity; leave one of them out"
             )
+
+
+def _check_edge(robot: Robot, name: str, edge: Edge, ways: Ways) -> None:
+    moves = edge.kind in (*TURNING, *SLIDING)
+    answers = {
+        "friction": (edge.friction != 0, moves, "friction=sj.Threlfall(mu=1.0, v1=1e-2)", ways.friction),
+        "mimic": (
+            edge.follows is not None,
+            moves,
+            'mimic={"turning": {"stiffness": ...}, "sliding": {"stiffness": ...}}, fixed=(names of joints)',
+            ways.mimic,
+        ),
+        "damping": (edge.damping != 0 and edge.kind in FREE, False, "", None),
+    }
+    if edge.kind == "fixed":
+        return
+    for what, (is_asked, can_have, argument, answer) in answers.items():
+        if not is_asked or what in ways.ignore or (can_have and answer):
+            continue
+        leave = f'leave it out with load_urdf(..., ignore=("{what}",))'
+        if can_have:
+            raise SceneError(
+                f"{robot.path}: joint {name!r} has {what}, and the file does not say all of it; say it with "
+                f"load_urdf(..., {argument}), or {leave}"
+            )
+        raise SceneError(
+            f"{robot.path}: joint {name!r} has {what}, which no {edge.kind} joint here has; remove it, or {leave}"
+        )

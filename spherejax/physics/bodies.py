@@ -1,7 +1,7 @@
 """Rigid bodies: inertia, where they start, and named points on them."""
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,8 +9,9 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.forms import is_numeric, mapping_of
+from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple, Unit
-from spherejax.physics import solids
+from spherejax.physics import meshes, solids
 from spherejax.physics.orientations import as_quaternion
 
 GROUND = "ground"
@@ -160,6 +161,47 @@ class Body(eqx.Module):
         own = {first: -half, second: half, **(points or {})}
         return cls(*solid, position=line.position, quaternion=line.quaternion, points=own, **motion)
 
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: Any,
+        *,
+        unit: str | float,
+        mass: Number | None = None,
+        density: Number | None = None,
+        position: Triple = (0.0, 0.0, 0.0),
+        quaternion: Quadruple = (1.0, 0.0, 0.0, 0.0),
+        points: Mapping[str, Triple] | None = None,
+        **motion,
+    ) -> "Body":
+        """A homogeneous solid inside a closed surface of triangles, its axes those of the mesh.
+
+            link = sj.Body.from_mesh("link.stl", unit="mm", density=2700.0, points={"pin": (0, 0, 0)})
+
+        With `pip install 'spherejax[mesh]'`. Exact for the surface as it is; a curved surface is as good as its
+        triangles. Shells inside of others that look inward are cavities; solids that overlap count twice.
+
+        Args:
+            mesh: a path (STL, OBJ, PLY, glTF, ...), or an object with `vertices` and `faces`, as `trimesh.Trimesh`.
+            unit: of the coordinates in it: "m", "mm", "in", ..., or its length [m]. STL files do not say it.
+            mass: [kg], or else
+            density: [kg/m^3].
+            position: of the mesh's origin, world axes [m], shape (3,); left out, the body is where it was drawn.
+            quaternion: as of any body.
+            points: from the mesh's origin, in its axes [m], each of shape (3,).
+            **motion: `velocity` (of the center of mass), `angular_velocity`.
+
+        Raises:
+            SceneError: for a mesh that cannot be read, is open, inside out, or encloses nothing; as in `box`; for a
+                missing library.
+        """
+        solid = meshes.mesh_solid(mesh, unit, mass, density)
+        turn = numbers(as_quaternion(quaternion))
+        place = concretely(_carried, position, turn, solid.center)
+        given = mapping_of("points", {} if points is None else points, '{"tip": (0.0, 0.0, 0.1)}')
+        own = {name: numbers(point) - solid.center for name, point in given.items()}
+        return cls(solid.mass, solid.inertia, place, turn, points=own, **motion)
+
     @property
     def in_reference(self) -> "Body":
         """The body where joints and forces are described."""
@@ -226,6 +268,11 @@ def _inertia_requirements(inertia: Numeric) -> list[Requirement]:
             "give the small moments too.",
         ),
     ]
+
+
+def _carried(position: Triple, quaternion: Quadruple, arm: Triple):
+    """A place that a body carries, world axes [m]."""
+    return jnp.asarray(position) + rotation_matrix(normalized(quaternion)) @ jnp.asarray(arm)
 
 
 def _unit_norm(field: str, quaternion: Numeric) -> Requirement:

@@ -37,7 +37,7 @@ class Solid(NamedTuple):
 def box(size: Triple, mass: Number | None, density: Number | None) -> Solid:
     """Edges along the axes: I_x = m (b^2 + c^2) / 12, and so on."""
     a, b, c = _sizes("Body.box", size=size)["size"]
-    mass = _mass("Body.box", mass, density, a * b * c)
+    mass = mass_of("Body.box", mass, density, a * b * c)
     return _solid(mass, (a, b, c), mass / 12 * _row(b**2 + c**2, c**2 + a**2, a**2 + b**2))
 
 
@@ -45,7 +45,7 @@ def cylinder(radius: Number, length: Number, mass: Number | None, density: Numbe
     """Along the x axis: I_x = m r^2 / 2, I_y = I_z = m (3 r^2 + l^2) / 12."""
     found = _sizes("Body.cylinder", radius=radius, length=length)
     r, l = found["radius"], found["length"]  # noqa: E741
-    mass = _mass("Body.cylinder", mass, density, math.pi * r**2 * l)
+    mass = mass_of("Body.cylinder", mass, density, math.pi * r**2 * l)
     across = (3 * r**2 + l**2) / 12
     return _solid(mass, (r, l), mass * _row(r**2 / 2, across, across))
 
@@ -53,7 +53,7 @@ def cylinder(radius: Number, length: Number, mass: Number | None, density: Numbe
 def sphere(radius: Number, mass: Number | None, density: Number | None) -> Solid:
     """I = 2 m r^2 / 5."""
     r = _sizes("Body.sphere", radius=radius)["radius"]
-    mass = _mass("Body.sphere", mass, density, 4 / 3 * math.pi * r**3)
+    mass = mass_of("Body.sphere", mass, density, 4 / 3 * math.pi * r**3)
     moment = 2 / 5 * r**2
     return _solid(mass, (r,), mass * _row(moment, moment, moment))
 
@@ -126,7 +126,12 @@ def _sizes(what: str, **sizes) -> dict:
     return found
 
 
-def _mass(what: str, mass: Number | None, density: Number | None, volume) -> Number:
+def mass_of(what: str, mass: Number | None, density: Number | None, volume) -> Number:
+    """The mass, given or from a density [kg/m^3] and a volume [m^3].
+
+    Raises:
+        SceneError: for both or neither, and for what is not one number.
+    """
     if (mass is None) == (density is None):
         given = "neither" if mass is None else "both"
         raise SceneError(f"{what}: give mass= [kg] or density= [kg/m^3], not {given}")

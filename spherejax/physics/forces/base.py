@@ -29,6 +29,8 @@ UNITS = {
     "angular_rate": "rad/s",
     "torque": "N m",
     "load": "N",
+    "lag": "m",
+    "lag_rate": "m/s",
     "compression": "m",
     "compression_rate": "m/s",
     "road_position": "m",

@@ -28,6 +28,7 @@ from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wre
 from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
 from spherejax.physics.functions import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
+from spherejax.physics.kinematics import BodyMotion
 
 SMALLEST_TWIST_SQUARE = 1e-12
 """Of c^2 + s^2, below which the axis is tilted by pi to 2e-6 and no twist is defined; there g is held finite."""
@@ -57,6 +58,26 @@ class TorsionalAttachment(eqx.Module):
 
     axis: Numeric
     start_quaternion: Numeric
+
+    def twist(self, first: BodyMotion, second: BodyMotion) -> Twist:
+        """Angle, rate and direction of the second body's turn against the first."""
+        axis = jnp.asarray(self.axis)
+        now = quaternion_product(conjugate(first.quaternion), second.quaternion)
+        relative = quaternion_product(now, conjugate(jnp.asarray(self.start_quaternion)))
+        c, q = relative[0], relative[1:]
+        s = axis @ q
+        square = c * c + s * s
+        defined = square > SMALLEST_TWIST_SQUARE
+        angle = 2.0 * jnp.arctan2(jnp.where(defined, s, 0.0), jnp.where(defined, c, 1.0))
+        g = (c * c * axis + c * jnp.cross(q, axis) + s * q) / jnp.where(defined, square, SMALLEST_TWIST_SQUARE)
+        direction = first.rotation @ g
+        return Twist(angle, direction @ (second.angular_velocity - first.angular_velocity), direction)
+
+
+def attached(bodies: Mapping[str, Body], names: tuple[str, str], axis: Numeric) -> TorsionalAttachment:
+    """An axis, world axes at the start, and the two bodies' orientations as geometry in body axes."""
+    first, second = (start_quaternion(bodies, name) for name in names)
+    return TorsionalAttachment(concretely(direction_on, axis, first), concretely(_relative, first, second))
 
 
 class TorsionalSpring(AbstractForce):
@@ -120,17 +141,7 @@ class TorsionalSpring(AbstractForce):
         if self.attachment is None:
             raise SceneError("the element is not in a scene yet: its axis is known once the scene is compiled")
         first, second = (motions[body] for body in self.bodies)
-        axis = jnp.asarray(self.attachment.axis)
-        now = quaternion_product(conjugate(first.quaternion), second.quaternion)
-        relative = quaternion_product(now, conjugate(jnp.asarray(self.attachment.start_quaternion)))
-        c, q = relative[0], relative[1:]
-        s = axis @ q
-        square = c * c + s * s
-        defined = square > SMALLEST_TWIST_SQUARE
-        angle = 2.0 * jnp.arctan2(jnp.where(defined, s, 0.0), jnp.where(defined, c, 1.0))
-        g = (c * c * axis + c * jnp.cross(q, axis) + s * q) / jnp.where(defined, square, SMALLEST_TWIST_SQUARE)
-        direction = first.rotation @ g
-        return Twist(angle, direction @ (second.angular_velocity - first.angular_velocity), direction)
+        return self.attachment.twist(first, second)
 
     def torque(self, angle: Scalar, rate: Scalar) -> Pull:
         """Torque [N m], its elastic part, and the energy stored [J]."""
@@ -170,10 +181,7 @@ class TorsionalSpring(AbstractForce):
     def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
         """The axis in the first body's axes, and the relative orientation at the start."""
         del find
-        first, second = (start_quaternion(bodies, body) for body in self.bodies)
-        attachment = TorsionalAttachment(
-            concretely(direction_on, self.axis, first), concretely(_relative, first, second)
-        )
+        attachment = attached(bodies, self.bodies, self.axis)
         return eqx.tree_at(lambda force: force.attachment, self, attachment, is_leaf=lambda x: x is None)
 
     def requirements(self) -> list[Requirement]:

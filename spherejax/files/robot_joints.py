@@ -1,0 +1,179 @@
+"""What the joints of a robot description become: joints, dampers, friction, stops, and couplers of those that mimic."""
+
+from collections.abc import Collection, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spherejax.files.robot import SLIDING, TURNING, Edge, Robot
+from spherejax.files.robot_bodies import Groups
+from spherejax.files.rotations import turn_about, turned
+from spherejax.foundations.errors import SceneError, one_of
+from spherejax.physics.forces import AbstractForce, BumpStop, Coupler, SpringDamper, TorsionalSpring, Travel, Turn
+from spherejax.physics.functions import Constant, Linear, Piecewise
+from spherejax.physics.joints import AbstractJoint, Ideal, PointOnPlane, Prismatic, Revolute
+from spherejax.physics.laws import AbstractFrictionLaw, PreloadAlone
+
+_FOOT = 0.1
+"""Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""
+
+_RADIUS = 1.0
+"""Of the shaft in a joint with friction [m]: with 1 the law's sliding velocity is the joint's rate in rad/s."""
+
+_A_TURN = 2 * np.pi - 0.1
+"""How far from the start a stop may be [rad]: at a whole turn the angle jumps, and the stop is pressed in before."""
+
+
+class Ways(NamedTuple):
+    """What a description leaves open.
+
+    Attributes:
+        friction: law by which friction changes with the rate, or None.
+        mimic: arguments of couplers, by "turning", "sliding" or a joint's name.
+        stops: stiffness beyond the limits [N m/rad or N/m] or None, by the same words.
+        ignore: what is left out.
+    """
+
+    friction: AbstractFrictionLaw | None
+    mimic: Mapping[str, Any]
+    stops: Mapping[str, Any]
+    ignore: Collection[str]
+
+    def check(self, robot: Robot) -> None:
+        """Names and numbers.
+
+        Raises:
+            SceneError: for a word that is no joint, and for what is no stiffness.
+        """
+        movable = [name for name, edge in robot.edges.items() if edge.kind in (*TURNING, *SLIDING)]
+        for what, given in (("mimic", self.mimic), ("stops", self.stops)):
+            for name, value in given.items():
+                known = ["turning", "sliding", *movable]
+                if name not in known:
+                    raise SceneError(f"{robot.path}: {what}: no joint {name!r} turns or slides; {one_of(known, name)}")
+                is_stiff = isinstance(value, int | float | np.number) and 0 < value < np.inf
+                if what == "stops" and value is not None and not is_stiff:
+                    raise SceneError(
+                        f"{robot.path}: stops[{name!r}] = {value!r} must be a stiffness above zero [N m/rad] or "
+                        "[N/m], or None for no stop"
+                    )
+                if what == "mimic" and not (isinstance(value, Mapping) and set(value) <= {"stiffness", "damping"}):
+                    raise SceneError(
+                        f"{robot.path}: mimic[{name!r}] = {value!r} must hold a stiffness and, if wanted, a damping; "
+                        f'write mimic={{{name!r}: {{"stiffness": 50.0, "damping": 0.1}}}}'
+                    )
+
+    def of(self, given: Mapping[str, Any], name: str, edge: Edge) -> Any:
+        """What is given for a joint: by its name, or by how it moves."""
+        return given.get(name, given.get("turning" if edge.kind in TURNING else "sliding"))
+
+
+def three_feet(axis: np.ndarray) -> list[np.ndarray]:
+    """Three points around the origin in the plane across an axis."""
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across = _FOOT * across / np.linalg.norm(across)
+    return [turned(turn_about(axis, k * 2 * np.pi / 3), across) for k in range(3)]
+
+
+def joints_of(name: str, edge: Edge, groups: Groups, axis: np.ndarray, ways: Ways) -> dict[str, AbstractJoint]:
+    """The joints that a joint of the description becomes; friction of constant size is a preload."""
+    parent = groups.heads[edge.parent]
+    bodies, point = (parent, edge.child), f"{edge.child}.{edge.child}"
+    rubs = edge.friction != 0 and "friction" not in ways.ignore
+    model = None
+    if edge.kind in TURNING:
+        if rubs:
+            model = Ideal(friction=ways.friction, radius=_RADIUS, pressure=PreloadAlone(), preload=edge.friction)
+        return {name: Revolute(bodies, point, axis, model)}
+    if edge.kind in SLIDING:
+        if rubs:
+            model = Ideal(friction=ways.friction, pressure=PreloadAlone(), preload_force=edge.friction)
+        return {name: Prismatic(bodies, point, axis, model)}
+    if edge.kind == "planar":
+        names = [f"{name}_{k}" for k in (1, 2, 3)]
+        return {one: PointOnPlane(f"{edge.child}.{one}", groups.feet[name], axis, parent) for one in names}
+    return {}
+
+
+def forces_of(
+    name: str,
+    robot: Robot,
+    groups: Groups,
+    axes: Mapping[str, np.ndarray],
+    ways: Ways,
+    positions: Mapping[str, float],
+) -> dict[str, AbstractForce]:
+    """The force elements of a joint: damping, stops, and what couples it to the joint that it mimics."""
+    edge, axis = robot.edges[name], axes[name]
+    if edge.kind not in (*TURNING, *SLIDING):
+        return {}
+    found: dict[str, AbstractForce] = {}
+    if edge.damping and edge.kind in TURNING:
+        found[name] = TorsionalSpring((groups.heads[edge.parent], edge.child), axis, damping=edge.damping)
+    elif edge.damping:
+        found[name] = SpringDamper(_ends(name, edge, groups), damping=edge.damping, direction=axis)
+    stiffness = ways.of(ways.stops, name, edge)
+    has_limits = np.isfinite(edge.lower) or np.isfinite(edge.upper)
+    if stiffness is not None and has_limits:
+        found[f"{name}_stop"] = _stop(name, robot, groups, axis, stiffness, positions.get(name, 0.0))
+    if edge.follows is not None and "mimic" not in ways.ignore:
+        how = ways.of(ways.mimic, name, edge)
+        if how is None:
+            word = "turning" if edge.kind in TURNING else "sliding"
+            raise SceneError(
+                f"{robot.path}: mimic: joint {name!r} mimics {edge.follows!r}, and nothing says how stiff; "
+                f'give mimic={{"{word}": {{"stiffness": ...}}}}'
+            )
+        found[f"{name}_mimic"] = _coupler(name, robot, groups, axes, how)
+    return found
+
+
+def _ends(name: str, edge: Edge, groups: Groups) -> tuple[str, str]:
+    return groups.feet[name], f"{edge.child}.{edge.child}"
+
+
+def _stop(name: str, robot: Robot, groups: Groups, axis: np.ndarray, stiffness, position: float) -> AbstractForce:
+    """An elastic stop at each limit, in a coordinate that is counted from the start (an angle) or from 0 (a length)."""
+    edge = robot.edges[name]
+    if not edge.lower < edge.upper:
+        raise SceneError(
+            f"{robot.path}: joint {name!r} has limits {edge.lower!r} and {edge.upper!r}, between which nothing is; "
+            f"leave its stops out with stops={{..., {name!r}: None}}, or hold it with fixed=({name!r},)"
+        )
+    if not edge.lower <= position <= edge.upper:
+        raise SceneError(
+            f"{robot.path}: joint {name!r} starts at {position!r}, beyond its limits {edge.lower!r} and "
+            f"{edge.upper!r}; start it between them with positions={{{name!r}: ...}}, or leave its stops out with "
+            f"stops={{..., {name!r}: None}}"
+        )
+    if edge.kind in SLIDING:
+        return BumpStop(_ends(name, edge, groups), edge.lower, edge.upper, stiffness, direction=axis)
+    lower, upper = edge.lower - position, edge.upper - position
+    if max(abs(lower), abs(upper)) > _A_TURN:
+        raise SceneError(
+            f"{robot.path}: joint {name!r} has limits {edge.lower!r} and {edge.upper!r} rad, a whole turn or more from "
+            f"its start at {position!r}, where angles are not known; leave its stops out with "
+            f"stops={{..., {name!r}: None}}, or start it between them"
+        )
+    # The torque turns the joint back: positive beyond the upper limit.
+    beyond = [Linear(stiffness, -stiffness * limit) for limit in (lower, upper)]
+    spring = Piecewise([lower, upper], [beyond[0], Constant(0.0), beyond[1]])
+    return TorsionalSpring((groups.heads[edge.parent], edge.child), axis, spring=spring)
+
+
+def _coupler(name: str, robot: Robot, groups: Groups, axes: Mapping[str, np.ndarray], how: Mapping) -> AbstractForce:
+    follower = robot.edges[name]
+    assert follower.follows is not None
+    coordinates = []
+    for one in (follower.follows, name):
+        edge, axis = robot.edges[one], axes[one]
+        if edge.kind in TURNING:
+            coordinates.append(Turn((groups.heads[edge.parent], edge.child), axis))
+        elif edge.kind in SLIDING:
+            coordinates.append(Travel(_ends(one, edge, groups), axis))
+        else:
+            raise SceneError(
+                f"{robot.path}: joint {name!r} mimics {one!r}, which is {edge.kind}; hold it too, with "
+                f'fixed=({name!r},), or leave mimicry out with ignore=("mimic",)'
+            )
+    return Coupler(*coordinates, ratio=follower.multiplier, **how)

@@ -1,0 +1,315 @@
+"""Couplers: a spring and a damper between the coordinates of two joints, as gears, belts and linkages have them.
+
+A coordinate x is a length that is counted from the start of the motion: of a joint that turns the arc on a radius. With
+
+    u = x_2 - ratio x_1 - offset,    f = k u + c u_rate
+
+the force along x_2 is -f and the one along x_1 is ratio f, so that the power on the bodies is -f u_rate.
+"""
+
+import abc
+from collections.abc import Mapping
+from typing import Annotated, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import two_names
+from spherejax.foundations.legal import non_negative, positive
+from spherejax.foundations.rotation import normalized, rotation_matrix
+from spherejax.foundations.types import Named, Number, Numeric, Scalar, Triple, Unit
+from spherejax.physics.bodies import GROUND, Body, numbers
+from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
+from spherejax.physics.forces.line import (
+    Attachment,
+    direction_on,
+    is_direction,
+    line_requirements,
+    start_quaternion,
+    two_ends,
+)
+from spherejax.physics.forces.torsional import TorsionalAttachment, Twist, attached
+from spherejax.physics.functions.shapes import finite
+
+
+class Motion(NamedTuple):
+    """How far a coordinate has gone.
+
+    Attributes:
+        value: x, 0 at the start [m].
+        rate: its time derivative [m/s].
+    """
+
+    value: Scalar
+    rate: Scalar
+
+
+class AbstractCoordinate(eqx.Module):
+    """How far one body has turned or slid against another."""
+
+    @property
+    @abc.abstractmethod
+    def body_names(self) -> tuple[str, str]:
+        """The two bodies."""
+
+    @abc.abstractmethod
+    def motion(self, motions: Motions) -> Motion:
+        """Value and rate of the placed coordinate."""
+
+    @abc.abstractmethod
+    def wrenches(self, motions: Motions, force: Scalar) -> dict[str, Wrench]:
+        """Wrenches on both bodies of a force along the coordinate [N]: their power is the force times the rate."""
+
+    @abc.abstractmethod
+    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
+        """The same in body axes."""
+
+    @abc.abstractmethod
+    def requirements(self) -> list[Requirement]:
+        """What its numbers must satisfy."""
+
+
+class Turn(AbstractCoordinate):
+    """The arc of a body's turn against another since the start: radius times the angle of a `TorsionalSpring`.
+
+    Attributes:
+        bodies: names of the two bodies; `"ground"` is one.
+        axis: world axes at the start, any length; it turns with the first body.
+        radius: on which the arc is measured, as a gear's pitch radius [m]; with 1, forces along it are moments.
+        attachment: the geometry in body axes, once the scene is compiled.
+
+    Limits: as those of a `TorsionalSpring`: within one full turn to either side of the start.
+    """
+
+    bodies: tuple[str, str] = eqx.field(static=True)
+    axis: Triple
+    radius: Number
+    attachment: TorsionalAttachment | None
+
+    def __init__(
+        self,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        axis: Annotated[Triple, Unit("1")],
+        radius: Annotated[Number, Unit("m")] = 1.0,
+    ):
+        self.bodies = two_names("bodies", bodies, '("ground", "arm")')
+        self.axis = numbers(axis)
+        self.radius = radius
+        self.attachment = None
+
+    @property
+    def body_names(self):
+        """The two bodies."""
+        return self.bodies
+
+    def motion(self, motions):
+        """The arc and its rate."""
+        twist = self._twist(motions)
+        return Motion(self.radius * twist.angle, self.radius * twist.rate)
+
+    def wrenches(self, motions, force):
+        """A couple along the direction in which the twist grows."""
+        moment = self.radius * force * self._twist(motions).direction
+        return {self.bodies[0]: Wrench(jnp.zeros(3), -moment), self.bodies[1]: Wrench(jnp.zeros(3), moment)}
+
+    def placed(self, bodies, find):
+        """The axis and the relative orientation at the start, in body axes."""
+        del find
+        attachment = attached(bodies, self.bodies, self.axis)
+        return eqx.tree_at(lambda turn: turn.attachment, self, attachment, is_leaf=lambda x: x is None)
+
+    def _twist(self, motions: Motions) -> Twist:
+        first, second = (motions[body] for body in self.bodies)
+        return _known(self.attachment).twist(first, second)
+
+    def requirements(self):
+        """Two bodies, an axis, a radius."""
+        remedy = "Name two different bodies; 'ground' is one."
+        return [
+            Requirement("bodies", self.bodies, self.bodies[0] != self.bodies[1], "be two bodies", remedy),
+            is_direction("axis", self.axis),
+            positive("radius", self.radius, "m"),
+        ]
+
+
+class Travel(AbstractCoordinate):
+    """The distance by which a point has moved along a direction of another body since the start [m].
+
+    Attributes:
+        ends: `"body.point"` of two points; `"body"` alone is its center of mass.
+        direction: fixed in the first body, world axes at the start, any length.
+        attachment: the geometry in body axes, once the scene is compiled.
+        start: distance of the points along the direction at the start [m], once the scene is compiled.
+    """
+
+    ends: tuple[str, str] = eqx.field(static=True)
+    direction: Triple
+    attachment: Attachment | None
+    start: Numeric | None
+
+    def __init__(self, ends: Annotated[tuple[str, str], Named.ENDS], direction: Annotated[Triple, Unit("1")]):
+        self.ends = two_ends(ends)
+        self.direction = numbers(direction)
+        self.attachment = None
+        self.start = None
+
+    @property
+    def body_names(self):
+        """The two bodies."""
+        return body_of(self.ends[0]), body_of(self.ends[1])
+
+    def motion(self, motions):
+        """The distance along the direction, less that of the start."""
+        stretch = _known(self.attachment).stretch(motions)
+        return Motion(stretch.length - _known(self.start), stretch.rate)
+
+    def wrenches(self, motions, force):
+        """A force along the direction and its opposite, both at the second point."""
+        attachment = _known(self.attachment)
+        return attachment.wrenches(motions, -force * attachment.stretch(motions).direction)
+
+    def placed(self, bodies, find):
+        """The points and the direction in body axes."""
+        first, second = self.body_names
+        places = place_of(self.ends[0], find), place_of(self.ends[1], find)
+        direction = concretely(direction_on, self.direction, start_quaternion(bodies, first))
+        poses = [_pose(bodies, name) for name in (first, second)]
+        start = concretely(_distance, self.direction, *poses[0], places[0], *poses[1], places[1])
+        return eqx.tree_at(
+            lambda travel: (travel.attachment, travel.start),
+            self,
+            (Attachment((first, second), places, direction), start),
+            is_leaf=lambda x: x is None,
+        )
+
+    def requirements(self):
+        """Two bodies and a direction."""
+        return line_requirements(self.ends, self.direction)
+
+
+class Coupler(AbstractForce):
+    """A spring and a damper that hold one joint's coordinate at a multiple of another's: gears, a belt, a linkage.
+
+        u = x_2 - ratio x_1 - offset,    f = k u + c u_rate
+
+    f resists the second coordinate, and ratio f drives the first. The stiffer, the closer to gears without play.
+
+        meshing = sj.Coupler(
+            sj.Turn(("housing", "pinion"), axis=(0, 0, 1), radius=0.02),
+            sj.Turn(("housing", "wheel"), axis=(0, 0, 1), radius=0.06),
+            ratio=-1.0, stiffness=1e7, damping=50.0,
+        )
+
+    What carries the bearings takes what the two moments do not balance: no force presses the wheels apart here.
+
+    Attributes:
+        first: the coordinate x_1, a `Turn` or a `Travel`.
+        second: the coordinate x_2, a `Turn` or a `Travel`.
+        ratio: of x_2 to x_1 [-]; -1 of wheels that mesh outside, 1 of a belt.
+        stiffness: k [N/m].
+        damping: c [N s/m].
+        offset: u = 0 where x_2 is this much more than ratio x_1 [m].
+    """
+
+    first: AbstractCoordinate
+    second: AbstractCoordinate
+    ratio: Number
+    stiffness: Number
+    damping: Number
+    offset: Number
+
+    def __init__(
+        self,
+        first: AbstractCoordinate,
+        second: AbstractCoordinate,
+        ratio: Annotated[Number, Unit("1")] = 1.0,
+        stiffness: Annotated[Number, Unit("N/m")] = 0.0,
+        damping: Annotated[Number, Unit("N s/m")] = 0.0,
+        offset: Annotated[Number, Unit("m")] = 0.0,
+    ):
+        self.first = first
+        self.second = second
+        self.ratio = ratio
+        self.stiffness = stiffness
+        self.damping = damping
+        self.offset = offset
+
+    @property
+    def never_adds_energy(self) -> bool:
+        """It stores and dissipates."""
+        return True
+
+    def _press(self, motions: Motions) -> tuple[Scalar, Scalar, Scalar]:
+        """u [m], its rate [m/s], and f [N]."""
+        first, second = self.first.motion(motions), self.second.motion(motions)
+        u = second.value - self.ratio * first.value - self.offset
+        rate = second.rate - self.ratio * first.rate
+        return u, rate, self.stiffness * u + self.damping * rate
+
+    def wrenches(self, t, motions):
+        """Of both coordinates, added up where they share a body."""
+        del t
+        force = self._press(motions)[2]
+        found = dict(self.first.wrenches(motions, self.ratio * force))
+        for name, wrench in self.second.wrenches(motions, -force).items():
+            there = found.get(name, Wrench(jnp.zeros(3), jnp.zeros(3)))
+            found[name] = Wrench(there.force + wrench.force, there.moment + wrench.moment)
+        return found
+
+    def potential_energy(self, t, motions):
+        """k u^2/2 [J]."""
+        del t
+        u = self._press(motions)[0]
+        return 0.5 * self.stiffness * u * u
+
+    def parts(self, t, motions) -> dict[str, Array]:
+        """`lag` u [m], `lag_rate` [m/s], `force` f [N], `dissipated_power` [W]."""
+        del t
+        u, rate, force = self._press(motions)
+        return {"lag": u, "lag_rate": rate, "force": force, "dissipated_power": self.damping * rate * rate}
+
+    def placed(self, bodies, find):
+        """Both coordinates in body axes."""
+        placed = self.first.placed(bodies, find), self.second.placed(bodies, find)
+        return eqx.tree_at(lambda force: (force.first, force.second), self, placed)
+
+    def requirements(self) -> list[Requirement]:
+        """Two coordinates, k >= 0, c >= 0, finite numbers."""
+        rows = []
+        for field in ("first", "second"):
+            of_one = getattr(self, field).requirements()
+            rows += [required._replace(field=f"{field}.{required.field}") for required in of_one]
+        return [
+            *rows,
+            finite("ratio", self.ratio),
+            non_negative("stiffness", self.stiffness, "N/m"),
+            non_negative("damping", self.damping, "N s/m"),
+            finite("offset", self.offset),
+        ]
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """The bodies of both coordinates, each once."""
+        return tuple(dict.fromkeys((*self.first.body_names, *self.second.body_names)))
+
+
+def _known(part):
+    if part is None:
+        raise SceneError("the coupler is not in a scene yet: its geometry is known once the scene is compiled")
+    return part
+
+
+def _pose(bodies: Mapping[str, Body], name: str):
+    if name == GROUND:
+        return numbers((0.0, 0.0, 0.0)), numbers((1.0, 0.0, 0.0, 0.0))
+    return bodies[name].position, bodies[name].quaternion
+
+
+def _distance(direction, first, first_quaternion, first_place, second, second_quaternion, second_place):
+    """How far the second point is from the first one along a direction, world axes [m]."""
+    start = first + rotation_matrix(normalized(first_quaternion)) @ first_place
+    end = second + rotation_matrix(normalized(second_quaternion)) @ second_place
+    return (end - start) @ direction / jnp.sqrt(direction @ direction)
