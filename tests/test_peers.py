@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.dynamics import evaluate
+from spherejax.motion.equations.dynamics import evaluate
 from spherejax.physics.state import State, pack
 
 # What a file lacks or holds that no body can have; the inertia of Pinocchio's model is then set to that of the scene.
