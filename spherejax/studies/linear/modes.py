@@ -10,7 +10,6 @@ from jaxtyping import Bool, Complex, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.linear.eigen import Eigen, eigen
 from spherejax.studies.linear.numbers import number_at
-from spherejax.studies.linear.tangent import along, along_along, geometry_along
 
 if TYPE_CHECKING:
     import xarray
@@ -261,7 +260,7 @@ def _slope_of_A(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_
     point, coordinates = linear.point, linear.coordinates
     number = number_at(point.whole, name)
     theta_slope, y_slope = point.slopes(number)
-    changed = geometry_along(point.structure, point.theta, point.t, point.y, theta_slope, y_slope)
+    changed = point.equations.geometry_by_number(theta_slope, y_slope)
     moved = max(float(np.abs(np.asarray(each)).max(initial=0.0)) for each in (changed.residual, changed.violation))
     if moved > LEFT_OVER and not point.follows:
         raise SceneError(
@@ -270,10 +269,9 @@ def _slope_of_A(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_
         )
     basis_slope, inverse_slope = coordinates.slopes(linear.geometry, changed, abs(number.value(point.whole)))
     basis, inverse = coordinates.basis, coordinates.inverse
-    common = point.structure, linear.turning
-    rates = np.asarray(along(point.structure, (), linear.turning, point.theta, point.t, point.y, basis)[0])
-    through = (point.theta, point.t, point.y, basis), (theta_slope, y_slope, basis_slope)
-    whole = inverse_slope @ rates + inverse @ np.asarray(along_along(*common, *through))
+    through = theta_slope, y_slope, basis_slope
+    whole = inverse_slope @ linear.rates
+    whole = whole + inverse @ point.equations.rates_along_by_number(linear.turning, basis, *through)
     kept = linear.kept
     return whole[np.ix_(kept, kept)]
 

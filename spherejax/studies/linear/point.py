@@ -19,6 +19,7 @@ from spherejax.motion.integrate import initial_state
 from spherejax.motion.start import start_now
 from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.linear.numbers import Number
+from spherejax.studies.linear.tangent import Equations
 
 SAME_TIME = 1e-9
 """A sample is meant by a time that differs from its own by less than this share of the run."""
@@ -47,6 +48,11 @@ class Point(NamedTuple):
     words: str
     follow: Callable[[Number, Any], tuple[Any, Any]]
     follows: bool = True
+
+    @property
+    def equations(self) -> Equations:
+        """The equations of motion about it."""
+        return Equations(self.structure, self.theta, self.t, self.y)
 
     def slopes(self, number: Number) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of `theta` and of the state by a number."""

@@ -1,6 +1,6 @@
 """The result of a linearization: matrices, and what follows from them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -59,10 +59,11 @@ class Linearization:
     inverse: Float[np.ndarray, "n_x n_z"]
     turning: Float[np.ndarray, "3"]
     steadiness: Steadiness
-    point: Point = field()
-    coordinates: Coordinates = field()
-    geometry: Geometry = field()
-    kept: Bool[np.ndarray, " n"] = field()
+    point: Point
+    coordinates: Coordinates
+    geometry: Geometry
+    kept: Bool[np.ndarray, " n"]
+    rates: Float[np.ndarray, "n_z n"]
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from spherejax.motion.tolerances import length_scale, time_scale
 from spherejax.studies.linear.coordinates import Coordinates, coordinates_of
 from spherejax.studies.linear.point import Point
-from spherejax.studies.linear.tangent import along, geometry, moved, rates_at
+from spherejax.studies.linear.tangent import Equations, moved
 
 STEP = 1e-5
 """Time after which the coefficients are looked at again, as a share of the mechanism's own time and of the time in which
@@ -40,7 +40,11 @@ class Steadiness(NamedTuple):
 
 
 def steadiness_of(
-    point: Point, turning: Float[np.ndarray, "3"], coordinates: Coordinates, whole: Float[np.ndarray, "n_z n_z"]
+    point: Point,
+    turning: Float[np.ndarray, "3"],
+    coordinates: Coordinates,
+    slopes: Float[np.ndarray, "n_z n_x"],
+    rates: Float[np.ndarray, " n_z"],
 ) -> Steadiness:
     """Look at accelerations, and at the coefficients a moment later.
 
@@ -48,14 +52,13 @@ def steadiness_of(
         point: the state.
         turning: angular velocity of the axes [rad/s].
         coordinates: about the state.
-        whole: P A P^+, the coefficients in world axes.
+        slopes: of the rates along the coordinates.
+        rates: of the state.
     """
     system, layout = point.system, point.system.layout
     n_v = layout.n_velocity
     time, length = (float(np.asarray(scale(system))) for scale in (time_scale, length_scale))
     velocity = point.y[layout.n_position : layout.memory_start]
-    none = np.zeros((1, len(whole)))
-    rates = np.asarray(rates_at(point.structure, point.theta, point.t, point.y, none))[0]
     seen = rates[n_v : 2 * n_v].reshape(-1, 3) - np.cross(turning, velocity.reshape(-1, 3))
     free = coordinates.free @ (coordinates.free.T @ (coordinates.mass @ seen.ravel()))
     by_kind = np.tile([1 / length] * 3 + [1.0] * 3, n_v // 6)
@@ -65,12 +68,13 @@ def steadiness_of(
     step = STEP / fastest
     change = np.concatenate([velocity, rates[n_v:]]) * step
     y = np.asarray(moved(layout, point.y, change))
-    t = point.t + step
-    then = coordinates_of(geometry(point.structure, point.theta, t, y), layout.n_memory)
+    after = Equations(point.structure, point.theta, point.t + step, y)
+    then = coordinates_of(after.geometry, layout.n_memory)
     if then.degrees_of_freedom != coordinates.degrees_of_freedom:
         return Steadiness(acceleration, np.inf)
-    found = np.asarray(along(point.structure, (), turning, point.theta, t, y, then.basis)[0])
+    found = after.rates_along(turning, then.basis)
     later = then.basis @ (then.inverse @ found) @ then.inverse
+    whole = coordinates.basis @ (coordinates.inverse @ slopes) @ coordinates.inverse
     turned = _turned(turning * step, n_v, layout.n_memory)
     difference = turned.T @ later @ turned - whole
     # Rows and columns in units of one kind, so that a stiff joint does not hide a change elsewhere more than it must.

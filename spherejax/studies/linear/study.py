@@ -19,7 +19,6 @@ from spherejax.studies.linear.numbers import Number, numbers_at
 from spherejax.studies.linear.point import Point, point_of
 from spherejax.studies.linear.result import Linearization, LinearizationWarning
 from spherejax.studies.linear.steadiness import steadiness_of
-from spherejax.studies.linear.tangent import along, by_numbers, geometry, rates_at
 
 NOT_AT_AN_INSTANT = ("penetration", "absorbed_work", "dissipated_energy", "elastic_energy", "mechanical_energy")
 """Kinds of quantities that are made of a whole run, or of several others."""
@@ -77,11 +76,11 @@ def linearize(
     names, labels, units = _outputs(point.system, outputs)
     _require_regular(point)
     layout = point.system.layout
-    found = geometry(point.structure, point.theta, point.t, point.y)
+    equations = point.equations
+    found = equations.geometry
     coordinates = coordinates_of(found, layout.n_memory)
     basis, inverse = coordinates.basis, coordinates.inverse
-    common = point.structure, names, axes, point.theta, point.t, point.y
-    rates, values = (np.asarray(each) for each in along(*common, basis))
+    rates, values = equations.rates_along(axes, basis), equations.values_along(names, basis)
     _require_finite(rates, point)
     # Entries of memory that nothing changes (a rate that is remembered while a contact lasts) are no states.
     n_v = 2 * coordinates.degrees_of_freedom
@@ -90,11 +89,11 @@ def linearize(
     B, D = np.zeros((len(A), 0)), np.zeros((len(C), 0))
     if numbers:
         slopes = np.stack([number.slope(point.whole) for number in numbers], 1)
-        forced, shown, held = map(
-            np.asarray, by_numbers(point.structure, names, point.theta, point.t, point.y, slopes)
-        )
+        forced, shown, held = equations.by_numbers(names, slopes)
         _require_free(numbers, held)
         B, D = (inverse @ forced)[keep], shown
+    steps, sizes = _steps(point, basis)
+    nearby = equations.rates(steps)
     result = Linearization(
         A=A,
         B=B,
@@ -111,9 +110,10 @@ def linearize(
         coordinates=coordinates,
         geometry=found,
         kept=keep,
-        steadiness=steadiness_of(point, axes, coordinates, basis @ (inverse @ rates) @ inverse),
+        rates=rates,
+        steadiness=steadiness_of(point, axes, coordinates, rates, nearby[0]),
     )
-    _warn_of_kinks(result)
+    _warn_of_kinks(result, nearby)
     return result
 
 
@@ -184,27 +184,32 @@ def _state_names(system: System, f: int, keep: np.ndarray) -> tuple[str, ...]:
     return tuple(name for name, kept in zip(names, keep, strict=True) if kept)
 
 
-def _warn_of_kinks(result: Linearization) -> None:
-    """Compare slopes to both sides at two distances: what differs no less at the smaller one is a kink."""
-    point, basis = result.point, result.basis
+def _steps(point: Point, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """No change, then small ones along each coordinate: forward and back, then both a tenth as long; and their sizes."""
     n_v = point.system.layout.n_velocity
     length = float(np.asarray(length_scale(point.system)))
     scales = np.concatenate([np.tile([length] * 3 + [1.0] * 3, n_v // 3), np.full(len(basis) - 2 * n_v, length)])
     sizes = KINK_STEP / np.max(np.abs(basis) / scales[:, None], axis=0, initial=1e-300)
-    steps = np.concatenate([share * sign * (basis * sizes).T for share in (1.0, 0.1) for sign in (1, -1)])
-    none = np.zeros((1, len(basis)))
-    rates = np.array(rates_at(point.structure, point.theta, point.t, point.y, np.concatenate([none, steps])))
-    rates[:, :n_v] = 0.0
-    reduced = (rates[1:] - rates[0]) @ result.inverse.T
-    far, back, near, near_back = reduced.reshape(4, basis.shape[1], -1)
+    steps = [share * sign * (basis * sizes).T for share in (1.0, 0.1) for sign in (1, -1)]
+    return np.concatenate([np.zeros((1, len(basis))), *steps]), sizes
+
+
+def _warn_of_kinks(result: Linearization, nearby: np.ndarray) -> None:
+    """Compare slopes to both sides at two distances: what differs no less at the smaller one is a kink."""
+    _, sizes = _steps(result.point, result.coordinates.basis)
+    nearby = nearby.copy()
+    nearby[:, : result.point.system.layout.n_velocity] = 0.0
+    reduced = (nearby[1:] - nearby[0]) @ result.inverse.T
+    far, back, near, near_back = reduced.reshape(4, len(sizes), -1)
     jumps = [np.linalg.norm(far + back, axis=1) / sizes, np.linalg.norm(near + near_back, axis=1) / (0.1 * sizes)]
+    jumps = [jump[result.kept] for jump in jumps]
     columns = np.linalg.norm(result.A, axis=0)
     has_kink = (jumps[1] > jumps[0] / 2) & (jumps[1] > KINK * np.maximum(columns, 1e-6 * columns.max(initial=0.0)))
     if np.any(has_kink):
         names = ", ".join(name for name, kink in zip(result.states, has_kink, strict=True) if kink)
         warnings.warn(
-            f"linearize: {point.words} the rates have a kink along {names} (friction that reverses, a contact that just "
-            "touches): the derivative holds to one side. Linearize beside it, or take a smooth law",
+            f"linearize: {result.point.words} the rates have a kink along {names} (friction that reverses, a contact that "
+            "just touches): the derivative holds to one side. Linearize beside it, or take a smooth law",
             LinearizationWarning,
             stacklevel=3,
         )

@@ -6,23 +6,28 @@ A change of the state is a vector of
 
 in world axes, of length 12 n + m. Rotations are small turns, three a body: R -> exp(turn) R. Their chart moves with the
 body, so that the kinematic rows are d(turn)/dt = d(omega) + omega x turn: from R' = [omega] R, the change of R being
-[turn] R. Everything here is array code; what the changes may be, the constraints say (`coordinates`).
+[turn] R. What the changes may be, the constraints say (`coordinates`).
+Functions are array code of a system, a time and a point, evaluated as scalar programs, one direction after the other:
+that compiles nothing.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Quaternion, Scalar, Vector3
+from spherejax.model.groups import stacks_of
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, velocity_violation
 from spherejax.motion.dynamics import evaluate, memory_rates
+from spherejax.motion.programs import SystemFunction, program_for
 from spherejax.motion.quantities import value_at
 from spherejax.physics.bodies import Body, inertia_in_world
 from spherejax.physics.kinematics import BodyMotion
@@ -79,24 +84,31 @@ class Geometry(NamedTuple):
     rate_by_position: Any
 
 
-def _geometry(structure: Structure, theta, t: Scalar, y) -> Geometry:
-    system = structure.system(theta)
-    layout = system.layout
-    none = jnp.zeros(layout.n_velocity)
+def held(system: System, t: Scalar, y) -> Float[Array, " 2c"]:
+    """Phi and Phi' of all constraints."""
+    motions = body_motions(system, unpack(system.layout, y))
+    found = constraint_set(system, t, motions)
+    if not found.groups:
+        return jnp.zeros(0)
+    return jnp.concatenate([found.residual, velocity_violation(found, motions)])
 
-    def constraints(step):
-        there = moved(layout, y, jnp.concatenate([step, jnp.zeros(size_of(layout) - step.size)]))
-        motions = body_motions(system, unpack(layout, there))
-        found = constraint_set(system, t, motions)
-        if not found.groups:
-            return jnp.zeros(0), jnp.zeros(0)
-        return found.residual, velocity_violation(found, motions)
 
-    residual, violation = constraints(none)
-    by_position, rate_by_position = jax.jacfwd(constraints)(none)
-    motions = body_motions(system, unpack(layout, y))
-    masses = jnp.stack([_mass_matrix(body, motions[name]) for name, body in system.bodies.items()])
-    return Geometry(masses, residual, violation, by_position, rate_by_position)
+def held_along(system: System, t: Scalar, point) -> Float[Array, " 2c"]:
+    """Their derivative along a change of the state; `point` is the flat state and the change."""
+    y, change = point
+    return _derivative(lambda step: held(system, t, moved(system.layout, y, step)), change)
+
+
+def masses(system: System, t: Scalar, y) -> Float[Array, "b 6 6"]:
+    """6 x 6 mass matrix of each body, world axes."""
+    del t
+    motions = body_motions(system, unpack(system.layout, y))
+    return over_lanes(_mass_matrix, stacks_of(system).bodies, motions.moving)
+
+
+def _derivative(function, change):
+    """Of a function of changes, at none, along one."""
+    return jax.jvp(function, (jnp.zeros_like(change),), (change,))[1]
 
 
 def _mass_matrix(body: Body, motion: BodyMotion) -> Float[Array, "6 6"]:
@@ -133,89 +145,159 @@ def _values(system: System, t: Scalar, y, names: tuple[str, ...]) -> Float[Array
     return jnp.concatenate([jnp.zeros(0), *values])
 
 
-def _along(structure: Structure, names: tuple[str, ...], turning, theta, t: Scalar, y, basis):
-    """Rates and quantities along the columns of a basis: shapes (n_z, n_x) and (k, n_x)."""
-    system = structure.system(theta)
-    layout = system.layout
+def rates(system: System, t: Scalar, point) -> Change:
+    """Rates at a state that differs by a finite change; `point` is the flat state and the change.
 
-    def seen(change):
-        return _rates(system, t, y, change), _values(system, t, moved(layout, y, change), names)
-
-    def one(direction):
-        rates, values = jax.jvp(seen, (jnp.zeros_like(direction),), (direction,))[1]
-        return rates - _in_turning_axes(layout, turning, direction), values
-
-    return jax.vmap(one, 1, 1)(basis)
+    Those of positions are right to first order only.
+    """
+    return _rates(system, t, *point)
 
 
-@bounded_jit(what="the constraints of a linearization")
-def geometry(structure: Structure, theta, t: Scalar, y) -> Geometry:
-    """Constraints and masses at a state, with derivatives."""
-    return _geometry(structure, theta, t, y)
+def _rates_along(system: System, t: Scalar, y, turning: Vector3, change: Change) -> Change:
+    """Derivative of the rates along a change, in turning axes."""
+    found = _derivative(lambda step: _rates(system, t, y, step), change)
+    return found - _in_turning_axes(system.layout, turning, change)
 
 
-@bounded_jit(what="a linearization")
-def along(structure: Structure, names: tuple[str, ...], turning, theta, t: Scalar, y, basis):
-    """Derivatives of rates (n_z, n_x) and quantities (k, n_x) along the columns of a basis."""
-    return _along(structure, names, turning, theta, t, y, basis)
+def rates_along(system: System, t: Scalar, point) -> Change:
+    """The same; `point` is the flat state, the angular velocity of the axes, and the change."""
+    y, turning, change = point
+    return _rates_along(system, t, y, turning, change)
 
 
-@bounded_jit(what="rates about a linearization")
-def rates_at(structure: Structure, theta, t: Scalar, y, changes: Float[Array, "k n_z"]) -> Float[Array, "k n_z"]:
-    """Rates at states that differ by finite changes; their first rows are right to first order only."""
-    system = structure.system(theta)
-    return jax.vmap(lambda change: _rates(system, t, y, change))(changes)
+@lru_cache(maxsize=64)
+def values_along(names: tuple[str, ...]) -> SystemFunction:
+    """The function that differentiates quantities along a change; its point is the flat state and the change.
+
+    The same object each time, so that its program is found again; so with the following.
+    """
+
+    def values(system: System, t: Scalar, point) -> Float[Array, " k"]:
+        y, change = point
+        return _derivative(lambda step: _values(system, t, moved(system.layout, y, step), names), change)
+
+    return values
 
 
-@bounded_jit(what="the inputs of a linearization")
-def by_numbers(structure: Structure, names: tuple[str, ...], theta, t: Scalar, y, slopes: Float[Array, "p u"]):
-    """Derivatives of rates, quantities and constraints (Phi and Phi') by numbers, the state held.
+@lru_cache(maxsize=64)
+def by_number(structure: Structure, names: tuple[str, ...]) -> SystemFunction:
+    """The function that differentiates rates, quantities and constraints along a change of numbers, the state held.
+
+    Its point is the flat state, and the change of the flat numbers.
+    """
+
+    def slopes(system: System, t: Scalar, point):
+        y, change = point
+        none = jnp.zeros(size_of(system.layout))
+
+        def seen(system):
+            return _rates(system, t, y, none), _values(system, t, y, names), held(system, t, y)
+
+        return jax.jvp(seen, (system,), (structure.system(change),))[1]
+
+    return slopes
+
+
+@lru_cache(maxsize=64)
+def geometry_by_number(structure: Structure) -> SystemFunction:
+    """The function that differentiates constraints and masses along a change of numbers and of the state with them.
+
+    Its point is the flat state, the change of numbers, that of the flat state, and a change along which `held_along` is
+    taken.
+    """
+
+    def slopes(system: System, t: Scalar, point):
+        y, numbers, state, change = point
+
+        def seen(system, y):
+            return held(system, t, y), masses(system, t, y), held_along(system, t, (y, change))
+
+        return jax.jvp(seen, (system, y), (structure.system(numbers), state))[1]
+
+    return slopes
+
+
+@lru_cache(maxsize=64)
+def rates_along_by_number(structure: Structure) -> SystemFunction:
+    """The function that differentiates `rates_along` along a change of numbers, of the state, and of its direction.
+
+    Its point is the flat state, the angular velocity of the axes, the direction, and the changes of numbers, of the flat
+    state and of the direction.
+    """
+
+    def slopes(system: System, t: Scalar, point) -> Change:
+        y, turning, direction, *slope = point
+
+        def seen(system, y, direction):
+            return _rates_along(system, t, y, turning, direction)
+
+        return jax.jvp(seen, (system, y, direction), (structure.system(slope[0]), *slope[1:]))[1]
+
+    return slopes
+
+
+# Evaluated ----------------------------------------------------------------------------------------------------------
+
+
+class Equations:
+    """What is asked of the equations of motion about a state, evaluated by programs that are not compiled.
 
     Args:
         structure: of the system.
-        names: of the quantities.
         theta: numbers of the system.
         t: time [s].
         y: flat state.
-        slopes: derivatives of `theta` by each number, as columns.
     """
 
-    def seen(theta):
-        system = structure.system(theta)
-        motions = body_motions(system, unpack(system.layout, y))
-        constraints = constraint_set(system, t, motions)
-        held = jnp.zeros(0)
-        if constraints.groups:
-            held = jnp.concatenate([constraints.residual, velocity_violation(constraints, motions)])
-        none = jnp.zeros(size_of(system.layout))
-        return _rates(system, t, y, none), _values(system, t, y, names), held
+    def __init__(self, structure: Structure, theta, t: float, y):
+        self.structure, self.theta, self.t, self.y = structure, theta, t, y
+        self.layout = structure.system(theta).layout
 
-    return jax.vmap(lambda slope: jax.jvp(seen, (theta,), (slope,))[1], 1, 1)(slopes)
+    def _compute(self, function: SystemFunction, *point):
+        sizes = tuple(np.size(each) for each in (self.y, *point)) if point else None
+        program = program_for(function, self.structure, None, sizes, is_quiet=True)
+        return program.compute(self.theta, self.t, (self.y, *point) if point else self.y)
 
+    def _columns(self, function: SystemFunction, *points):
+        """Results for each column of the arguments, side by side."""
+        found = [self._compute(function, *point) for point in points]
+        return jax.tree.map(lambda *each: np.stack(each, -1), *found)
 
-@bounded_jit(what="the derivative of a linearization's constraints")
-def geometry_along(structure: Structure, theta, t: Scalar, y, theta_slope, y_slope) -> Geometry:
-    """Derivative of `geometry` along a change of numbers and of the state that follows them."""
+    @property
+    def geometry(self) -> Geometry:
+        """Constraints and masses."""
+        n_v, size = self.layout.n_velocity, size_of(self.layout)
+        here, M = self._compute(held), self._compute(masses)
+        slopes = self._columns(held_along, *((unit,) for unit in np.eye(size)[:n_v]))
+        return Geometry(M, *np.split(here, 2), *np.split(slopes, 2))
 
-    def seen(theta, y):
-        return _geometry(structure, theta, t, y)
+    def rates(self, changes) -> np.ndarray:
+        """Rates at states that differ by finite changes, the rows."""
+        return np.stack([self._compute(rates, change) for change in changes])
 
-    return jax.jvp(seen, (theta, y), (theta_slope, y_slope))[1]
+    def rates_along(self, turning, basis) -> np.ndarray:
+        """Derivatives of the rates along the columns of a basis, in turning axes."""
+        return self._columns(rates_along, *((turning, column) for column in basis.T))
 
+    def values_along(self, names: tuple[str, ...], basis) -> np.ndarray:
+        """Derivatives of quantities along the columns of a basis."""
+        if not names:
+            return np.zeros((0, basis.shape[1]))
+        return self._columns(values_along(names), *((column,) for column in basis.T))
 
-@bounded_jit(what="the derivative of a linearization")
-def along_along(structure: Structure, turning, point: tuple, slope: tuple) -> Float[Array, "n_z n_x"]:
-    """Derivative of `along`'s rates along a change of numbers, state and basis.
+    def by_numbers(self, names: tuple[str, ...], slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of rates, quantities and constraints by numbers, given those of the flat numbers as columns."""
+        return self._columns(by_number(self.structure, names), *((column,) for column in slopes.T))
 
-    Args:
-        structure: of the system.
-        turning: angular velocity of the axes [rad/s].
-        point: numbers, time [s], state, basis.
-        slope: change of numbers, of the state, of the basis.
-    """
-    theta, t, y, basis = point
+    def geometry_by_number(self, numbers, state) -> Geometry:
+        """Derivative of `geometry` along a change of the flat numbers, and of the flat state with them."""
+        n_v, size = self.layout.n_velocity, size_of(self.layout)
+        points = ((numbers, state, unit) for unit in np.eye(size)[:n_v])
+        here, M, slopes = self._columns(geometry_by_number(self.structure), *points)
+        return Geometry(M[..., 0], *np.split(here[..., 0], 2), *np.split(slopes, 2))
 
-    def seen(theta, y, basis):
-        return _along(structure, (), turning, theta, t, y, basis)[0]
-
-    return jax.jvp(seen, (theta, y, basis), slope)[1]
+    def rates_along_by_number(self, turning, basis, numbers, state, basis_slope) -> np.ndarray:
+        """Derivative of `rates_along` along a change of the flat numbers, the flat state and the basis."""
+        columns = zip(basis.T, basis_slope.T, strict=True)
+        points = ((turning, column, numbers, state, slope) for column, slope in columns)
+        return self._columns(rates_along_by_number(self.structure), *points)
