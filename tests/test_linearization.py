@@ -108,7 +108,7 @@ def test_a_double_pendulum_on_balls_swings_alike_in_all_planes():
 
 def on_rubber(**options):
     """A body whose center is in a bushing, without gravity."""
-    model = sj.Bushing(law=sj.MatrixElastomer(np.diag([1e4, 2e4, 3e4]), 1e-3, np.diag([5.0, 7.0, 9.0])), **options)
+    model = sj.Bushing(law=sj.MatrixElastomer(np.diag([1e4, 2e4, 3e4]), np.diag([10.0, 20.0, 30.0]), np.diag([5.0, 7.0, 9.0])), **options)
     body = sj.Body(2.0, (1e-2, 2e-2, 2.5e-2), points={"ball": (0.0, 0.0, 0.0)})
     push = sj.AppliedWrench("body")
     return sj.Scene(

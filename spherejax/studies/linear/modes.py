@@ -9,6 +9,7 @@ from jaxtyping import Bool, Complex, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.linear.eigen import Eigen, eigen
+from spherejax.studies.linear.following import slopes_of
 from spherejax.studies.linear.numbers import number_at
 
 if TYPE_CHECKING:
@@ -259,10 +260,10 @@ def _slope_of_A(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_
     """Total derivative of A by a number, in coordinates that turn as little as the constraints allow."""
     point, coordinates = linear.point, linear.coordinates
     number = number_at(point.whole, name)
-    theta_slope, y_slope = point.slopes(number)
+    theta_slope, y_slope = slopes_of(point, number)
     changed = point.equations.geometry_by_number(theta_slope, y_slope)
     moved = max(float(np.abs(np.asarray(each)).max(initial=0.0)) for each in (changed.residual, changed.violation))
-    if moved > LEFT_OVER and not point.follows:
+    if moved > LEFT_OVER and point.origin == "run":
         raise SceneError(
             f"{name!r} moves the constraints, and nothing says how the state of a run follows. Linearize the scene, whose "
             "start and rest position do"

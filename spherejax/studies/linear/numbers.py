@@ -10,13 +10,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.model.system import System
 
 AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -43,20 +42,6 @@ class Number(NamedTuple):
         leaf = jnp.asarray(_follow(whole, self.steps), jnp.float64)
         new = leaf.at[self.index].set(value) if self.index else jnp.asarray(value)
         return eqx.tree_at(lambda part: _follow(part, self.steps), whole, new)
-
-    def slope(self, whole: Scene | System) -> np.ndarray:
-        """Derivative of the flat numbers of the system by it, shape (p,)."""
-        return np.asarray(jax.jvp(self.theta_of(whole), (self.value(whole),), (1.0,))[1])
-
-    def theta_of(self, whole: Scene | System) -> Callable[[Any], Any]:
-        """The function from its value to the flat numbers of the system."""
-
-        def theta(value):
-            part = self.changed(whole, value)
-            system = compile_scene(part).system if isinstance(part, Scene) else part
-            return jnp.asarray(flatten_system(system)[1])
-
-        return theta
 
 
 def numbers_at(whole: Scene | System, path: str) -> list[Number]:

@@ -1,7 +1,6 @@
 """The state about which a mechanism is linearized: of a scene at its start or at rest, or of a run at a sample."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +12,10 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import shape_of
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
-from spherejax.motion.assembly import as_ideal, assemble
 from spherejax.motion.equilibrium import equilibrium
 from spherejax.motion.integrate import initial_state
 from spherejax.motion.start import start_now
 from spherejax.motion.trajectory import Trajectory
-from spherejax.studies.linear.numbers import Number
 from spherejax.studies.linear.tangent import Equations
 
 SAME_TIME = 1e-9
@@ -35,8 +32,7 @@ class Point(NamedTuple):
         t: time [s].
         y: flat state.
         words: what state it is.
-        follow: from a number and its value to `theta` and the state that belong to it.
-        follows: whether the state does follow; of a run it is held.
+        origin: "start", "rest" or "run": how the state follows numbers.
     """
 
     whole: Scene | System
@@ -46,23 +42,12 @@ class Point(NamedTuple):
     t: float
     y: Float[np.ndarray, " size"]
     words: str
-    follow: Callable[[Number, Any], tuple[Any, Any]]
-    follows: bool = True
+    origin: str
 
     @property
     def equations(self) -> Equations:
         """The equations of motion about it."""
         return Equations(self.structure, self.theta, self.t, self.y)
-
-    def slopes(self, number: Number) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of `theta` and of the state by a number."""
-
-        def along(value):
-            return jax.jvp(lambda v: self.follow(number, v), (value,), (jnp.ones_like(value),))[1]
-
-        # Compiled: assembly and equilibrium are thousands of operations.
-        theta, y = jax.jit(along)(jnp.asarray(number.value(self.whole)))
-        return np.asarray(theta), np.asarray(y)
 
 
 def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
@@ -89,14 +74,8 @@ def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
     assert assembly is not None
     y = np.asarray(initial_state(system, jax.tree.map(jnp.asarray, assembly)))
 
-    def follow(number: Number, value):
-        changed = number.changed(what, value)
-        changed = equilibrium(changed, t=t).scene if at == "rest" else changed
-        its = compile_scene(changed).system
-        return jnp.asarray(flatten_system(its)[1]), initial_state(its, assemble(*flatten_system(as_ideal(its)), t))
-
     words = "at rest" if at == "rest" else "about the start"
-    return Point(scene, system, structure, np.asarray(theta), t, y, words, follow)
+    return Point(what, system, structure, np.asarray(theta), t, y, words, at)
 
 
 def _of_run(run: Trajectory, at: str | float) -> Point:
@@ -117,8 +96,5 @@ def _of_run(run: Trajectory, at: str | float) -> Point:
     system = run.system
     structure, theta = flatten_system(system)
 
-    def follow(number: Number, value):
-        return number.theta_of(system)(value), jnp.asarray(ys[i])
-
     words = f"of the run at {ts[i]:.6g} s"
-    return Point(system, system, structure, np.asarray(theta), float(ts[i]), ys[i], words, follow, False)
+    return Point(system, system, structure, np.asarray(theta), float(ts[i]), ys[i], words, "run")

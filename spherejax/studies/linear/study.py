@@ -15,6 +15,7 @@ from spherejax.motion.redundancy import report_at
 from spherejax.motion.tolerances import length_scale
 from spherejax.motion.trajectory import Trajectory
 from spherejax.studies.linear.coordinates import coordinates_of
+from spherejax.studies.linear.following import theta_slope
 from spherejax.studies.linear.numbers import Number, numbers_at
 from spherejax.studies.linear.point import Point, point_of
 from spherejax.studies.linear.result import Linearization, LinearizationWarning
@@ -88,7 +89,7 @@ def linearize(
     A, C = (inverse @ rates)[np.ix_(keep, keep)], values[:, keep]
     B, D = np.zeros((len(A), 0)), np.zeros((len(C), 0))
     if numbers:
-        slopes = np.stack([number.slope(point.whole) for number in numbers], 1)
+        slopes = np.stack([theta_slope(point, number) for number in numbers], 1)
         forced, shown, held = equations.by_numbers(names, slopes)
         _require_free(numbers, held)
         B, D = (inverse @ forced)[keep], shown
