@@ -56,7 +56,7 @@ def test_a_physical_pendulum():
 def test_a_pendulum_upright_falls():
     lin = sj.linearize(pendulum(np.pi))
     w = np.sqrt(G * 0.5 / (1e-2 + 0.25))
-    np.testing.assert_allclose(rates(lin), [-w, w], rtol=1e-9)
+    np.testing.assert_allclose(np.sort(rates(lin).real), [-w, w], rtol=1e-9)
     assert not lin.modes().is_stable
 
 
@@ -108,7 +108,10 @@ def test_a_double_pendulum_on_balls_swings_alike_in_all_planes():
 
 def on_rubber(**options):
     """A body whose center is in a bushing, without gravity."""
-    model = sj.Bushing(law=sj.MatrixElastomer(np.diag([1e4, 2e4, 3e4]), np.diag([10.0, 20.0, 30.0]), np.diag([5.0, 7.0, 9.0])), **options)
+    model = sj.Bushing(
+        law=sj.MatrixElastomer(np.diag([1e4, 2e4, 3e4]), np.diag([10.0, 20.0, 30.0]), np.diag([5.0, 7.0, 9.0])),
+        **options,
+    )
     body = sj.Body(2.0, (1e-2, 2e-2, 2.5e-2), points={"ball": (0.0, 0.0, 0.0)})
     push = sj.AppliedWrench("body")
     return sj.Scene(
@@ -281,6 +284,8 @@ def test_the_matrix_is_the_derivative_of_the_flow_whatever_the_joint(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("build", [sj.gallery.chain, sj.gallery.slider_crank, sj.gallery.suspension, sj.gallery.heavy_top])
+@pytest.mark.parametrize(
+    "build", [sj.gallery.chain, sj.gallery.slider_crank, sj.gallery.suspension, sj.gallery.heavy_top]
+)
 def test_the_matrix_is_the_derivative_of_the_flow_of_other_mechanisms(build):
     assert_follows_the_flow(moment(build()), 1e-5)

@@ -140,17 +140,25 @@ class Modes:
             SceneError: for a repeated eigenvalue, and as there.
         """
         k = self._number(mode)
-        if not self.is_simple[k]:
+        found = self.slopes(number)[k]
+        if found is None:
             raise SceneError(
                 f"mode {k} has a repeated eigenvalue ({_complex(self.eigenvalues[k])} 1/s), which has no derivative by "
                 "one number alone; break the symmetry a little, or look at the sum of both"
             )
-        value, slope = self.eigenvalues[k], self.eigenvalue_sensitivity(number)[k]
-        size = abs(value)
-        growth = (value.conjugate() * slope).real / size
-        return Slope(
-            complex(slope), float(growth / (2 * np.pi)), float(-slope.real / size + value.real * growth / size**2)
-        )
+        return found
+
+    def slopes(self, number: str) -> "list[Slope | None]":
+        """As `sensitivity`, of every mode; None of repeated eigenvalues."""
+        found: list[Slope | None] = []
+        slopes = self.eigenvalue_sensitivity(number)
+        for value, slope, simple in zip(self.eigenvalues, slopes, self.is_simple, strict=True):
+            size = abs(value)
+            growth = (value.conjugate() * slope).real / size
+            damping = -slope.real / size + value.real * growth / size**2
+            one = Slope(complex(slope), float(growth / (2 * np.pi)), float(damping))
+            found.append(one if simple else None)
+        return found
 
     def _number(self, mode: int) -> int:
         if not isinstance(mode, (int, np.integer)) or not 0 <= mode < len(self):
