@@ -6,6 +6,7 @@ import cases
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 import spherejax as sj
@@ -16,6 +17,8 @@ from spherejax.motion.programs import program_for
 from spherejax.motion.projection import corrected
 from spherejax.motion.start import start_now
 from spherejax.physics.state import unpack
+from spherejax.studies.linear.coordinates import coordinates_of
+from spherejax.studies.linear.tangent import Equations
 
 
 def moment(scene: sj.Scene, *, seed: int = 0, distance: float = 1e-3) -> sj.Trajectory:
@@ -89,4 +92,20 @@ def by_differences(lin: sj.Linearization, step: float) -> np.ndarray:
                 found.append(deviation_rate(layout, y, f, point.y, f0))
             slopes.append((found[0] - found[1]) / (2 * h))
         columns.append(lin.inverse @ (4 * slopes[0] - slopes[1]) / 3)
-    return np.stack(columns, 1)
+    return np.stack(columns, 1) - lin.inverse @ basis_rate(lin, f0)[:, lin.kept]
+
+
+def basis_rate(lin: sj.Linearization, f0, step: float = 1e-5) -> np.ndarray:
+    """How the basis follows the motion: found anew at both sides, and laid as close to the one between as can be."""
+    point, layout, here = lin.point, lin.point.system.layout, lin.coordinates
+    state, rate = unpack(layout, point.y), unpack(layout, f0)
+    motion = np.concatenate([state.velocity, state.angular_velocity], 1).ravel()
+    change = np.concatenate([motion, np.ravel(np.concatenate([rate.velocity, rate.angular_velocity], 1)), rate.memory])
+    found = []
+    for h in (step, -step, 2 * step, -2 * step):
+        y = closed(point.structure, point.theta, point.t + h, displaced(layout, point.y, h * change))
+        there = coordinates_of(Equations(point.structure, point.theta, point.t + h, y).geometry, layout.n_memory)
+        turn = scipy.linalg.polar(there.free.T @ (here.mass + there.mass) / 2 @ here.free)[0]
+        found.append(there.basis @ scipy.linalg.block_diag(turn, turn, np.eye(layout.n_memory)))
+    near, far = (found[0] - found[1]) / (2 * step), (found[2] - found[3]) / (4 * step)
+    return (4 * near - far) / 3

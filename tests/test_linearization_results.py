@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 from test_equilibrium import LOADED, loaded
-from test_linearization import G, double_pendulum, on_rubber, pendulum, top
+from test_linearization import G, on_rubber, pendulum, top
 
 import spherejax as sj
 from spherejax import cli
@@ -96,18 +96,24 @@ def test_derivatives_follow_the_rest_position(number):
     np.testing.assert_allclose(slopes, by_differences(build, number, "rest"), rtol=1e-6, atol=1e-6 * abs(slopes).max())
 
 
-def test_derivatives_follow_the_start_of_a_motion():
-    """A top that leans and spins: by the point about which it turns, which its start follows."""
+def test_derivatives_follow_the_start():
+    """A double pendulum with a coil, by where its rod is drawn, and by the coil."""
 
     def build():
-        return top(150.0, tilt=0.4)
+        places = {"upper": (0.0, 0.0, 0.0), "lower": (0.0, 0.0, -0.3)}
+        joint = sj.TorsionalSpring(("upper", "lower"), (0.0, 1.0, 0.0), 0.2, 0.1)
+        scene = double_pendulum(lambda a, b, _: sj.Revolute((a, b), places[b], (0.0, 1.0, 0.0)))
+        return sj.Scene(scene.bodies, scene.joints, {"coil": joint})
 
-    for number in ("bodies.top.points.tip.z", "bodies.top.angular_velocity.z", "bodies.top.inertia.x"):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", sj.StartWarning)  # velocities of the center follow the point
-            slopes = sj.linearize(build()).eigenvalue_sensitivity(number)
-            wanted = by_differences(build, number, "start")
-        np.testing.assert_allclose(slopes, wanted, rtol=1e-5, atol=1e-6 * abs(wanted).max())
+    for number in ("bodies.lower.position.z", "forces.coil.stiffness"):
+        slopes = sj.linearize(build()).eigenvalue_sensitivity(number)
+        wanted = by_differences(build, number, "start")
+        np.testing.assert_allclose(slopes, wanted, rtol=1e-6, atol=1e-7 * abs(wanted).max())
+
+
+def test_derivatives_are_for_states_without_velocities():
+    with pytest.raises(sj.SceneError, match="without velocities"):
+        sj.linearize(top(150.0)).eigenvalue_sensitivity("bodies.top.mass")
 
 
 def test_redundant_constraints_that_would_contradict_are_refused():
@@ -116,7 +122,7 @@ def test_redundant_constraints_that_would_contradict_are_refused():
     assert lin.degrees_of_freedom == 1
     name = next(iter(body.bodies))
     assert np.all(np.isfinite(lin.eigenvalue_sensitivity(f"bodies.{name}.mass")))
-    with pytest.raises(sj.SceneError, match="redundant joints hold only as they are|cannot be closed"):
+    with pytest.raises(sj.SceneError, match=r"redundant joints hold only as they are|cannot be closed"):
         lin.eigenvalue_sensitivity(f"bodies.{name}.position.x")
 
 
@@ -127,10 +133,10 @@ def test_a_run_is_held_where_a_number_would_move_its_constraints(hanging):
     # About a moment: theta'' = -(m g l / J) cos(theta) theta.
     angle = np.arcsin(float(run.position("bob")[1, 0]) / 0.5)
     np.testing.assert_allclose(np.abs(lin.modes().eigenvalues), W * np.sqrt(np.cos(angle)), rtol=1e-7)
-    assert np.all(np.isfinite(lin.eigenvalue_sensitivity("bodies.bob.mass")))
-    place = "joints.pivot.places" if hasattr(run.system.joints["pivot"], "places") else "joints.pivot.points"
-    with pytest.raises(sj.SceneError):
-        lin.eigenvalue_sensitivity(f"{place}.1.x")
+    standing = sj.linearize(run, at=0.0)
+    assert np.all(np.isfinite(standing.eigenvalue_sensitivity("bodies.bob.mass")))
+    with pytest.raises(sj.SceneError, match="moves the constraints"):
+        standing.eigenvalue_sensitivity("joints.pivot.places.1.x")
 
 
 # Eigenvalues by themselves -------------------------------------------------------------------------------------------
@@ -170,10 +176,14 @@ def test_a_free_body_has_twelve_zeros():
 def test_tables(rubber, tmp_path):
     modes = rubber.modes()
     text = str(modes)
-    assert "Modes about the start" in text and "frequency [Hz]" in text and "body" in text
+    assert "Modes about the start" in text
+    assert "frequency [Hz]" in text
+    assert "body" in text
     assert text.count("\n") == 1 + len(modes)
-    assert "<table>" in modes._repr_html_() and "damping ratio" in modes._repr_html_()
-    assert "6 degrees of freedom, 12 states" in str(rubber) and "forces.push.force.x" in str(rubber)
+    assert "<table>" in modes._repr_html_()
+    assert "damping ratio" in modes._repr_html_()
+    assert "6 degrees of freedom, 12 states" in str(rubber)
+    assert "forces.push.force.x" in str(rubber)
     table = modes.to_xarray()
     table.to_netcdf(tmp_path / "modes.nc", engine="h5netcdf")
     with xarray.open_dataset(tmp_path / "modes.nc", engine="h5netcdf") as read:
@@ -218,7 +228,9 @@ def test_the_command(capsys, tmp_path):
     words += ["--input", "gravity.z", "--output", "position.wheel.z", "--points", "20"]
     assert cli.main(words) == 0
     out = capsys.readouterr().out
-    assert "Modes at rest" in out and "per unit of bodies.wheel.mass" in out and "14.4378" in out
+    assert "Modes at rest" in out
+    assert "per unit of bodies.wheel.mass" in out
+    assert "14.4378" in out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "modes.nc", "modes.png", "response.csv", "response.png"
     }  # fmt: skip
@@ -251,7 +263,7 @@ def driven():
         (lambda: sj.linearize(3), "int is no scene and no run"),
         (lambda: sj.linearize(pendulum(), at="resting"), "it is 'start' or 'rest'"),
         (lambda: sj.linearize(pendulum(), at=0.1), "give the run"),
-        (lambda: sj.linearize(pendulum(), inputs="forces.push.force"), "'forces.push.force'.*there are"),
+        (lambda: sj.linearize(pendulum(), inputs="forces.push.force"), "'forces.push.force': .* has no 'push'"),
         (lambda: sj.linearize(pendulum(), inputs="bodies.bob"), "is no number.*mass"),
         (lambda: sj.linearize(pendulum(), inputs="gravity.w"), "its entries are x, y, z"),
         (lambda: sj.linearize(pendulum(), inputs=["gravity", "gravity.x"]), "'gravity.x' twice"),
@@ -282,11 +294,11 @@ def test_frequencies_that_make_no_sense(rubber):
 
 def test_a_run_has_the_moments_of_its_samples():
     run = sj.simulate(pendulum(0.3), jnp.linspace(0.0, 0.2, 3))
-    with pytest.raises(sj.SceneError, match="the nearest is at 0.1 s"):
+    with pytest.raises(sj.SceneError, match=r"the nearest is at 0\.1 s"):
         sj.linearize(run, at=0.11)
     with pytest.raises(sj.SceneError, match="no moment of a run"):
         sj.linearize(run, at="rest")
-    runs = jax.vmap(lambda a: sj.simulate(pendulum(), jnp.linspace(0.0, 0.01, 2) * a))(jnp.ones(2))
+    runs = jax.vmap(lambda m: sj.simulate(pendulum(mass=m), jnp.linspace(0.0, 0.01, 2)))(jnp.ones(2))
     with pytest.raises(sj.SceneError, match="a single run"):
         sj.linearize(runs)
 
@@ -308,7 +320,7 @@ def test_a_kink_is_said():
         x = motions["body"].position[0]
         return jnp.array([1e3 * (x + 1e3 * x**2), 0.0, 0.0])
 
-    with pytest.warns(sj.LinearizationWarning, match="has? ?a kink|have a kink"):
+    with pytest.warns(sj.LinearizationWarning, match="have a kink"):
         sj.linearize(scene(pushes))
     with warnings.catch_warnings():
         warnings.simplefilter("error", sj.LinearizationWarning)

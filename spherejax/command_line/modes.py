@@ -1,4 +1,4 @@
-"""`spherejax modes`: eigenvalues, mode shapes and frequency responses of a mechanism about its start or rest position."""
+"""`spherejax modes`: eigenvalues, shapes and frequency responses of a mechanism about its start or rest position."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def add_modes(commands) -> None:
         action="append",
         default=[],
         metavar="NUMBER",
-        help="derivatives of the frequencies and damping ratios by a number of the scene, e.g. bodies.rocker.mass; may be "
+        help="derivatives of frequencies and damping ratios by a number of the scene, e.g. bodies.rocker.mass; may be "
         "repeated",
     )
     response = parser.add_argument_group("frequency response")
@@ -77,11 +77,12 @@ def find_modes(options: argparse.Namespace) -> int:
         raise sj.SceneError("a frequency response needs --input, --output and --out FOLDER")
     if not 0 < options.f0 < options.f1 < np.inf or options.points < 2:
         raise sj.SceneError(
-            f"--f0 {options.f0:g} --f1 {options.f1:g} --points {options.points}: frequencies must be positive and rise, "
-            "two at least"
+            f"--f0 {options.f0:g} --f1 {options.f1:g} --points {options.points}: frequencies must be positive and "
+            "rise, two at least"
         )
-    for name in FILES if folder is not None else ():
-        require_free(folder / name, overwrite=options.overwrite)
+    if folder is not None:
+        for name in FILES:
+            require_free(folder / name, overwrite=options.overwrite)
     scene = chosen(options).scene(options)
     linear = sj.linearize(scene, at=options.at, inputs=options.input, outputs=options.output)
     modes = linear.modes()
@@ -130,5 +131,5 @@ def _table(response, path: Path) -> Path:
         writer = csv.writer(file)
         writer.writerow(["frequency [Hz]", *heads])
         for frequency, row in zip(np.asarray(response["frequency"]), values, strict=True):
-            writer.writerow([repr(float(x)) for x in (frequency, *np.stack([row.real, row.imag], 1).ravel())])
+            writer.writerow([repr(float(x)) for x in (frequency, *np.stack([np.real(row), np.imag(row)], 1).ravel())])
     return path

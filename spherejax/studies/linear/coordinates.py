@@ -11,6 +11,13 @@ With the columns of P spanning the null space of D, orthonormal in the mass matr
 for any coordinates x [sqrt(kg) m] and u [sqrt(kg) m/s]: V is the least change of velocities, in kinetic energy, that
 keeps the joints closed. Because P^T M V = 0, x = P^T M dq and u = P^T M dv. The rank of D is judged by the singular
 values of D M^-1/2 with rows of unit length, as in `motion.redundancy`: equations that depend on others change nothing.
+
+With B = [P, 0; V, P] and its left inverse B^+ = [P^T M, 0; 0, P^T M], the flow z' = J z of small changes becomes
+
+    (x, u)' = B^+ (J B - B') (x, u).
+
+B' follows the constraints along the motion, and P turns no more than it must (P^T M P' is symmetric). At rest B' = 0, and
+about a steady motion in axes that turn with it.
 """
 
 from typing import NamedTuple
@@ -55,6 +62,27 @@ class Coordinates(NamedTuple):
         """Coordinates by changes of the state that keep to the constraints, of others by projection."""
         by = self.free.T @ self.mass
         return _stacked(by, np.zeros_like(by), by, np.eye(self.n_memory))
+
+    def turned(self, at: Geometry, along: Geometry, turning: Float[np.ndarray, "3"]) -> np.ndarray:
+        """How `basis` follows the motion, in axes that turn.
+
+        With R the rotation of the axes, D is D R in them and M is R^T M R. Directions that the constraints leave free
+        follow these, and do not turn among each other.
+
+        Args:
+            at: constraints and masses.
+            along: their derivatives along the motion, world axes.
+            turning: angular velocity of the axes [rad/s].
+        """
+        x, y, z = turning
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        n = len(self.mass) // 6
+        turn = np.kron(np.eye(2 * n), cross)
+        D, N = np.asarray(at.by_position) @ turn, np.asarray(at.rate_by_position) @ turn
+        each = np.kron(np.eye(2), cross)
+        masses = np.asarray(at.mass) @ each - each @ np.asarray(at.mass)
+        seen = Geometry(along.mass + masses, None, None, along.by_position + D, along.rate_by_position + N)
+        return self.slopes(at, seen, 0.0)[0]
 
     def slopes(self, at: Geometry, along: Geometry, size: float) -> tuple[np.ndarray, np.ndarray]:
         """How `basis` and `inverse` follow the constraints along a change of numbers.

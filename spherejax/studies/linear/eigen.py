@@ -1,13 +1,13 @@
 """Eigenvalues of a state matrix with its zero ones set apart, and left and right vectors of the others.
 
 A mechanism that can move as a rigid body, or that nothing holds, has pairs of zero eigenvalues with a single vector:
-computed as they stand, rounding splits them to +-1e-8 of the fastest rate, among which slow modes are lost. The zero
-ones are therefore taken out first, by the staircase: an orthonormal basis [Q0, Q1] whose first part spans the null space
-makes A block triangular, [0, *; 0, A1], and so on with A1 until nothing is left in the null space. Ranks are judged by
-singular values after balancing.
+computed as they stand, rounding splits them to +-1e-8 of the fastest rate, among which slow modes are lost. They are
+taken out first, by the staircase: an orthonormal basis [Q0, Q1] whose first part spans the null space makes A block
+triangular, [0, *; 0, A1], and so on with A1 until nothing is left in the null space. Ranks are judged by singular
+values after balancing.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -39,8 +39,9 @@ def eigen(A: Float[np.ndarray, "n n"]) -> Eigen:
     """Eigenvalues and vectors of a state matrix."""
     n = len(A)
     if not n:
-        return Eigen(0, np.zeros(0, complex), *2 * [np.zeros((0, 0), complex)], np.zeros(0))
-    balanced, scaling = scipy.linalg.matrix_balance(A, permute=False)
+        none = np.zeros((0, 0), complex)
+        return Eigen(0, np.zeros(0, complex), none, none, np.zeros(0))
+    balanced, scaling = (np.asarray(each) for each in scipy.linalg.matrix_balance(A, permute=False))
     largest = np.linalg.norm(balanced, 2)
     basis, rest = np.eye(n), balanced
     n_zero = 0
@@ -51,10 +52,12 @@ def eigen(A: Float[np.ndarray, "n n"]) -> Eigen:
             break
         turn = np.concatenate([right[rank:], right[:rank]]).T
         basis[:, n_zero:] = basis[:, n_zero:] @ turn
-        found = turn.T @ rest @ turn
+        turned = turn.T @ rest @ turn
         zeros = len(rest) - rank
-        n_zero, rest = n_zero + zeros, found[zeros:, zeros:]
-    values, left, right = scipy.linalg.eig(rest, left=True) if len(rest) else (np.zeros(0), *2 * [np.zeros((0, 0))])
+        n_zero, rest = n_zero + zeros, turned[zeros:, zeros:]
+    none = np.zeros((0, 0))
+    found: Any = scipy.linalg.eig(rest, left=True) if len(rest) else (np.zeros(0), none, none)
+    values, left, right = found
     # The whole is block triangular in the new basis: above a right vector of the rest stands what it asks for.
     whole = basis.T @ balanced @ basis
     above = np.zeros((n_zero, len(rest)), complex)

@@ -28,8 +28,8 @@ from spherejax.studies.linear.point import Point
 from spherejax.studies.linear.tangent import Equations, moved
 
 AS_DESCRIBED = 1e-8
-"""A start whose constraints are described to this [m or 1] yields to them as the formula says; one that is moved further
-is assembled again, with derivatives."""
+"""A start whose constraints are described to this [m or 1] yields to them as the formula says; one that is moved
+further is assembled again, with derivatives."""
 
 Slopes = tuple[Float[np.ndarray, " p"], Float[np.ndarray, " size"]]
 
@@ -86,7 +86,6 @@ def _of_start(point: Point, number: Number) -> Slopes:
     if not as_described or np.any(point.y[point.system.layout.memory_start :]):
         return theta, _assembled(point, number)
     structure, ideal = flatten_system(as_ideal(point.system))
-    n_v = point.system.layout.n_velocity
 
     def described(value):
         system = as_ideal(_system_of(point, number.changed(point.whole, value)))

@@ -82,17 +82,17 @@ class Modes:
     @property
     def damped_frequency(self) -> Float[np.ndarray, " k"]:
         """Frequency of the oscillation, Im lambda / (2 pi) [Hz]; zero of a mode that does not oscillate."""
-        return self.eigenvalues.imag / (2 * np.pi)
+        return np.imag(self.eigenvalues) / (2 * np.pi)
 
     @property
     def damping_ratio(self) -> Float[np.ndarray, " k"]:
         """-Re lambda / |lambda| [-]; 1 of a mode that dies away without oscillating, negative of one that grows."""
-        return -self.eigenvalues.real / np.abs(self.eigenvalues)
+        return -np.real(self.eigenvalues) / np.abs(self.eigenvalues)
 
     @property
     def is_stable(self) -> bool:
         """Whether no mode grows; zero eigenvalues neither grow nor die."""
-        return bool(np.all(self.eigenvalues.real <= REAL * np.abs(self.eigenvalues)))
+        return bool(np.all(np.real(self.eigenvalues) <= REAL * np.abs(self.eigenvalues)))
 
     def shape(self, mode: int, body: str) -> Complex[np.ndarray, " 6"]:
         """Displacement [m] of a body's center of mass and rotation [rad] in a mode, world axes."""
@@ -117,7 +117,7 @@ class Modes:
 
         d lambda / dp = w^H (dA/dp) v / (w^H v), with left and right vectors w and v. dA/dp is total: the start that is
         assembled and the rest position that is found move with the number, and so do the coordinates. About a moment
-        of a run the state is held.
+        of a run the state is held. Bodies must not move.
 
         Args:
             number: path, e.g. `"joints.elbow.model.stiffness"`, `"bodies.rocker.mass"`.
@@ -126,10 +126,10 @@ class Modes:
             One for each mode; NaN for repeated eigenvalues, whose derivatives depend on what else changes.
 
         Raises:
-            SceneError: for a path that leads nowhere, a number that moves the constraints away from a state of a run, or
-                one that makes redundant constraints contradict each other.
+            SceneError: for a path that leads nowhere, a state with velocities, a number that moves the constraints away from a state of a run,
+                or one that makes redundant constraints contradict each other.
         """
-        slope = _slope_of_A(self.linear, number)
+        slope = _slope_of_matrix(self.linear, number)
         values = np.einsum("ik,ij,jk->k", self._eigen.left.conj(), slope, self._eigen.right)
         return np.where(self.is_simple, values, np.nan)
 
@@ -180,12 +180,14 @@ class Modes:
         over = ("mode", "body", "component")
         return xarray.Dataset(
             {
-                "eigenvalue_real": column(self.eigenvalues.real, "1/s", "growth rate"),
-                "eigenvalue_imag": column(self.eigenvalues.imag, "rad/s", "damped angular frequency"),
+                "eigenvalue_real": column(np.real(self.eigenvalues), "1/s", "growth rate"),
+                "eigenvalue_imag": column(np.imag(self.eigenvalues), "rad/s", "damped angular frequency"),
                 "frequency": column(self.frequency, "Hz", "undamped frequency"),
                 "damping_ratio": column(self.damping_ratio, "1", "damping ratio"),
-                "shape_real": column(self.shapes.real, "m or rad", "displacement and rotation, real part", over),
-                "shape_imag": column(self.shapes.imag, "m or rad", "displacement and rotation, imaginary part", over),
+                "shape_real": column(np.real(self.shapes), "m or rad", "displacement and rotation, real part", over),
+                "shape_imag": column(
+                    np.imag(self.shapes), "m or rad", "displacement and rotation, imaginary part", over
+                ),
             },
             {"mode": np.arange(len(self)), "body": list(self.bodies), "component": list(COMPONENTS)},
             {"n_zero_eigenvalues": self.n_zero, "state": self.linear.point.words},
@@ -250,8 +252,8 @@ def _complex(value: complex) -> str:
 def _one_of_pairs(found: Eigen) -> np.ndarray:
     """Indices of the eigenvalues with Im >= 0, by size; of equal size the one that oscillates faster first."""
     values = found.values
-    upper = np.flatnonzero(values.imag >= -REAL * np.abs(values))
-    order = np.lexsort((-values[upper].imag, np.round(np.abs(values[upper]), 12)))
+    upper = np.flatnonzero(np.imag(values) >= -REAL * np.abs(values))
+    order = np.lexsort((-np.imag(values[upper]), np.round(np.abs(values[upper]), 12)))
     return upper[order]
 
 
@@ -264,17 +266,25 @@ def _normalizing(z: Complex[np.ndarray, " n"], mass: np.ndarray) -> complex:
     return largest.conjugate() / abs(largest) / size
 
 
-def _slope_of_A(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_x"]:
+def _slope_of_matrix(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_x"]:
     """Total derivative of A by a number, in coordinates that turn as little as the constraints allow."""
     point, coordinates = linear.point, linear.coordinates
     number = number_at(point.whole, name)
     theta_slope, y_slope = slopes_of(point, number)
+    speeds = slice(point.system.layout.n_position, point.system.layout.memory_start)
+    if np.any(np.abs(point.y[speeds]) > STANDING) or np.any(
+        np.abs(y_slope[speeds] * number.value(point.whole)) > STANDING
+    ):
+        raise SceneError(
+            f"derivatives of eigenvalues are for a state without velocities; {point.words} bodies move, and {name!r} would "
+            "change how the coordinates turn. Take differences of two linearizations"
+        )
     changed = point.equations.geometry_by_number(theta_slope, y_slope)
     moved = max(float(np.abs(np.asarray(each)).max(initial=0.0)) for each in (changed.residual, changed.violation))
     if moved > LEFT_OVER and point.origin == "run":
         raise SceneError(
-            f"{name!r} moves the constraints, and nothing says how the state of a run follows. Linearize the scene, whose "
-            "start and rest position do"
+            f"{name!r} moves the constraints, and nothing says how the state of a run follows. Linearize the scene, "
+            "whose start and rest position do"
         )
     basis_slope, inverse_slope = coordinates.slopes(linear.geometry, changed, abs(number.value(point.whole)))
     basis, inverse = coordinates.basis, coordinates.inverse
@@ -284,6 +294,9 @@ def _slope_of_A(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_
     kept = linear.kept
     return whole[np.ix_(kept, kept)]
 
+
+STANDING = 1e-9
+"""Velocities [m/s, rad/s] below this are rounding."""
 
 LEFT_OVER = 1e-9
 """Derivatives of constraints above this are no rounding."""

@@ -54,7 +54,7 @@ def numbers_at(whole: Scene | System, path: str) -> list[Number]:
         raise SceneError(f"{path!r} is no path of a number; write e.g. 'forces.push.force.z' or 'bodies.rocker.mass'")
     steps: list[str] = []
     words, at = path.split("."), whole
-    while words and _names_of(at):
+    while words and _has_names(at):
         word = words.pop(0)
         if word not in _names_of(at):
             inner = [name for name in _names_of(at) if word in _names_of(_one(at, name))]
@@ -106,6 +106,10 @@ def _follow(at: Any, steps: tuple[str, ...]) -> Any:
 
 def _one(at: Any, name: str) -> Any:
     return at[name] if isinstance(at, Mapping) else getattr(at, name)
+
+
+def _has_names(at: Any) -> bool:
+    return isinstance(at, Mapping) or (dataclasses.is_dataclass(at) and not isinstance(at, type))
 
 
 def _names_of(at: Any) -> list[str]:

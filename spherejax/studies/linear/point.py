@@ -62,8 +62,8 @@ def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
         raise SceneError(f"linearize: {type(what).__name__} is no scene and no run; give a Scene or a Trajectory")
     if not isinstance(at, str) or at not in ("start", "rest"):
         raise SceneError(
-            f"linearize: at={at!r} is no state of a scene; it is 'start' or 'rest'. For a moment of its motion give the "
-            "run: sj.linearize(sj.simulate(scene, ts), at=0.1)"
+            f"linearize: at={at!r} is no state of a scene; it is 'start' or 'rest'. For a moment of its motion give "
+            "the run: sj.linearize(sj.simulate(scene, ts), at=0.1)"
         )
     if not is_concrete(flatten_system(compile_scene(what).system)[1]):
         raise SceneError("linearize looks at numbers; call it outside of jit, vmap and grad")
@@ -82,14 +82,14 @@ def _of_run(run: Trajectory, at: str | float) -> Point:
     if not is_concrete(run.ys) or np.ndim(run.ys) != 2:
         raise SceneError("linearize takes a single run outside of jit, vmap and grad; take one lane of the batch first")
     ts, ys = np.asarray(run.ts), np.asarray(run.ys)
-    if isinstance(at, str) and at != "start" or not isinstance(at, str) and shape_of(at) != ():
+    if (isinstance(at, str) and at != "start") or (not isinstance(at, str) and shape_of(at) != ()):
         raise SceneError(f"linearize: at={at!r} is no moment of a run; give a sample time [s], or 'start'")
     wanted = float(ts[0]) if isinstance(at, str) else float(at)
     i = int(np.argmin(np.abs(ts - wanted)))
     if not abs(ts[i] - wanted) <= SAME_TIME * max(abs(ts[-1]), abs(ts[0])):
         raise SceneError(
-            f"linearize: the run has no sample at {wanted:.9g} s; the nearest is at {ts[i]:.9g} s. Take that, or add the "
-            "time to ts"
+            f"linearize: the run has no sample at {wanted:.9g} s; the nearest is at {ts[i]:.9g} s. Take that, or add "
+            "the time to ts"
         )
     if not np.all(np.isfinite(ys[i])):
         raise SceneError(f"linearize: the run did not reach {ts[i]:.9g} s: {run.diagnosis}")

@@ -27,9 +27,9 @@ class LinearizationWarning(UserWarning):
 class Linearization:
     """x' = A x + B u, y = C x + D u about a state; prints what it is.
 
-    The states are f coordinates x1, x2, ... [sqrt(kg) m] along the free directions P of the mechanism, orthonormal in its
-    mass matrix, their speeds u1, u2, ... [sqrt(kg) m/s], and what joints remember. At rest x' = u, and the lower left
-    part of A is minus the stiffness over the mass. `basis` says what a state is in the world.
+    The states are f coordinates x1, x2, ... [sqrt(kg) m] along the free directions P of the mechanism, orthonormal in
+    its mass matrix, their speeds u1, u2, ... [sqrt(kg) m/s], and what joints remember. At rest x' = u, and the lower
+    left part of A is minus the stiffness over the mass. `basis` says what a state is in the world.
 
     Attributes:
         A: [1/s], shape (n_x, n_x).
@@ -174,7 +174,7 @@ class Linearization:
         inputs, outputs, states = (
             [name.replace(".", "_") for name in names] for names in (self.inputs, self.outputs, self.states)
         )
-        return control.ss(self.A, self.B, self.C, self.D, inputs=inputs, outputs=outputs, states=states)
+        return control.StateSpace(self.A, self.B, self.C, self.D, inputs=inputs, outputs=outputs, states=states)
 
     def __str__(self) -> str:
         f, m = self.degrees_of_freedom, len(self.states) - 2 * self.degrees_of_freedom

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -11,8 +12,8 @@ from spherejax.studies.linear.point import Point
 from spherejax.studies.linear.tangent import Equations, moved
 
 STEP = 1e-5
-"""Time after which the coefficients are looked at again, as a share of the mechanism's own time and of the time in which
-a body turns by one radian."""
+"""Time after which the coefficients are looked at again, as a share of the mechanism's own time and of the time in
+which a body turns by one radian."""
 
 CONSTANT = 1e-4
 """Changes of the coefficients [share per time scale] below this are rounding; measured for rest positions: 1e-7."""
@@ -67,7 +68,7 @@ def steadiness_of(
     fastest = max(float(np.max(np.abs(velocity * by_kind))), float(np.linalg.norm(turning)), 1 / time)
     step = STEP / fastest
     change = np.concatenate([velocity, rates[n_v:]]) * step
-    y = np.asarray(moved(layout, point.y, change))
+    y = np.asarray(moved(layout, jnp.asarray(point.y), jnp.asarray(change)))
     after = Equations(point.structure, point.theta, point.t + step, y)
     then = coordinates_of(after.geometry, layout.n_memory)
     if then.degrees_of_freedom != coordinates.degrees_of_freedom:
@@ -80,7 +81,7 @@ def steadiness_of(
     # Rows and columns in units of one kind, so that a stiff joint does not hide a change elsewhere more than it must.
     units = np.concatenate([by_kind, by_kind * time, np.full(layout.n_memory, 1 / length)])
     balanced = [np.linalg.norm(units[:, None] * each / units) for each in (difference, whole)]
-    return Steadiness(acceleration, balanced[0] / max(balanced[1], 1e-300) * time / step)
+    return Steadiness(acceleration, float(balanced[0] / max(balanced[1], 1e-300) * time / step))
 
 
 def _turned(turn: np.ndarray, n_v: int, n_memory: int) -> np.ndarray:

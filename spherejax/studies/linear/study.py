@@ -86,15 +86,15 @@ def linearize(
     # Entries of memory that nothing changes (a rate that is remembered while a contact lasts) are no states.
     n_v = 2 * coordinates.degrees_of_freedom
     keep = np.concatenate([np.ones(n_v, bool), np.any(rates[2 * layout.n_velocity :] != 0, axis=1)])
-    A, C = (inverse @ rates)[np.ix_(keep, keep)], values[:, keep]
+    basis_rate = coordinates.turned(found, equations.geometry_rate, axes)
+    A, C = (inverse @ (rates - basis_rate))[np.ix_(keep, keep)], values[:, keep]
     B, D = np.zeros((len(A), 0)), np.zeros((len(C), 0))
     if numbers:
         slopes = np.stack([theta_slope(point, number) for number in numbers], 1)
         forced, shown, held = equations.by_numbers(names, slopes)
         _require_free(numbers, held)
         B, D = (inverse @ forced)[keep], shown
-    steps, sizes = _steps(point, basis)
-    nearby = equations.rates(steps)
+    nearby = equations.rates(_steps(point, basis)[0])
     result = Linearization(
         A=A,
         B=B,
@@ -159,8 +159,8 @@ def _require_regular(point: Point) -> None:
     report = report_at(point.system, point.t, point.y)
     if report.is_singular:
         raise SceneError(
-            f"linearize: the configuration {point.words} is singular: nearby fewer constraint equations depend on others, "
-            "and the mechanism can go on in more than one way. Linearize beside it"
+            f"linearize: the configuration {point.words} is singular: nearby fewer constraint equations depend on "
+            "others, and the mechanism can go on in more than one way. Linearize beside it"
         )
 
 
@@ -174,8 +174,8 @@ def _require_free(numbers: list[Number], held: np.ndarray) -> None:
     for number, column in zip(numbers, held.T, strict=True):
         if np.abs(column).max(initial=0.0) > MOVES_A_CONSTRAINT:
             raise SceneError(
-                f"linearize: input {number.name!r} moves a constraint, so that its rates would act as well. Take a force "
-                "or a number of a law; what a driver prescribes can act through a stiff bushing or spring instead"
+                f"linearize: input {number.name!r} moves a constraint, so that its rates would act as well. Take a "
+                "force or a number of a law; what a driver prescribes can act through a stiff bushing or spring instead"
             )
 
 
@@ -186,7 +186,7 @@ def _state_names(system: System, f: int, keep: np.ndarray) -> tuple[str, ...]:
 
 
 def _steps(point: Point, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """No change, then small ones along each coordinate: forward and back, then both a tenth as long; and their sizes."""
+    """No change, then small ones along each coordinate, forward and back, both also a tenth as long; their sizes."""
     n_v = point.system.layout.n_velocity
     length = float(np.asarray(length_scale(point.system)))
     scales = np.concatenate([np.tile([length] * 3 + [1.0] * 3, n_v // 3), np.full(len(basis) - 2 * n_v, length)])
@@ -209,8 +209,8 @@ def _warn_of_kinks(result: Linearization, nearby: np.ndarray) -> None:
     if np.any(has_kink):
         names = ", ".join(name for name, kink in zip(result.states, has_kink, strict=True) if kink)
         warnings.warn(
-            f"linearize: {result.point.words} the rates have a kink along {names} (friction that reverses, a contact that "
-            "just touches): the derivative holds to one side. Linearize beside it, or take a smooth law",
+            f"linearize: {result.point.words} the rates have a kink along {names} (friction that reverses, a contact "
+            "that just touches): the derivative holds to one side. Linearize beside it, or take a smooth law",
             LinearizationWarning,
             stacklevel=3,
         )

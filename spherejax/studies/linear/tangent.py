@@ -11,6 +11,7 @@ Functions are array code of a system, a time and a point, evaluated as scalar pr
 that compiles nothing.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from spherejax.model.groups import stacks_of
 from spherejax.model.system import Structure, System
 from spherejax.motion.body_motions import body_motions
 from spherejax.motion.constraints import constraint_set, velocity_violation
-from spherejax.motion.dynamics import evaluate, memory_rates
+from spherejax.motion.dynamics import evaluate, memory_rates, state_rate
 from spherejax.motion.programs import SystemFunction, program_for
 from spherejax.motion.quantities import value_at
 from spherejax.physics.bodies import Body, inertia_in_world
@@ -193,26 +194,31 @@ def by_number(structure: Structure, names: tuple[str, ...]) -> SystemFunction:
         def seen(system):
             return _rates(system, t, y, none), _values(system, t, y, names), held(system, t, y)
 
-        return jax.jvp(seen, (system,), (structure.system(change),))[1]
+        return jax.jvp(seen, (_bare(system),), (structure.system(change),))[1]
 
     return slopes
 
 
+def _bare(system: System) -> System:
+    """Without what is stacked ahead, as `Structure.system` makes it."""
+    return replace(system, stacks=None)
+
+
 @lru_cache(maxsize=64)
 def geometry_by_number(structure: Structure) -> SystemFunction:
-    """The function that differentiates constraints and masses along a change of numbers and of the state with them.
+    """The function that differentiates constraints and masses along a change of numbers, time and state.
 
-    Its point is the flat state, the change of numbers, that of the flat state, and a change along which `held_along` is
-    taken.
+    Its point is the flat state, the changes of numbers, of time (one entry) and of the flat state, and a change along
+    which `held_along` is taken.
     """
 
     def slopes(system: System, t: Scalar, point):
-        y, numbers, state, change = point
+        y, numbers, time, state, change = point
 
-        def seen(system, y):
+        def seen(system, t, y):
             return held(system, t, y), masses(system, t, y), held_along(system, t, (y, change))
 
-        return jax.jvp(seen, (system, y), (structure.system(numbers), state))[1]
+        return jax.jvp(seen, (_bare(system), t, y), (structure.system(numbers), time[0], state))[1]
 
     return slopes
 
@@ -221,8 +227,8 @@ def geometry_by_number(structure: Structure) -> SystemFunction:
 def rates_along_by_number(structure: Structure) -> SystemFunction:
     """The function that differentiates `rates_along` along a change of numbers, of the state, and of its direction.
 
-    Its point is the flat state, the angular velocity of the axes, the direction, and the changes of numbers, of the flat
-    state and of the direction.
+    Its point is the flat state, the angular velocity of the axes, the direction, and the changes of numbers, of the
+    flat state and of the direction.
     """
 
     def slopes(system: System, t: Scalar, point) -> Change:
@@ -231,7 +237,7 @@ def rates_along_by_number(structure: Structure) -> SystemFunction:
         def seen(system, y, direction):
             return _rates_along(system, t, y, turning, direction)
 
-        return jax.jvp(seen, (system, y, direction), (structure.system(slope[0]), *slope[1:]))[1]
+        return jax.jvp(seen, (_bare(system), y, direction), (structure.system(slope[0]), *slope[1:]))[1]
 
     return slopes
 
@@ -289,10 +295,15 @@ class Equations:
         """Derivatives of rates, quantities and constraints by numbers, given those of the flat numbers as columns."""
         return self._columns(by_number(self.structure, names), *((column,) for column in slopes.T))
 
-    def geometry_by_number(self, numbers, state) -> Geometry:
-        """Derivative of `geometry` along a change of the flat numbers, and of the flat state with them."""
+    @property
+    def geometry_rate(self) -> Geometry:
+        """Derivative of `geometry` along the motion."""
+        return self.geometry_by_number(np.zeros_like(self.theta), self._compute(state_rate), 1.0)
+
+    def geometry_by_number(self, numbers, state, time: float = 0.0) -> Geometry:
+        """Derivative of `geometry` along a change of the flat numbers, of the flat state and of time with them."""
         n_v, size = self.layout.n_velocity, size_of(self.layout)
-        points = ((numbers, state, unit) for unit in np.eye(size)[:n_v])
+        points = ((numbers, np.array([time]), state, unit) for unit in np.eye(size)[:n_v])
         here, M, slopes = self._columns(geometry_by_number(self.structure), *points)
         return Geometry(M[..., 0], *np.split(here[..., 0], 2), *np.split(slopes, 2))
 
