@@ -16,8 +16,8 @@ With B = [P, 0; V, P] and its left inverse B^+ = [P^T M, 0; 0, P^T M], the flow 
 
     (x, u)' = B^+ (J B - B') (x, u).
 
-B' follows the constraints along the motion, and P turns no more than it must (P^T M P' is symmetric). At rest B' = 0, and
-about a steady motion in axes that turn with it.
+B' follows the constraints along the motion, and P turns no more than it must (P^T M P' is symmetric). At rest B' = 0,
+and about a steady motion in axes that turn with it.
 """
 
 from typing import NamedTuple

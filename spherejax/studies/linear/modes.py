@@ -126,8 +126,8 @@ class Modes:
             One for each mode; NaN for repeated eigenvalues, whose derivatives depend on what else changes.
 
         Raises:
-            SceneError: for a path that leads nowhere, a state with velocities, a number that moves the constraints away from a state of a run,
-                or one that makes redundant constraints contradict each other.
+            SceneError: for a path that leads nowhere, a state with velocities, a number that moves the constraints
+                away from a state of a run, or one that makes redundant constraints contradict each other.
         """
         slope = _slope_of_matrix(self.linear, number)
         values = np.einsum("ik,ij,jk->k", self._eigen.left.conj(), slope, self._eigen.right)
@@ -272,12 +272,11 @@ def _slope_of_matrix(linear: "Linearization", name: str) -> Float[np.ndarray, "n
     number = number_at(point.whole, name)
     theta_slope, y_slope = slopes_of(point, number)
     speeds = slice(point.system.layout.n_position, point.system.layout.memory_start)
-    if np.any(np.abs(point.y[speeds]) > STANDING) or np.any(
-        np.abs(y_slope[speeds] * number.value(point.whole)) > STANDING
-    ):
+    moving = np.abs(point.y[speeds]) + np.abs(y_slope[speeds] * number.value(point.whole))
+    if np.any(moving > STANDING):
         raise SceneError(
-            f"derivatives of eigenvalues are for a state without velocities; {point.words} bodies move, and {name!r} would "
-            "change how the coordinates turn. Take differences of two linearizations"
+            f"derivatives of eigenvalues are for a state without velocities; {point.words} bodies move, and {name!r} "
+            "would change how the coordinates turn. Take differences of two linearizations"
         )
     changed = point.equations.geometry_by_number(theta_slope, y_slope)
     moved = max(float(np.abs(np.asarray(each)).max(initial=0.0)) for each in (changed.residual, changed.violation))
