@@ -2,7 +2,7 @@
 
 from functools import cached_property
 from html import escape
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from spherejax.studies.linear.result import Linearization
 
 REPEATED = 1e-6
 """Eigenvalues closer than this share of their size count as repeated: rounding splits a pair by about 1e-8."""
@@ -51,6 +50,7 @@ class Modes:
     rotations z of all bodies have z^H M z = 1, and the largest is real; a mode of memory alone has none.
 
     Attributes:
+        linear: the `Linearization`.
         eigenvalues: lambda [1/s], shape (k,).
         n_zero: number of zero eigenvalues: two for each free motion that nothing resists, one for each direction in
             which a mechanism has neutral positions or a constant speed, and for what is remembered for ever.
@@ -59,7 +59,7 @@ class Modes:
         memory: of each shape, shape (k, m).
     """
 
-    def __init__(self, linear: "Linearization"):
+    def __init__(self, linear: Any):
         self.linear = linear
         found = eigen(linear.A)
         chosen, self.n_zero = _one_of_pairs(found), found.n_zero
@@ -266,7 +266,7 @@ def _normalizing(z: Complex[np.ndarray, " n"], mass: np.ndarray) -> complex:
     return largest.conjugate() / abs(largest) / size
 
 
-def _slope_of_matrix(linear: "Linearization", name: str) -> Float[np.ndarray, "n_x n_x"]:
+def _slope_of_matrix(linear: Any, name: str) -> Float[np.ndarray, "n_x n_x"]:
     """Total derivative of A by a number, in coordinates that turn as little as the constraints allow."""
     point, coordinates = linear.point, linear.coordinates
     number = number_at(point.whole, name)
