@@ -253,7 +253,6 @@ def test_a_driven_pendulum():
 
 MOVING = {
     "lubricated": (lambda: sj.gallery.four_bar(sj.Lubricated(clearance=cases.C, viscosity=0.4)), 1.2e-4),
-    "friction": (lambda: sj.gallery.four_bar(cases.MODELS["friction"]), 1.2e-4),
     "rubber": (lambda: sj.gallery.four_bar(cases.MODELS["bushing_rubber"]), 1.2e-4),
     "redundant": (sj.gallery.bricard, 1e-3),
 }
@@ -272,7 +271,7 @@ def test_the_matrix_is_the_derivative_of_the_constrained_flow(name):
     assert_follows_the_flow(moment(build(), distance=distance), 1e-5)
 
 
-SLOWLY = [name for name in cases.MODELS if name not in ("lubricated", "friction", "bushing_rubber")]
+SLOWLY = [name for name in cases.MODELS if name not in ("lubricated", "bushing_rubber")]
 
 
 @pytest.mark.slow

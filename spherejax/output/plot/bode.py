@@ -47,7 +47,8 @@ def bode(responses: "xarray.DataArray | Mapping[str, xarray.DataArray]", title: 
         if np.all(np.asarray(first["frequency"]) > 0):
             ax.set_xscale("log")
             ax.xaxis.set_major_formatter("{x:g}")
-    upper.set_yscale("log")
+    if any(np.any(np.asarray(response) != 0) for response in named.values()):
+        upper.set_yscale("log")
     upper.set_ylabel("magnitude [SI units]")
     lower.set_ylabel("phase [deg]")
     lower.set_xlabel("frequency [Hz]")

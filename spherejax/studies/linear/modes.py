@@ -272,7 +272,7 @@ def _slope_of_matrix(linear: Any, name: str) -> Float[np.ndarray, "n_x n_x"]:
     number = number_at(point.whole, name)
     theta_slope, y_slope = slopes_of(point, number)
     speeds = slice(point.system.layout.n_position, point.system.layout.memory_start)
-    moving = np.abs(point.y[speeds]) + np.abs(y_slope[speeds] * number.value(point.whole))
+    moving = np.abs(point.y[speeds]) + np.abs(y_slope[speeds] * number.size(point.whole))
     if np.any(moving > STANDING):
         raise SceneError(
             f"derivatives of eigenvalues are for a state without velocities; {point.words} bodies move, and {name!r} "
@@ -285,7 +285,7 @@ def _slope_of_matrix(linear: Any, name: str) -> Float[np.ndarray, "n_x n_x"]:
             f"{name!r} moves the constraints, and nothing says how the state of a run follows. Linearize the scene, "
             "whose start and rest position do"
         )
-    basis_slope, inverse_slope = coordinates.slopes(linear.geometry, changed, abs(number.value(point.whole)))
+    basis_slope, inverse_slope = coordinates.slopes(linear.geometry, changed, number.size(point.whole))
     basis, inverse = coordinates.basis, coordinates.inverse
     through = theta_slope, y_slope, basis_slope
     whole = inverse_slope @ linear.rates

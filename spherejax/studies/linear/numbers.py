@@ -37,6 +37,10 @@ class Number(NamedTuple):
         """Its value."""
         return float(np.asarray(_follow(whole, self.steps), np.float64)[self.index])
 
+    def size(self, whole: Scene | System) -> float:
+        """How large it is: the largest of the numbers that it stands among; 1 where all are zero."""
+        return float(np.abs(np.asarray(_follow(whole, self.steps), np.float64)).max()) or 1.0
+
     def changed(self, whole: Any, value: Any) -> Any:
         """The scene or system with another value; it may be traced."""
         leaf = jnp.asarray(_follow(whole, self.steps), jnp.float64)
@@ -105,16 +109,20 @@ def _follow(at: Any, steps: tuple[str, ...]) -> Any:
 
 
 def _one(at: Any, name: str) -> Any:
+    if isinstance(at, (tuple, list)):
+        return at[int(name)]
     return at[name] if isinstance(at, Mapping) else getattr(at, name)
 
 
 def _has_names(at: Any) -> bool:
-    return isinstance(at, Mapping) or (dataclasses.is_dataclass(at) and not isinstance(at, type))
+    return isinstance(at, (Mapping, tuple, list)) or (dataclasses.is_dataclass(at) and not isinstance(at, type))
 
 
 def _names_of(at: Any) -> list[str]:
     if isinstance(at, Mapping):
         return [str(name) for name in at]
+    if isinstance(at, (tuple, list)):
+        return [str(i) for i in range(len(at))]
     if dataclasses.is_dataclass(at) and not isinstance(at, type):
         return [field.name for field in dataclasses.fields(at) if field.name[0] != "_"]
     return []

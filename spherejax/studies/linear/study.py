@@ -31,6 +31,9 @@ KINK_STEP, KINK = 1e-6, 1e-3
 """Length of the steps across which slopes are compared, as a share of the mechanism's, and the least share of a column
 of A by which they must differ to count."""
 
+ROUNDING = 1e-13
+"""Share of accelerations that is rounding: 500 times that of a number, for sums of forces."""
+
 
 def linearize(
     what: Scene | Trajectory,
@@ -198,6 +201,8 @@ def _steps(point: Point, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _warn_of_kinks(result: Linearization, nearby: np.ndarray) -> None:
     """Compare slopes to both sides at two distances: what differs no less at the smaller one is a kink."""
     _, sizes = _steps(result.point, result.coordinates.basis)
+    if not len(sizes):
+        return
     nearby = nearby.copy()
     nearby[:, : result.point.system.layout.n_velocity] = 0.0
     reduced = (nearby[1:] - nearby[0]) @ result.inverse.T
@@ -205,7 +210,9 @@ def _warn_of_kinks(result: Linearization, nearby: np.ndarray) -> None:
     jumps = [np.linalg.norm(far + back, axis=1) / sizes, np.linalg.norm(near + near_back, axis=1) / (0.1 * sizes)]
     jumps = [jump[result.kept] for jump in jumps]
     columns = np.linalg.norm(result.A, axis=0)
-    has_kink = (jumps[1] > jumps[0] / 2) & (jumps[1] > KINK * np.maximum(columns, 1e-6 * columns.max(initial=0.0)))
+    # What rounding leaves of accelerations that cancel, over the length of the smaller step.
+    noise = ROUNDING * np.linalg.norm(np.abs(result.inverse) @ np.abs(nearby[0])) / (0.1 * sizes[result.kept])
+    has_kink = (jumps[1] > jumps[0] / 2) & (jumps[1] > KINK * columns + noise)
     if np.any(has_kink):
         names = ", ".join(name for name, kink in zip(result.states, has_kink, strict=True) if kink)
         warnings.warn(

@@ -242,6 +242,11 @@ def rates_along_by_number(structure: Structure) -> SystemFunction:
     return slopes
 
 
+def _one_at_least(basis) -> list[np.ndarray]:
+    """Columns of a basis; of one without any, as a mechanism without freedom has, no change at all."""
+    return list(basis.T) or [np.zeros(len(basis))]
+
+
 # Evaluated ----------------------------------------------------------------------------------------------------------
 
 
@@ -283,13 +288,14 @@ class Equations:
 
     def rates_along(self, turning, basis) -> np.ndarray:
         """Derivatives of the rates along the columns of a basis, in turning axes."""
-        return self._columns(rates_along, *((turning, column) for column in basis.T))
+        return self._columns(rates_along, *((turning, column) for column in _one_at_least(basis)))[:, : basis.shape[1]]
 
     def values_along(self, names: tuple[str, ...], basis) -> np.ndarray:
         """Derivatives of quantities along the columns of a basis."""
         if not names:
             return np.zeros((0, basis.shape[1]))
-        return self._columns(values_along(names), *((column,) for column in basis.T))
+        found = self._columns(values_along(names), *((column,) for column in _one_at_least(basis)))
+        return found[:, : basis.shape[1]]
 
     def by_numbers(self, names: tuple[str, ...], slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives of rates, quantities and constraints by numbers, given those of the flat numbers as columns."""
