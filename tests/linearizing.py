@@ -79,9 +79,11 @@ def by_differences(lin: sj.Linearization, step: float) -> np.ndarray:
     rate = program_for(state_rate, point.structure, is_quiet=True)
     f0 = np.asarray(rate.compute(point.theta, point.t, point.y))
     n_v = layout.n_velocity
+    # A step of 1e-5 m is one of 1 mm/s, and of 0.1 um for bristles, which bend by micrometers.
+    weights = np.concatenate([np.ones(n_v), 1e-2 * np.ones(n_v), 1e2 * np.ones(layout.n_memory)])
     columns = []
     for direction in lin.basis.T:
-        size = step / np.max(np.abs(direction[:n_v]), initial=1e-2 * np.max(np.abs(direction)))
+        size = step / np.max(np.abs(direction) * weights)
         slopes = []
         for h in (size, 2 * size):
             found = []
