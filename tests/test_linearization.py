@@ -275,12 +275,16 @@ def test_the_matrix_is_the_derivative_of_the_constrained_flow(name):
     assert_follows_the_flow(moment(build(), distance=distance), step)
 
 
+ROUNDED = ("dry_hertz", "lubricated_hertz", "bushing_rubber_turning")
+"""Where rounding of large forces, or small steps of what is remembered, drown the slow columns of the differences."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", cases.MODELS)
 def test_the_matrix_is_the_derivative_of_the_flow_whatever_the_joint(name):
     distance = 1e-3 if name.startswith("ideal") else 1.2e-4
     run = moment(sj.gallery.four_bar(cases.MODELS[name]), distance=distance)
-    assert_follows_the_flow(run, 1e-5, by_column=name not in ("dry_hertz", "lubricated_hertz"))
+    assert_follows_the_flow(run, 1e-5, by_column=name not in ROUNDED)
 
 
 @pytest.mark.slow
