@@ -380,6 +380,32 @@ def scene(name: str) -> Callable[[], Figure]:
     return lambda: sj.draw(getattr(sj.gallery, name)())
 
 
+def modes() -> Figure:
+    """Modes of an arm on rubber, with a weight that hangs from it."""
+    place = (0.02, 0.05, -0.1)
+    arm = sj.Body(1.0, (1e-2,) * 3, place, points={"pivot": tuple(-x for x in place)})
+    rubber = sj.MatrixElastomer.cylindrical(
+        (0.0, 1.0, 0.0),
+        radial_stiffness=4e3,
+        axial_stiffness=3e3,
+        conical_stiffness=80.0,
+        torsional_stiffness=40.0,
+        damping=1e-3,
+    )
+    axis = (0.1, 1.0, 0.0)
+    scene = sj.Scene(
+        {"arm": arm, "weight": sj.Body(0.5, (1e-3,) * 3, (0.07, 0.05, -0.28))},
+        {
+            "mount": sj.Spherical("ground.pivot", "arm.pivot", sj.Bushing(law=rubber)),
+            "hinge": sj.Revolute(("arm", "weight"), (0.05, 0.05, -0.2), axis),
+        },
+        {"coil": sj.TorsionalSpring(("arm", "weight"), axis, 2.0, 0.1)},
+        ground_points={"pivot": (0.0, 0.0, 0.0)},
+    )
+    found = sj.linearize(scene, at="rest").modes()
+    return sj.plot.modes(found, title="An arm on rubber: modes at rest")
+
+
 PICTURES: dict[str, Callable[[], Figure]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
@@ -391,6 +417,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,
+    "modes": modes,
     "suspension_over_bump": suspension,
     "wear": wear,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},

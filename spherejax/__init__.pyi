@@ -158,6 +158,7 @@ from .studies.bayes import Posterior, posterior
 from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
+from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
 from .studies.sweep import (
@@ -247,6 +248,8 @@ __all__ = [
     "LevenbergMarquardt",
     "Line",
     "Linear",
+    "Linearization",
+    "LinearizationWarning",
     "LongBearing",
     "LuGre",
     "Lubricated",
@@ -255,6 +258,7 @@ __all__ = [
     "Maxwell",
     "Measured",
     "Mode",
+    "Modes",
     "NoDriftControl",
     "NotScalarizable",
     "OutOfRangeWarning",
@@ -351,6 +355,7 @@ __all__ = [
     "generalized_stiffness",
     "half_sphere_load",
     "hybrid_weight",
+    "linearize",
     "load_scene",
     "load_urdf",
     "maximum_penetration",

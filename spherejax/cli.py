@@ -1,4 +1,4 @@
-"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|write|list`."""
+"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|write|list`."""
 
 import argparse
 import difflib
@@ -91,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.fit import add_fit
+    from spherejax.command_line.modes import add_modes
     from spherejax.command_line.run import add_run
     from spherejax.command_line.sensitivity import add_sensitivity
     from spherejax.command_line.sweep import add_sweep
@@ -108,6 +109,7 @@ def parser() -> argparse.ArgumentParser:
         add_sweep,
         add_fit,
         add_sensitivity,
+        add_modes,
         add_write,
         add_list,
     ):

@@ -9,16 +9,19 @@ of a whole study come from its result: `fitted.figures()`, `study.figures(...)`;
 histories of runs           `curves_of` for `four_histories`, `phase_portraits`, `eccentricity_paths`
                             `Panel` for `model_histories`
 force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
+linearizations              `bode`, `modes`
 sweeps                      `figures_of_sweep`
 figures of your own         `new_figure`, `letter`, `ordered_colors`, `MODEL_COLORS`, `LAW_COLORS`, `LAW_DASHES`
 
 Matplotlib is imported with this module, and this module when `sj.plot` is first used.
 """
 
+from spherejax.output.plot.bode import bode
 from spherejax.output.plot.curves import Curves, curves_of
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
+from spherejax.output.plot.modes import modes
 from spherejax.output.plot.panels import Panel, Shade, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.stiffness import dynamic_stiffness
@@ -32,6 +35,7 @@ __all__ = [
     "Curves",
     "Panel",
     "Shade",
+    "bode",
     "curves_of",
     "dynamic_stiffness",
     "eccentricity_paths",
@@ -42,6 +46,7 @@ __all__ = [
     "impact_loops",
     "letter",
     "model_histories",
+    "modes",
     "new_figure",
     "ordered_colors",
     "phase_portraits",

@@ -47,7 +47,9 @@ def test_reading_a_file_runs_no_code_unless_it_is_allowed(tmp_path):
     assert (tmp_path / "it_ran").exists()
 
 
-@pytest.mark.parametrize("command", ["run", "draw", "effects", "accuracy", "sweep", "fit", "sensitivity", "write"])
+@pytest.mark.parametrize(
+    "command", ["run", "draw", "effects", "accuracy", "sweep", "fit", "sensitivity", "modes", "write"]
+)
 def test_every_command_asks_before_it_runs_code(command, tmp_path, capsys):
     path = scene_with(tmp_path, "my_laws.py:Magnet", marking(tmp_path))
     needed = {

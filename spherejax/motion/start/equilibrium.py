@@ -87,12 +87,23 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
             f"no rest position was found near the start: {float(residual):.1e} of the scene's length remains. Start "
             "nearer to it, or let a damped motion come to rest first"
         )
-    state = unpack(Layout(len(system.bodies)), y)
+    return Equilibrium(resting_at(scene, system, y), residual)
+
+
+def resting_at(scene: Scene, system: System, y: Float[Array, " n"]) -> Scene:
+    """The scene with its bodies at rest in the positions of a state, and joints that are as loaded there.
+
+    Args:
+        scene: the scene.
+        system: of it, for the order of the state.
+        y: flat state, of which positions are read.
+    """
+    state = unpack(Layout(len(system.bodies)), y[: (POSITION_SIZE + VELOCITY_SIZE) * len(system.bodies)])
     bodies = dict(scene.bodies)
     for index, name in enumerate(system.bodies):
         bodies[name] = _resting(bodies[name], state.position[index], state.quaternion[index])
     joints = {name: _loaded(joint) for name, joint in scene.joints.items()}
-    return Equilibrium(eqx.tree_at(lambda s: (s.bodies, s.joints), scene, (bodies, joints)), residual)
+    return eqx.tree_at(lambda s: (s.bodies, s.joints), scene, (bodies, joints))
 
 
 def _loaded(joint: AbstractJoint) -> AbstractJoint:

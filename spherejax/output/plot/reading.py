@@ -51,6 +51,11 @@ def mechanism_of(what: Scene | Trajectory, scene: Scene | None = None) -> Mechan
     return _mechanism(what.system, what.system.layout, ts[reached], ys[reached], scene, what)
 
 
+def mechanism_at(system: System, t: float, y: np.ndarray) -> Mechanism:
+    """A system at one time [s] and flat state, ready to be drawn."""
+    return _mechanism(system, system.layout, np.array([t]), np.asarray(y)[None], None, None)
+
+
 def _of_scene(scene: Scene) -> Mechanism:
     system = compile_scene(scene).system
     structure, theta = flatten_system(as_ideal(system))

@@ -1,0 +1,100 @@
+"""The state about which a mechanism is linearized: of a scene at its start or at rest, or of a run at a sample."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import shape_of
+from spherejax.model.scene import Scene
+from spherejax.model.system import Structure, System, compile_scene, flatten_system
+from spherejax.motion.integration.integrate import initial_state
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.start.equilibrium import equilibrium
+from spherejax.motion.start.start_now import start_now
+from spherejax.studies.linear.tangent import Equations
+
+SAME_TIME = 1e-9
+"""A sample is meant by a time that differs from its own by less than this share of the run."""
+
+
+class Point(NamedTuple):
+    """A state of a system, and what it comes from.
+
+    Attributes:
+        whole: the scene, or the system of a run: where numbers are found by name.
+        system: the system.
+        structure, theta: of the system.
+        t: time [s].
+        y: flat state.
+        words: what state it is.
+        origin: "start", "rest" or "run": how the state follows numbers.
+    """
+
+    whole: Scene | System
+    system: System
+    structure: Structure
+    theta: Float[np.ndarray, " p"]
+    t: float
+    y: Float[np.ndarray, " size"]
+    words: str
+    origin: str
+
+    @property
+    def equations(self) -> Equations:
+        """The equations of motion about it."""
+        return Equations(self.structure, self.theta, self.t, self.y)
+
+
+def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
+    """The state that is asked for.
+
+    Raises:
+        SceneError: for something that is no scene or run, a moment that there is not, or traced numbers.
+    """
+    if isinstance(what, Trajectory):
+        return _of_run(what, at)
+    if not isinstance(what, Scene):
+        raise SceneError(f"linearize: {type(what).__name__} is no scene and no run; give a Scene or a Trajectory")
+    if not isinstance(at, str) or at not in ("start", "rest"):
+        raise SceneError(
+            f"linearize: at={at!r} is no state of a scene; it is 'start' or 'rest'. For a moment of its motion give "
+            "the run: sj.linearize(sj.simulate(scene, ts), at=0.1)"
+        )
+    if not is_concrete(flatten_system(compile_scene(what).system)[1]):
+        raise SceneError("linearize looks at numbers; call it outside of jit, vmap and grad")
+    scene = equilibrium(what, t=t).scene if at == "rest" else what
+    system = compile_scene(scene).system
+    structure, theta = flatten_system(system)
+    assembly = start_now(system, np.array([t]), stacklevel=4)
+    assert assembly is not None
+    y = np.asarray(initial_state(system, jax.tree.map(jnp.asarray, assembly)))
+
+    words = "at rest" if at == "rest" else "about the start"
+    return Point(what, system, structure, np.asarray(theta), t, y, words, at)
+
+
+def _of_run(run: Trajectory, at: str | float) -> Point:
+    if not is_concrete(run.ys) or np.ndim(run.ys) != 2:
+        raise SceneError("linearize takes a single run outside of jit, vmap and grad; take one lane of the batch first")
+    ts, ys = np.asarray(run.ts), np.asarray(run.ys)
+    if (isinstance(at, str) and at != "start") or (not isinstance(at, str) and shape_of(at) != ()):
+        raise SceneError(f"linearize: at={at!r} is no moment of a run; give a sample time [s], or 'start'")
+    wanted = float(ts[0]) if isinstance(at, str) else float(at)
+    i = int(np.argmin(np.abs(ts - wanted)))
+    if not abs(ts[i] - wanted) <= SAME_TIME * max(abs(ts[-1]), abs(ts[0])):
+        raise SceneError(
+            f"linearize: the run has no sample at {wanted:.9g} s; the nearest is at {ts[i]:.9g} s. Take that, or add "
+            "the time to ts"
+        )
+    if not np.all(np.isfinite(ys[i])):
+        raise SceneError(f"linearize: the run did not reach {ts[i]:.9g} s: {run.diagnosis}")
+    system = run.system
+    structure, theta = flatten_system(system)
+
+    words = f"of the run at {ts[i]:.6g} s"
+    return Point(system, system, structure, np.asarray(theta), float(ts[i]), ys[i], words, "run")
