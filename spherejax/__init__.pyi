@@ -27,6 +27,7 @@ from .motion.steps import PartingWarning
 from .motion.trajectory import Trajectory
 from .output.citations import cite
 from .output.drawing import animate, draw, view
+from .output.report import report
 from .physics.bodies import Body
 from .physics.forces import (
     AbstractForce,
@@ -357,6 +358,7 @@ __all__ = [
     "random_samples",
     "read_scene_file",
     "realized_restitution",
+    "report",
     "runtime",
     "save_scene",
     "scalarize",

@@ -25,6 +25,7 @@ from spherejax.motion.observables import Observation, looked_up, observe
 from spherejax.motion.programs import program_for
 from spherejax.motion.quantities import quantity
 from spherejax.motion.redundancy import ConstraintReport, report_at, singular_joints
+from spherejax.motion.reported import Reported
 from spherejax.motion.spectra import spectrum
 from spherejax.motion.statistics import Statistics
 from spherejax.motion.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Trajectory(eqx.Module):
+class Trajectory(eqx.Module, Reported):
     """A simulated motion.
 
     It is a pytree: it can be returned from `jax.jit` and `jax.vmap` (its arrays then have a leading axis of lanes; use

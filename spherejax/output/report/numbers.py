@@ -1,0 +1,120 @@
+"""Every physical number of a scene or a run with its unit, as the classes describe themselves."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from spherejax.files.fields import Context, Field
+from spherejax.files.kinds import attributes_told, fields_of
+from spherejax.files.objects import build, describe, numbers_in_units
+from spherejax.files.parts import Either, Part
+from spherejax.files.quantities import Points
+from spherejax.foundations.checks import is_concrete
+from spherejax.model.scene import Scene
+from spherejax.model.system import System
+from spherejax.physics.joints import AbstractPlacedJoint
+
+MOST_ENTRIES = 12
+"""Numbers of an array that are written out; of a longer one shape, smallest and largest."""
+
+PLACED = {"places": "m", "place": "m", "origin": "m", "length": "m", "center": "m", "radius": "m"}
+"""Units of a placed joint's geometry, which a run knows in body axes; directions are pure numbers."""
+
+DIRECTIONS = ("axis", "axes", "across", "pointer", "normals", "right_angles")
+
+
+class Used(NamedTuple):
+    """One number, or what a part is.
+
+    Attributes:
+        name: where it stands, e.g. `"joints.elbow.model.clearance"`.
+        value: as text.
+        unit: SI; empty where nothing says it.
+        meaning: what its class says of it.
+    """
+
+    name: str
+    value: str
+    unit: str
+    meaning: str
+
+
+def numbers_of(what: Scene | System) -> list[Used]:
+    """All numbers of a scene, or of the system of a run, in the order of their names."""
+    context = Context(Path(), {}, {}, build, describe)
+    gravity = Used("gravity", written(what.gravity), "m/s^2", "acceleration of gravity, world axes")
+    found = [gravity]
+    if isinstance(what, Scene):
+        found += [Used(f"ground.{name}", written(at), "m", "point") for name, at in what.ground_points.items()]
+    for family in ("bodies", "joints", "forces"):
+        for name, part in getattr(what, family).items():
+            found += _of(f"{family}.{name}", part, context)
+    return [*found, *_of("drift", what.drift, context)]
+
+
+def _of(name: str, made: Any, context: Context) -> Iterator[Used]:
+    """An object: what it is, then its numbers, then the objects in it."""
+    cls = type(made)
+    told, known = _asked(attributes_told, cls), _asked(fields_of, cls)
+    yield Used(name, cls.__name__, "", "")
+    inside = context._replace(words={**context.words, **_asked(numbers_in_units, made)})
+    for one in fields(made):
+        value = getattr(made, one.name, None)
+        yield from _value(f"{name}.{one.name}", value, known.get(one.name), told.get(one.name, ""), inside, made)
+
+
+def _value(name: str, value: Any, field: Field | None, meaning: str, context: Context, owner: Any) -> Iterator[Used]:
+    if value is None or (callable(value) and not is_dataclass(value)):
+        return
+    if isinstance(value, eqx.Module) or (is_dataclass(value) and not isinstance(value, type)):
+        part = field.part if isinstance(field, Either) else field
+        yield from _of(name, value, part.inside(context) if isinstance(part, Part) else context)
+    elif isinstance(value, Mapping):
+        for key, each in value.items():
+            yield from _value(f"{name}.{key}", each, field, meaning, context, owner)
+    elif isinstance(value, bool | str):
+        # Names of bodies and points say where a part is; they are no numbers.
+        if isinstance(value, bool):
+            yield Used(name, "true" if value else "false", "", meaning)
+    elif isinstance(value, list | tuple) and any(isinstance(each, eqx.Module | str | tuple) for each in value):
+        for i, each in enumerate(value):
+            if not isinstance(each, str):
+                yield from _value(f"{name}[{i}]", each, field, meaning, context, owner)
+    elif (text := written(value)) is not None:
+        yield Used(name, text, _unit(name, field, context, owner), meaning)
+
+
+def _unit(name: str, field: Field | None, context: Context, owner: Any) -> str:
+    """The unit that the class states; of a placed joint's geometry, what it is in."""
+    unit = "m" if isinstance(field, Points) else None if field is None else field.unit(context)
+    if unit is None and isinstance(owner, AbstractPlacedJoint):
+        key = name.rpartition(".")[2].partition("[")[0]
+        unit = "1" if key in DIRECTIONS else PLACED.get(key)
+    return unit or ""
+
+
+def written(value: Any) -> Any:
+    """A number or an array as text; None for what is neither, and for what is traced."""
+    if not is_concrete(value):
+        return None
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return None
+    if array.ndim == 0:
+        return f"{float(array):.10g}"
+    if array.size > MOST_ENTRIES:
+        return f"{array.size} numbers, shape {array.shape}, from {array.min():.6g} to {array.max():.6g}"
+    return np.array2string(array, separator=", ", formatter={"float_kind": lambda x: f"{x:.10g}"}, max_line_width=10**6)
+
+
+def _asked(question: Callable, what: Any) -> dict:
+    """What a class says of itself; nothing where a user's class cannot be asked."""
+    try:
+        return dict(question(what))
+    except (TypeError, ValueError, AssertionError):
+        return {}
