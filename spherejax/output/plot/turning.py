@@ -84,11 +84,8 @@ class _Maker:
 
     def _box(self, body: str, at, half: np.ndarray, color: str, alpha: float) -> list[Shape]:
         """Six faces, of which the viewer leaves out those behind; half sides as columns, in the body's axes."""
-        half = half * [
-            1.0,
-            1.0,
-            1.0 if np.linalg.det(half) >= 0 else -1.0,
-        ]  # outlines run counterclockwise from outside
+        # Right-handed, so that outlines run counterclockwise from outside.
+        half = half * [1.0, 1.0, 1.0 if np.linalg.det(half) >= 0 else -1.0]
         found = []
         for i in range(3):
             for side in (1.0, -1.0):
@@ -152,7 +149,7 @@ class _Maker:
         """A box on a rod along which it slides."""
         which, axis = joint.axes[0]
         across, along = perpendiculars(axis)
-        half = self.s * np.stack([1.5 * axis, 0.8 * across, 0.8 * np.cross(axis, across)], -1)
+        half = self.s * np.stack([1.5 * axis, 0.8 * across, 0.8 * along], -1)
         box = self._box(joint.bodies[which], joint.places[which], half, INK, 0.12)
         return [self._axis_line(joint, 0, 3.4 * self.s, edge=INK, width=2.0), *box]
 

@@ -12,7 +12,7 @@ from spherejax.files.fields import Context, Field
 from spherejax.files.kinds import attributes_told, fields_of
 from spherejax.files.objects import build, describe, numbers_in_units
 from spherejax.files.parts import Either, Part
-from spherejax.files.quantities import Points
+from spherejax.files.quantities import Coefficients, Points
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
@@ -21,7 +21,9 @@ from spherejax.physics.joints import AbstractPlacedJoint
 MOST_ENTRIES = 12
 """Numbers of an array that are written out; of a longer one shape, smallest and largest."""
 
-PLACED = {"places": "m", "place": "m", "origin": "m", "length": "m", "center": "m", "radius": "m"}
+PLACED = dict.fromkeys(
+    ("places", "place", "socket_place", "ball_place", "origin", "length", "center", "radius"), "m"
+) | {"start_quaternion": "1"}
 """Units of a placed joint's geometry, which a run knows in body axes; directions are pure numbers."""
 
 DIRECTIONS = ("axis", "axes", "across", "pointer", "normals", "right_angles")
@@ -64,6 +66,8 @@ def _of(name: str, made: Any, context: Context) -> Iterator[Used]:
     inside = context._replace(words={**context.words, **_asked(numbers_in_units, made)})
     for one in fields(made):
         value = getattr(made, one.name, None)
+        if one.name.startswith("_"):  # what a class keeps for itself follows from the others
+            continue
         yield from _value(f"{name}.{one.name}", value, known.get(one.name), told.get(one.name, ""), inside, made)
 
 
@@ -77,15 +81,18 @@ def _value(name: str, value: Any, field: Field | None, meaning: str, context: Co
         for key, each in value.items():
             yield from _value(f"{name}.{key}", each, field, meaning, context, owner)
     elif isinstance(value, bool | str):
-        # Names of bodies and points say where a part is; they are no numbers.
-        if isinstance(value, bool):
-            yield Used(name, "true" if value else "false", "", meaning)
+        yield Used(name, value if isinstance(value, str) else "true" if value else "false", "", meaning)
     elif isinstance(value, list | tuple) and any(isinstance(each, eqx.Module | str | tuple) for each in value):
+        if all(isinstance(each, str) for each in value):
+            yield Used(name, ", ".join(value), "", meaning)
+            return
         for i, each in enumerate(value):
-            if not isinstance(each, str):
-                yield from _value(f"{name}[{i}]", each, field, meaning, context, owner)
+            yield from _value(f"{name}[{i}]", each, field, meaning, context, owner)
     elif (text := written(value)) is not None:
-        yield Used(name, text, _unit(name, field, context, owner), meaning)
+        unit = (
+            _units_of_powers(value, context) if isinstance(field, Coefficients) else _unit(name, field, context, owner)
+        )
+        yield Used(name, text, "1" if type(value) is int and not unit else unit, meaning)
 
 
 def _unit(name: str, field: Field | None, context: Context, owner: Any) -> str:
@@ -97,6 +104,12 @@ def _unit(name: str, field: Field | None, context: Context, owner: Any) -> str:
     return unit or ""
 
 
+def _units_of_powers(coefficients: Any, context: Context) -> str:
+    """Each coefficient of a polynomial has a unit of its own."""
+    units = [context.unit(Coefficients.si_of(k)) or "?" for k in range(np.size(coefficients))]
+    return ", ".join(units)
+
+
 def written(value: Any) -> Any:
     """A number or an array as text; None for what is neither, and for what is traced."""
     if not is_concrete(value):
@@ -105,11 +118,14 @@ def written(value: Any) -> Any:
         array = np.asarray(value, float)
     except (TypeError, ValueError):
         return None
+    if not array.size:
+        return None
     if array.ndim == 0:
         return f"{float(array):.10g}"
     if array.size > MOST_ENTRIES:
         return f"{array.size} numbers, shape {array.shape}, from {array.min():.6g} to {array.max():.6g}"
-    return np.array2string(array, separator=", ", formatter={"float_kind": lambda x: f"{x:.10g}"}, max_line_width=10**6)
+    text = np.array2string(array, separator=", ", formatter={"float_kind": lambda x: f"{x:.10g}"}, max_line_width=10**6)
+    return " ".join(text.split())
 
 
 def _asked(question: Callable, what: Any) -> dict:

@@ -63,7 +63,7 @@ def page_of_run(run: Trajectory, title: str, scene: Scene | None) -> Page:
 def page_of_scene(scene: Scene, title: str) -> Page:
     """The report of a scene that was not simulated."""
     page = Page(
-        title or f"Mechanism of {', '.join(scene.bodies)}", "A mechanism at its assembled start; not simulated."
+        title or f"Mechanism of {', '.join(scene.bodies)}", "Not simulated: a mechanism at its assembled start."
     )
     page.add("The mechanism", Motion([viewed(scene, "")]), Picture(draw(scene), "the mechanism at its assembled start"))
     add_sources(page, scene)
@@ -73,9 +73,7 @@ def page_of_scene(scene: Scene, title: str) -> Page:
 def _verdict(run: Trajectory) -> str:
     first, last = (float(run.ts[i]) for i in (0, -1))
     if bool(run.succeeded):
-        return (
-            f"Succeeded: the run reached its end, {first:.9g} s to {last:.9g} s, and its audit of itself found nothing."
-        )
+        return f"Succeeded: the run reached its end, {first:.9g} s to {last:.9g} s, its audit is below."
     name = Status(int(run.ended)).name.lower().replace("_", " ")
     return f"FAILED ({name}): the run stopped at t = {float(run.t_reached):.9g} s of {last:.9g} s."
 
@@ -202,7 +200,7 @@ def _contacts(run: Trajectory, joint: str) -> list[Table | Text]:
         return [Text([str(error)])]
     if not found.sizes["contact"]:
         return [Text(["The ball never touches its socket."])]
-    columns = [name for name in found.data_vars if found[name].dims == ("contact",)]
+    columns = [str(name) for name in found.data_vars if found[name].dims == ("contact",)]
     heads = ("contact", *(f"{name.replace('_', ' ')} [{found[name].attrs.get('units', '')}]" for name in columns))
     values = np.stack([np.asarray(found[name], float) for name in columns], -1)
     rows = [(str(i + 1), *("-" if np.isnan(x) else f"{x:.5g}" for x in row)) for i, row in enumerate(values)]

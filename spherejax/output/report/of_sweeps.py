@@ -31,7 +31,8 @@ def page_of_sweep(swept: "xarray.Dataset", title: str, scene: Scene | None) -> P
     failed, missing = int((status > Status.SUCCEEDED).sum()), int((status == MISSING).sum())
     done = f"Succeeded: all {status.size:,} runs." if not failed else f"FAILED: {failed:,} of {status.size:,} runs."
     if missing:
-        done = f"{'FAILED' if failed else 'NOT FINISHED'}: {missing:,} of {status.size:,} runs are missing, {failed:,} failed."
+        word = "FAILED" if failed else "NOT FINISHED"
+        done = f"{word}: {missing:,} of {status.size:,} runs are missing, {failed:,} failed."
     page = Page(title or f"Sweep of {', '.join(_varied(swept))}", done)
     page.failed += [line for line in str(swept.attrs.get("failures", "")).splitlines() if line]
     if missing:

@@ -92,7 +92,7 @@ class Picture:
     figure: "Figure"
     shows: str
 
-    def bytes(self, dpi: int) -> bytes:
+    def png(self, dpi: int) -> bytes:
         """As PNG."""
         data = io.BytesIO()
         self.figure.savefig(data, format="png", dpi=dpi, facecolor="white")
@@ -193,7 +193,7 @@ class Page:
         every = [part for section in self.sections for part in section.parts if isinstance(part, Picture)]
         found: dict[int, bytes] = {}
         for dpi in RESOLUTIONS:
-            found = {id(picture): picture.bytes(dpi) for picture in every}
+            found = {id(picture): picture.png(dpi) for picture in every}
             if sum(map(len, found.values())) <= MOST_OF_PICTURES:
                 break
         return found

@@ -20,12 +20,13 @@ def report(
 ) -> Path:
     """Write a page of HTML about a result: one file that opens in any browser, without a network.
 
-    On top stands how it ended, in red with the diagnosis where something failed, in amber what is to be minded. Below are
-    the mechanism in space, to play and turn; figures; tables of costs, audit, peaks and contacts; every number that was
-    used, with its unit; what to cite; versions.
+    On top stands how it ended, in red with the diagnosis where something failed, in amber what is to be minded. Below
+    are the mechanism in space, to play and turn; figures; tables of costs, audit, peaks and contacts; every number that
+    was used, with its unit; what to cite; versions.
 
-    Of a run, peaks and contacts come from its steps: the run is made once more, as by `run.peak`. Of lanes, all are in a
-    table, and the first that failed (or the first) is told in full. Pictures become coarser where a page would exceed 5 MB.
+    Of a run, peaks and contacts come from its steps: the run is made once more, as by `run.peak`. Of lanes, all are in
+    a table, and the first that failed (or the first) is told in full. Pictures become coarser where a page would exceed
+    5 MB.
 
     Args:
         what: a run or lanes (`Trajectory`, or the `Runs` of `sj.simulate_many`), the data set of `sj.sweep` or
@@ -33,8 +34,8 @@ def report(
         path: where to write, `.html`; missing folders are made.
 
     Other args:
-        scene: the scene that was simulated: its named points are drawn, and its numbers are listed as it describes them,
-            joints in world axes. A sweep has no mechanism to show and no numbers without one.
+        scene: the scene that was simulated: its named points are drawn, and its numbers are listed as it describes
+            them, joints in world axes. A sweep has no mechanism to show and no numbers without one.
         title: the heading; by default what it is about.
         overwrite: replace an existing file.
 
