@@ -16,6 +16,7 @@ from spherejax.files.quantities import Coefficients, Points
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
+from spherejax.physics.functions import AbstractFunction
 from spherejax.physics.joints import AbstractPlacedJoint
 
 MOST_ENTRIES = 12
@@ -26,7 +27,10 @@ PLACED = dict.fromkeys(
 ) | {"start_quaternion": "1"}
 """Units of a placed joint's geometry, which a run knows in body axes; directions are pure numbers."""
 
-DIRECTIONS = ("axis", "axes", "across", "pointer", "normals", "right_angles")
+DIRECTIONS = ("axis", "axes", "across", "pointer", "normals", "right_angles", "frame")
+
+PRESCRIBED = {"angle": "rad", "travel": "m", "length": "m", "position": "m"}
+"""Units of what placed drivers prescribe by time."""
 
 
 class Used(NamedTuple):
@@ -76,6 +80,8 @@ def _value(name: str, value: Any, field: Field | None, meaning: str, context: Co
         return
     if isinstance(value, eqx.Module) or (is_dataclass(value) and not isinstance(value, type)):
         part = field.part if isinstance(field, Either) else field
+        if isinstance(value, AbstractFunction) and isinstance(owner, AbstractPlacedJoint):
+            part = Part(AbstractFunction, "s", PRESCRIBED.get(name.rpartition(".")[2]))
         yield from _of(name, value, part.inside(context) if isinstance(part, Part) else context)
     elif isinstance(value, Mapping):
         for key, each in value.items():

@@ -261,7 +261,7 @@ def add_versions(page: Page) -> None:
 def _page_of_lanes(runs: Trajectory, title: str, scene: Scene | None) -> Page:
     """All lanes in a table; the first that failed, or the first, in full."""
     ended = np.asarray(runs.ended)
-    flat = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *np.shape(leaf)[ended.ndim :]), runs)
+    flat = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(ended.size, *np.shape(leaf)[ended.ndim :]), runs)
     ended = ended.ravel()
     bad = np.flatnonzero(ended != Status.SUCCEEDED)
     chosen = int(bad[0]) if bad.size else 0
