@@ -70,7 +70,12 @@ def _kept(swept: "xarray.Dataset") -> list[str]:
 
 def _results(swept: "xarray.Dataset") -> Table:
     rows = [
-        (name, swept[name].attrs.get("units", ""), *_ends(np.asarray(swept[name], float)), str(swept[name].dims))
+        (
+            name,
+            swept[name].attrs.get("units", ""),
+            *_ends(np.asarray(swept[name], float)),
+            ", ".join(map(str, swept[name].dims)),
+        )
         for name in [*_kept(swept), "n_steps"]
     ]
     return Table(("quantity", "unit", "least", "largest", "dimensions"), rows, "Over all runs that have a value")

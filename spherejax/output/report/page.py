@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".html"
 
-RESOLUTIONS = (120, 80, 55)
+RESOLUTIONS = (120, 80, 55, 35)
 """Dots per inch of the pictures: the first with which all of them together are small enough."""
 
 MOST_OF_PICTURES = 3_000_000
