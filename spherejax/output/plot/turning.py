@@ -30,7 +30,9 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def shapes_of(mechanism: Mechanism, colors: dict[str, str], s: float) -> list[Shape]:
-    """All shapes of a mechanism.
+    """All shapes of a mechanism, in groups (a body, a force, a joint) and bands: ground, bodies, forces, joints.
+
+    As on paper, a band is drawn before the next one, and within it what is nearer to the viewer later.
 
     Args:
         mechanism: what is drawn.
@@ -39,12 +41,14 @@ def shapes_of(mechanism: Mechanism, colors: dict[str, str], s: float) -> list[Sh
     """
     maker = _Maker({GROUND: -1, **{body.name: i for i, body in enumerate(mechanism.bodies)}}, s)
     found: list[Shape] = []
-    for body in mechanism.bodies:
-        found += maker.body(body, to_hex(colors[body.name]), 4.6 if len(mechanism.bodies) <= 8 else 3.2)
-    for name, force in mechanism.forces.items():
-        found += maker.force(name, force, mechanism)
-    for joint in mechanism.joints.values():
-        found += maker.joint(joint, mechanism.hangs(joint))
+    width = 4.6 if len(mechanism.bodies) <= 8 else 3.2
+    groups = [
+        *((1, maker.body(body, to_hex(colors[body.name]), width)) for body in mechanism.bodies),
+        *((2, maker.force(name, force, mechanism)) for name, force in mechanism.forces.items()),
+        *((3, maker.joint(joint, mechanism.hangs(joint))) for joint in mechanism.joints.values()),
+    ]
+    for number, (band, shapes) in enumerate(groups):
+        found += [{**one, "group": number, "band": 0 if one["kind"] == "ground" else band} for one in shapes]
     return found
 
 

@@ -73,7 +73,7 @@ def page_of_scene(scene: Scene, title: str) -> Page:
 def _verdict(run: Trajectory) -> str:
     first, last = (float(run.ts[i]) for i in (0, -1))
     if bool(run.succeeded):
-        return f"Succeeded: the run reached its end, {first:.9g} s to {last:.9g} s, its audit is below."
+        return f"Succeeded: the run reached its end, {first:.9g} s to {last:.9g} s; its audit is below."
     name = Status(int(run.ended)).name.lower().replace("_", " ")
     return f"FAILED ({name}): the run stopped at t = {float(run.t_reached):.9g} s of {last:.9g} s."
 

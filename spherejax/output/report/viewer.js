@@ -247,16 +247,16 @@ class Viewer {
     this.output.textContent = one.frames > 1 ? `t = ${t.toFixed(digits)} s of ${one.end.toFixed(digits)} s` : "at the start";
     if (this.paths.checked) this.drawPaths();
     for (const track of one.tracks) this.drawTrack(track);
-    const bands = { ground: 0, hull: 1, side: 2, face: 2, line: 3, center: 3, link: 4, spiral: 4 };
     const drawn = one.shapes.filter(shape => shape.kind !== "name").map(shape => {
       const at = this.anchor(shape.body, shape.at);
       const corners = shape.corners.map(corner => this.project(add(at, turned(this.turn[shape.frame], corner))));
       const point = this.project(at), all = corners.length ? corners : [point];
-      return { shape, point, corners, depth: all.reduce((sum, p) => sum + p[2], 0) / all.length, band: bands[shape.kind] ?? 5 };
+      return { shape, point, corners, depth: all.reduce((sum, p) => sum + p[2], 0) / all.length };
     });
-    // Ground behind all, then by depth: within a tenth of the size symbols stand before the bars that they join.
-    const rank = one => (one.band === 0 ? -1e9 : one.depth + 0.02 * this.one.radius * one.band);
-    drawn.sort((a, b) => rank(a) - rank(b));
+    // As on paper: bands one after the other, in them groups by depth, and a group in its own order.
+    const depths = new Map();
+    for (const { shape, depth } of drawn) depths.set(shape.group, Math.max(depths.get(shape.group) ?? -Infinity, depth));
+    drawn.sort((a, b) => a.shape.band - b.shape.band || depths.get(a.shape.group) - depths.get(b.shape.group) || a.shape.group - b.shape.group);
     for (const each of drawn) this.drawShape(each);
     if (this.names.checked) this.drawNames();
     this.drawAxes();
