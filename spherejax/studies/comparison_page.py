@@ -1,18 +1,13 @@
 """The report of a comparison of joint models as a page."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from spherejax.model.scene import Scene
 from spherejax.motion.audit import cautions
 from spherejax.output.report.page import Page, Picture, Table, Text
 
-if TYPE_CHECKING:
-    from spherejax.studies.subject import Comparison
 
-
-def page_of(comparison: "Comparison", title: str, scene: Scene | None) -> Page:
+def page_of(comparison, title: str, scene: Scene | None) -> Page:
     """Tables and figures of the comparison, the motions of all models, the numbers of their joints.
 
     Args:

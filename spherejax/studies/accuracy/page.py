@@ -1,18 +1,13 @@
 """The report of a study of accuracy as a page."""
 
-from typing import TYPE_CHECKING
-
 from spherejax.model.scene import Scene
 from spherejax.output.report.page import Page, Picture, Table, Text
 from spherejax.studies.accuracy.samples import UNITS
 
-if TYPE_CHECKING:
-    from spherejax.studies.accuracy.result import WorkPrecision
-
 HEADS = ("solver", "rtol", "time", "steps", "rejected", *(f"{name} [{unit}]" for name, unit in UNITS.items()))
 
 
-def page_of(study: "WorkPrecision", title: str, scene: Scene | None) -> Page:
+def page_of(study, title: str, scene: Scene | None) -> Page:
     """Errors, times and advice of every model, with what did not finish on top.
 
     Args:

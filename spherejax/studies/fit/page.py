@@ -1,6 +1,6 @@
 """The report of a fit as a page."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -9,11 +9,8 @@ from spherejax.motion.many import built
 from spherejax.output.report.page import Page, Picture, Table, Text
 from spherejax.studies.fit.report import report
 
-if TYPE_CHECKING:
-    from spherejax.studies.fit.result import Fit
 
-
-def page_of(fit: "Fit", title: str, scene: Scene | None) -> Page:
+def page_of(fit, title: str, scene: Scene | None) -> Page:
     """Estimates, what the data do not determine, figures, the fitted motions, numbers used.
 
     Args:
@@ -41,7 +38,7 @@ def page_of(fit: "Fit", title: str, scene: Scene | None) -> Page:
     return page
 
 
-def _estimates(fit: "Fit") -> Table:
+def _estimates(fit) -> Table:
     known = fit.knowledge
     rows = [
         (name, f"{value:.8g}", f"{deviation:.3g}", f"{low:.6g}", f"{high:.6g}")
@@ -53,7 +50,7 @@ def _estimates(fit: "Fit") -> Table:
     return Table(("parameter", "estimate", "standard deviation", f"{level} from", f"{level} to"), rows, numeric=True)
 
 
-def _measurements(fit: "Fit") -> Table:
+def _measurements(fit) -> Table:
     rows = [
         (
             str(one.measured.name),
@@ -67,7 +64,7 @@ def _measurements(fit: "Fit") -> Table:
     return Table(("experiment", "what was measured", "values", "from [s]", "to [s]"), rows)
 
 
-def _starts(fit: "Fit") -> Table:
+def _starts(fit) -> Table:
     def said(values: dict[str, Any] | None) -> str:
         return "-" if values is None else ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
 
