@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import jax.numpy as jnp
 import matplotlib
@@ -365,6 +366,29 @@ def suspension() -> Figure:
     return figure
 
 
+def report() -> Image.Image:
+    """The head of a report in Chromium, in the middle of the motion."""
+    sys.path.insert(0, str(FOLDER.parents[1] / "tests"))
+    import browsing
+
+    joint = MODELS["dry, friction"]
+    scene = sj.gallery.four_bar(joint)
+    run = sj.simulate(scene, jnp.linspace(0.0, 0.2, 401))
+    with TemporaryDirectory() as folder, browsing.chromium() as driver:
+        page = run.report(
+            Path(folder) / "run.html",
+            scene=scene,
+            title="Four-bar with 0.1 mm of play",
+        )
+        browsing.set_size(driver, 900, 800)
+        driver.get(page.as_uri())
+        driver.execute_script(
+            "const v = document.querySelector('.motion').viewer;"
+            "v.slider.value = 0.6; v.show(0.6);"
+        )
+        return Image.open(BytesIO(driver.get_screenshot_as_png()))
+
+
 def wear() -> Figure:
     """Wear of a cup of polyethylene over a million steps of walking."""
     cup = sj.HuntCrossley(restitution=0.5, stiffness=1.2e10)
@@ -380,6 +404,7 @@ def scene(name: str) -> Callable[[], Figure]:
     return lambda: sj.draw(getattr(sj.gallery, name)())
 
 
+<<<<<<< HEAD
 def modes() -> Figure:
     """Modes of an arm on rubber, with a weight that hangs from it."""
     place = (0.02, 0.05, -0.1)
@@ -407,6 +432,9 @@ def modes() -> Figure:
 
 
 PICTURES: dict[str, Callable[[], Figure]] = {
+=======
+PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
+>>>>>>> h_report
     "four_bar": four_bar,
     "accelerations": accelerations,
     "orbits": orbits,
@@ -417,21 +445,26 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,
+<<<<<<< HEAD
     "modes": modes,
+=======
+    "report": report,
+>>>>>>> h_report
     "suspension_over_bump": suspension,
     "wear": wear,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }
 
 
-def save(name: str, figure: Figure) -> None:
+def save(name: str, figure: Figure | Image.Image) -> None:
     """Write a picture with few colors, which is a third of its size."""
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, facecolor="white")
-    plt.close(figure)
-    Image.open(buffer).convert("RGB").quantize(96).save(
-        FOLDER / f"{name}.png", optimize=True
-    )
+    image = figure
+    if isinstance(figure, Figure):
+        buffer = BytesIO()
+        figure.savefig(buffer, format="png", dpi=110, facecolor="white")
+        plt.close(figure)
+        image = Image.open(buffer)
+    image.convert("RGB").quantize(96).save(FOLDER / f"{name}.png", optimize=True)
 
 
 def main(names: list[str]) -> None:

@@ -27,6 +27,7 @@ from .motion.start.redundancy import ConstraintReport, constraint_report
 from .motion.start.start_now import StartWarning
 from .output.citations import cite
 from .output.drawing import animate, draw, view
+from .output.report import report
 from .physics.bodies import Body
 from .physics.forces import (
     AbstractCoordinate,
@@ -370,6 +371,7 @@ __all__ = [
     "random_samples",
     "read_scene_file",
     "realized_restitution",
+    "report",
     "runtime",
     "save_scene",
     "scalarize",

@@ -108,6 +108,13 @@ def test_what_is_imported_late_is_what_takes_long():
             assert all(name.startswith(late) for name in late_imports(path)), path
 
 
+def test_one_file_goes_up_by_name():
+    """`run.report`: a method of a result whose page is made above it. Nothing else may hide an import in a text."""
+    hidden = {path for path in FILES if "import_module(" in path.read_text() and folder_of(path) != "top"}
+    hidden = {path for path in hidden if 'import_module("spherejax' in path.read_text()}
+    assert hidden == {PACKAGE / "motion" / "reported.py"}
+
+
 def test_imports_have_no_cycle():
     graph = {
         module: {name for name in imported(path) if name in MODULES and name != module}

@@ -13,6 +13,7 @@ from spherejax.command_line.catalog import JOINTS, SOLVERS
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, real, whole
 from spherejax.command_line.printing import print_table, progress
+from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scenes import add_scene, chosen, model_name
 
 DESCRIPTION = """\
@@ -90,6 +91,7 @@ def add_accuracy(commands) -> None:
     study.add_argument("--quick", action="store_true", help="shorter motion, three solvers, three tolerances")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FOLDER", help="write accuracy.csv, accuracy.nc and figures to this folder")
+    add_report(files, "the study")
     files.add_argument("--overwrite", action="store_true", help="replace the files of an earlier study")
     parser.set_defaults(action=show_accuracy)
 
@@ -99,6 +101,7 @@ def show_accuracy(options: argparse.Namespace) -> int:
     from spherejax.output.io import make_folder, require_free
 
     scenes = scenes_from(options)
+    check_report(options)
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
         require_free(folder / FILES[0], overwrite=options.overwrite)
@@ -110,6 +113,8 @@ def show_accuracy(options: argparse.Namespace) -> int:
     if folder is not None:
         names = _write(result, folder)
         print(f"wrote {', '.join(names)} to {folder} in {time.perf_counter() - start:.0f} s")
+    # Of several models each has numbers of its own, which one list would not tell.
+    write_report(options, result, "", next(iter(scenes.values())) if len(scenes) == 1 else None)
     return 0
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import spherejax as sj
 from spherejax.command_line.catalog import FILMS, SUBJECTS
 from spherejax.command_line.printing import print_table, progress
+from spherejax.command_line.reports import add_report, check_report, write_report
 
 if TYPE_CHECKING:
     from spherejax.studies.subject import Comparison, Row
@@ -52,6 +53,7 @@ def add_compare(commands) -> None:
         "--film", choices=FILMS, default="full", help="of the lubricated joint; radial is the paper's (default: full)"
     )
     parser.add_argument("--out", default="results", metavar="FOLDER", help="folder for all files (default: results)")
+    add_report(parser, "the comparison")
     parser.add_argument("--overwrite", action="store_true", help="replace the files of an earlier comparison")
     parser.set_defaults(action=compare_models)
 
@@ -63,6 +65,7 @@ def compare_models(options: argparse.Namespace) -> int:
 
     folder = Path(options.out).expanduser()
     require_free(folder / "table.csv", overwrite=options.overwrite)
+    check_report(options)
     make_folder(folder)
     start = time.perf_counter()
     subject = SUBJECTS[options.scene]
@@ -71,6 +74,7 @@ def compare_models(options: argparse.Namespace) -> int:
         comparison = compare(subject, quick=options.quick, report=lambda what, share: report(what, 0.9 * share))
         names = _write(comparison, folder, report)
     print_comparison(comparison)
+    write_report(options, comparison, "")
     seconds = time.perf_counter() - start
     print(
         f"wrote table.csv, {len(comparison.runs)} netCDF files and {len(names)} figures to {folder} in {seconds:.0f} s"

@@ -14,6 +14,7 @@ from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, real, whole
 from spherejax.command_line.printing import print_table
+from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import number_at, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 
@@ -88,6 +89,7 @@ def add_fit(commands) -> None:
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FOLDER", help=f"write {', '.join(FILES)} and pictures to this folder")
+    add_report(files, "the fit")
     files.add_argument("--overwrite", action="store_true", help="replace the files of an earlier fit")
     files.add_argument("--no-pictures", action="store_true", help="write no pictures")
     parser.set_defaults(action=fit_scene)
@@ -101,6 +103,7 @@ def fit_scene(options: argparse.Namespace) -> int:
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
         require_free(folder / FILES[0], overwrite=options.overwrite)
+    check_report(options)
     start = _starts(options)
     found = chosen(_with_starts(options, start))
     start = _filled(found, found.scene(_with_starts(options, start)), start)
@@ -123,6 +126,7 @@ def fit_scene(options: argparse.Namespace) -> int:
     if folder is not None and fitted.best.us:
         names = _write(fitted, folder, found.title or found.name, pictures=not options.no_pictures)
         print(f"wrote {', '.join(names)} to {folder}")
+    write_report(options, fitted, "")
     if fitted.best.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
     if not fitted.succeeded:

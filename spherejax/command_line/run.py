@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import warnings
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
+from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
 
 DESCRIPTION = """\
@@ -31,6 +33,7 @@ EPILOG = """examples:
   spherejax run my_mechanism.toml --out run.nc
   spherejax run robot.urdf --t1 1
   spherejax run a04
+  spherejax run four-bar --joint friction --t1 0.2 --report run.html
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
   spherejax run four-bar --joint dry --t1 0.2 --impacts impacts.csv --peak reaction.coupler_rocker
 """
@@ -68,6 +71,7 @@ def add_run(commands) -> None:
     files = parser.add_argument_group("files")
     files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
     files.add_argument("--impacts", metavar="FILE", help="write each contact of the studied joint: .csv or .nc")
+    add_report(files, "the motion")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.set_defaults(action=run_scene)
 
@@ -87,25 +91,31 @@ def run_scene(options: argparse.Namespace) -> int:
     ts = sample_times(options)
     for path in filter(None, (options.out, options.impacts)):
         writable(path, overwrite=options.overwrite)
+    check_report(options)
     system = sj.compile_scene(scene).system
     for name in options.peak:
         quantity(name, system)
     joint = found.studied if options.impacts is None else _with_contact(found.studied, system.contact_joints)
     solver = SOLVERS[options.solver]() if options.solver else None
     start = time.perf_counter()
-    run = sj.simulate(
-        scene,
-        ts,
-        rtol=options.rtol,
-        atol=options.atol,
-        max_steps=options.max_steps,
-        solver=solver,
-        throw=True,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sj.SimulationWarning)  # a failure is told as an error, below
+        run = sj.simulate(
+            scene,
+            ts,
+            rtol=options.rtol,
+            atol=options.atol,
+            max_steps=options.max_steps,
+            solver=solver,
+        )
     jax.block_until_ready(run.ys)
     seconds = time.perf_counter() - start
+    title = f"{found.title or found.name}, {_joint_words(options)}, {options.t1:g} s"
+    if not bool(run.succeeded):
+        write_report(options, run, title, scene)
+    run.require_success()
     print_table(
-        f"{found.title or found.name}, {_joint_words(options)}, {options.t1:g} s",
+        title,
         ("quantity", "value"),
         [*_summary(run, seconds), *_peaks(run, options.peak)],
     )
@@ -114,6 +124,7 @@ def run_scene(options: argparse.Namespace) -> int:
         print(f"wrote {save(table, options.impacts, overwrite=options.overwrite)}: {table.sizes['contact']} contacts")
     if options.out is not None:
         print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
+    write_report(options, run, title, scene)
     return 0
 
 

@@ -13,6 +13,7 @@ from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
+from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.foundations.errors import one_of
@@ -73,7 +74,8 @@ def add_sweep(commands) -> None:
     how.add_argument("--workers", type=whole, metavar="N", help="chunks at the same time (default: all cores)")
     files = parser.add_argument_group("files")
     files.add_argument("--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc)")
-    files.add_argument("--overwrite", action="store_true", help="replace an existing .nc file")
+    add_report(files, "the sweep")
+    files.add_argument("--overwrite", action="store_true", help="replace an existing .nc or .html file")
     files.add_argument("--no-pictures", action="store_true", help="write no pictures")
     parser.set_defaults(action=sweep_scene)
 
@@ -87,6 +89,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         raise sj.SceneError(f"--out {options.out}: the suffix {path.suffix!r} names no format; use .zarr or .nc")
     if path.suffix == ".nc":
         writable(path, overwrite=options.overwrite)
+    check_report(options)
     names, grid = grid_of(options)
     found = chosen(_with_first_values(options, names, grid))
     build = builder(found, options, names)
@@ -111,6 +114,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         save(result, path, overwrite=options.overwrite)
     _print(found, options, names, result, seconds)
     pictures = [] if options.no_pictures else _draw(result, found, path)
+    write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", build(**grid.row(0)))
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
     return 0
 

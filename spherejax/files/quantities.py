@@ -111,7 +111,7 @@ class Coefficients(Field):
         """A float64 array."""
         if not isinstance(value, list) or not value:
             place.fail(f"{shown(value)} is not a list of coefficients, the lowest power first")
-        entries = [number(self._si(k)).read(entry, place / k, context) for k, entry in enumerate(value)]
+        entries = [number(self.si_of(k)).read(entry, place / k, context) for k, entry in enumerate(value)]
         return np.array(entries, np.float64)
 
     def write(self, value, context):
@@ -119,7 +119,8 @@ class Coefficients(Field):
         return listed(None).write(value, context)
 
     @staticmethod
-    def _si(power: int) -> str:
+    def si_of(power: int) -> str:
+        """The SI unit of the coefficient of a power, with words in braces."""
         return "{of_value}" if power == 0 else f"({{of_value}})/({{of_argument}})^{power}"
 
 

@@ -7,17 +7,22 @@ mechanism is one more file in `spherejax.studies.subjects`.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffrax
 import numpy as np
 
 from spherejax.model.scene import Scene
+from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.physics.joints import AbstractSphericalModel
 from spherejax.physics.laws import AbstractFilm
 from spherejax.studies.cases import Case, LimitStudy, Study, film_name
+from spherejax.studies.comparison_page import page_of
+
+if TYPE_CHECKING:
+    from spherejax.output.report.page import Page
 
 SceneOf = Callable[[AbstractSphericalModel], Scene]
 """Makes the scene from the model of the studied joint."""
@@ -238,7 +243,7 @@ class LimitResult:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Reported):
     """Everything that `compare` found.
 
     Attributes:
@@ -265,3 +270,7 @@ class Comparison:
     def horizons(self) -> dict[str, float | None]:
         """Until when each model's motion does not depend on the tolerance [s], by short name."""
         return {row.name: row.horizon for row in self.rows}
+
+    def report_page(self, title: str, scene: Scene | None) -> "Page":
+        """The page that `report` writes."""
+        return page_of(self, title, scene)

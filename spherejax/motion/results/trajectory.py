@@ -25,6 +25,7 @@ from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationErr
 from spherejax.motion.results.dataset import table_of, to_dataset
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
+from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
 from spherejax.motion.start.assembly import Assembly
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Trajectory(eqx.Module):
+class Trajectory(eqx.Module, Reported):
     """A simulated motion.
 
     It is a pytree: it can be returned from `jax.jit` and `jax.vmap` (its arrays then have a leading axis of lanes; use

@@ -24,7 +24,7 @@ def body_strokes(body: DrawnBody, pose: Pose, camera: Camera, color: str, s: flo
     center = pose.positions[body.name]
     places = pose.point(body.name, body.places)
     depth = camera.depth(np.vstack([places, center]))
-    bars = _bars(places, center, body.places)
+    bars = bars_of(places, center, body.places)
     lines = [camera.project(np.array(line)) for line in bars]
     strokes = []
     if len(places) < 2:
@@ -50,7 +50,7 @@ def _between_joints(line: np.ndarray, gap: float) -> np.ndarray:
     return np.concatenate([row for piece in pieces for row in (piece, BREAK)][:-1])
 
 
-def _bars(places: np.ndarray, center: np.ndarray, local: np.ndarray) -> list[list[np.ndarray]]:
+def bars_of(places: np.ndarray, center: np.ndarray, local: np.ndarray) -> list[list[np.ndarray]]:
     """Which points of a body are joined; chosen in body axes, so that the choice is the same at all times."""
     if len(places) == 0:
         return []

@@ -106,7 +106,7 @@ def _prismatic(joint, ends, axes, camera, s) -> list[Stroke]:
     """A box on a rod along which it slides."""
     if not axes:
         return _unknown(joint, ends, axes, camera, s)
-    first, second = _perpendiculars(axes[0])
+    first, second = perpendiculars(axes[0])
     half = s * np.stack([1.5 * axes[0], 0.8 * first, 0.8 * second], -1)
     return [_rod(ends[0], axes[0], camera, 3.4 * s), *box_faces(ends[0], half, camera, INK, 0.0, alpha=0.12)]
 
@@ -140,7 +140,7 @@ def _on_plane(joint, ends, axes, camera, s) -> list[Stroke]:
     """A patch of the plane around the point that stays in it."""
     if not axes:
         return _unknown(joint, ends, axes, camera, s)
-    first, second = _perpendiculars(axes[0])
+    first, second = perpendiculars(axes[0])
     corners = [ends[1] + 2.1 * s * (p * first + q * second) for p, q in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
     normal = np.array([ends[1], ends[1] + 2.2 * s * axes[0]])
     return [
@@ -237,11 +237,12 @@ def _rod(center: np.ndarray, axis: np.ndarray, camera: Camera, half_length: floa
 
 
 def _rim(axis: np.ndarray, radius: float) -> np.ndarray:
-    first, second = _perpendiculars(axis)
+    first, second = perpendiculars(axis)
     return radius * (CIRCLE[:, :1] * first + CIRCLE[:, 1:] * second)
 
 
-def _perpendiculars(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def perpendiculars(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two directions that make a right-handed triad with a unit vector before them."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(axis, helper)
     first = first / np.linalg.norm(first)

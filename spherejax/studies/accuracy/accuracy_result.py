@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spherejax.model.scene import Scene
+from spherejax.motion.results.reported import Reported
 from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, spreads
+from spherejax.studies.accuracy.page import page_of
 from spherejax.studies.accuracy.reference import Reference
 from spherejax.studies.accuracy.samples import STATISTICS, UNITS
 
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from spherejax.output.plot.work_precision import WorkDiagram
+    from spherejax.output.report.page import Page
 
 SPREADS_ALLOWED = 5.0
 """A statistic further than this many standard deviations from the mean of eight tight runs is pointed out: a ninth run
@@ -90,7 +94,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class WorkPrecision:
+class WorkPrecision(Reported):
     """Error against time for solvers, tolerances and models; prints as a table with advice.
 
     Attributes:
@@ -217,6 +221,10 @@ class WorkPrecision:
             f"{row.n_rejected:,}",
             *shown,
         )
+
+    def report_page(self, title: str, scene: Scene | None) -> "Page":
+        """The page that `report` writes."""
+        return page_of(self, title, scene)
 
     def to_xarray(self) -> "xarray.Dataset":
         """The rows on a grid of `model`, `solver` and `rtol`, with units; what was not run is NaN or zero."""

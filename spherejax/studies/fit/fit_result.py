@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
+from spherejax.model.scene import Scene
 from spherejax.motion.integration.status import SimulationError
+from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import built
 from spherejax.motion.runs.simulate import simulate
@@ -20,6 +22,7 @@ from spherejax.studies.fit.figures import figures_of
 from spherejax.studies.fit.growth import Growth, growth_of
 from spherejax.studies.fit.judgement import diagnosis_of, warnings_of
 from spherejax.studies.fit.methods import Course, Ending
+from spherejax.studies.fit.page import page_of
 from spherejax.studies.fit.problem import Problem
 from spherejax.studies.fit.report import report
 from spherejax.studies.fit.statistics import Knowledge, Undetermined
@@ -28,9 +31,11 @@ if TYPE_CHECKING:
     import matplotlib.figure
     import xarray
 
+    from spherejax.output.report.page import Page
+
 
 @dataclass(frozen=True, repr=False)
-class Fit:
+class Fit(Reported):
     """Estimated parameters, and how far they can be trusted; prints as a report.
 
     Attributes:
@@ -270,6 +275,10 @@ class Fit:
     def figures(self, title: str = "") -> "dict[str, matplotlib.figure.Figure]":
         """Pictures by name: `"fit"`, `"residuals"`, `"correlation"`, `"history"`."""
         return figures_of(self, title)
+
+    def report_page(self, title: str, scene: Scene | None) -> "Page":
+        """The page that `report` writes."""
+        return page_of(self, title, scene)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Estimates, statistics, measurements, predictions and history, labelled."""

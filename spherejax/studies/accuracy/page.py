@@ -1,0 +1,46 @@
+"""The report of a study of accuracy as a page."""
+
+from spherejax.model.scene import Scene
+from spherejax.output.report.page import Page, Picture, Table, Text
+from spherejax.studies.accuracy.samples import UNITS
+
+HEADS = ("solver", "rtol", "time", "steps", "rejected", *(f"{name} [{unit}]" for name, unit in UNITS.items()))
+
+
+def page_of(study, title: str, scene: Scene | None) -> Page:
+    """Errors, times and advice of every model, with what did not finish on top.
+
+    Args:
+        study: the study.
+        title: the heading.
+        scene: whose numbers are listed and that is drawn; the study itself keeps none.
+    """
+    from spherejax.output.report.motion import viewed
+    from spherejax.output.report.of_runs import add_sources, add_versions
+    from spherejax.output.report.page import Motion
+
+    n_failed, n = sum(not row.succeeded for row in study.rows), len(study.rows)
+    verdict = f"{n - n_failed:,} of {n:,} runs finished, {study.t1:g} s of motion each."
+    page = Page(title or f"What accuracy costs: {', '.join(study.models)}", verdict)
+    if n_failed == n:
+        page.failed.append("No run finished; see the tables for why.")
+    for model in study.models:
+        # The first note is what the reference is; the others are to be minded.
+        page.cautions += [f"{model}: {note}" for note in study.notes[model][1:]]
+    if len(study.models) > 1:
+        page.add("All models", Picture(study.overview(), "the efficient runs of all models"))
+    for model in study.models:
+        rows = [study.cells(row) for row in study.rows_of(model)]
+        table = Table(
+            HEADS, rows, "Largest errors at the samples; < marks those that the reference resolves no further"
+        )
+        why = [(row.solver, f"{row.rtol:.0e}", row.diagnosis) for row in study.rows_of(model) if not row.succeeded]
+        figures = [Picture(figure, f"{name} of {model}") for name, figure in study.figures(model).items()]
+        said = Text([study.advice[model], *study.notes[model][:1]])
+        page.add(model, said, *figures, table, Table(("solver", "rtol", "why it did not finish"), why))
+    if scene is None:
+        add_versions(page)
+    else:
+        page.add("The mechanism", Motion([viewed(scene, "")]))
+        add_sources(page, scene)
+    return page

@@ -1,0 +1,54 @@
+"""The report of a comparison of joint models as a page."""
+
+import numpy as np
+
+from spherejax.model.scene import Scene
+from spherejax.motion.integration.audit import cautions
+from spherejax.output.report.page import Page, Picture, Table, Text
+
+
+def page_of(comparison, title: str, scene: Scene | None) -> Page:
+    """Tables and figures of the comparison, the motions of all models, the numbers of their joints.
+
+    Args:
+        comparison: the comparison.
+        title: the heading.
+        scene: whose numbers are listed; those of the runs when None.
+    """
+    from spherejax.output.report.of_runs import add_cited, add_motion, add_numbers, add_versions
+
+    subject, runs = comparison.subject, comparison.runs
+    failed = [name for name, run in runs.items() if not bool(run.succeeded)]
+    verdict = f"FAILED: {', '.join(failed)}." if failed else f"Succeeded: all models reached {comparison.t_end:g} s."
+    page = Page(title or f"Joint models of {subject.joint} compared: {subject.name}", verdict)
+    page.failed += [f"{name}: {runs[name].diagnosis}" for name in failed]
+    for row in comparison.rows:
+        if row.horizon is not None:
+            page.cautions.append(
+                f"{row.label}: the motion is chaotic; from {row.horizon:.3g} s on its history is one of many that are "
+                "equally right."
+            )
+        if said := cautions(np.asarray(runs[row.name].stats.audit)):
+            page.cautions.append(f"{row.label}: {said}")
+    labels = {row.name: row.label for row in comparison.rows}
+    add_motion(page, {labels[name]: run for name, run in runs.items()}, scene)
+    rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]
+    heads = ("model", *(column.head for column in subject.columns))
+    tables = [Table(one.heads, one.rows, one.title, numeric=True) for one in subject.summaries(comparison)]
+    page.add("Models", Table(heads, rows, subject.parameters, numeric=True), *tables, Text(subject.remarks(comparison)))
+    methods = [(row.label, row.method, f"{row.n_steps:,}", f"{row.seconds:.3g}") for row in comparison.rows]
+    page.add("Methods", Table(("model", "method, and why", "steps", "time of a warm run [s]"), methods))
+    for result in comparison.studies:
+        cells = [(label, f"{1e3 * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
+        name = f"{result.study.name}: {result.study.title}".replace("\n", " ")
+        page.add(
+            name, Table(("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), cells, numeric=True), folded=True
+        )
+    figures = subject.figures(comparison)
+    page.add("Figures", *(Picture(figure_of(), name) for name, figure_of in figures.items()))
+    add_numbers(page, scene or next(iter(runs.values())).system)
+    for name, run in runs.items():
+        add_numbers(page, run.system, f"Numbers of {subject.joint}, {labels[name]}", f"joints.{subject.joint}")
+    add_cited(page, list(runs.values()))
+    add_versions(page)
+    return page

@@ -1,0 +1,75 @@
+"""The report of a fit as a page."""
+
+from typing import Any
+
+import numpy as np
+
+from spherejax.model.scene import Scene
+from spherejax.motion.runs.many import built
+from spherejax.output.report.page import Page, Picture, Table, Text
+from spherejax.studies.fit.report import report
+
+
+def page_of(fit, title: str, scene: Scene | None) -> Page:
+    """Estimates, what the data do not determine, figures, the fitted motions, numbers used.
+
+    Args:
+        fit: the fit.
+        title: the heading.
+        scene: whose numbers are listed; that of the first experiment at the estimates when None.
+    """
+    from spherejax.output.report.of_runs import add_motion, add_sources, add_versions
+
+    names = ", ".join(fit.names)
+    verdict = f"Succeeded: {fit.status}." if fit.succeeded else f"FAILED: {fit.status}."
+    page = Page(title or f"Fit of {names}", verdict)
+    page.failed += [] if fit.succeeded else fit.diagnosis.splitlines() or ["no minimum was found"]
+    if not fit.best.us:
+        page.add("The fit", Text(report(fit).splitlines(), fixed=True))
+        add_versions(page)
+        return page
+    page.cautions += [*fit.warnings, *(each.explanation for each in fit.undetermined)]
+    page.add("Estimates", _estimates(fit), Text(report(fit).splitlines(), fixed=True))
+    page.add("Measurements", _measurements(fit), _starts(fit))
+    page.add("Figures", *(Picture(figure, f"{name}, {names}") for name, figure in fit.figures(title).items()))
+    add_motion(page, fit.runs, scene)
+    first = fit.problem.experiments[0].measured
+    add_sources(page, scene or built(first.build or fit.build, fit.estimates), next(iter(fit.runs.values())))
+    return page
+
+
+def _estimates(fit) -> Table:
+    known = fit.knowledge
+    rows = [
+        (name, f"{value:.8g}", f"{deviation:.3g}", f"{low:.6g}", f"{high:.6g}")
+        for name, value, deviation, (low, high) in zip(
+            fit.names, known.values, known.standard_deviations, known.intervals(fit.level), strict=True
+        )
+    ]
+    level = f"{100 * fit.level:g} %"
+    return Table(("parameter", "estimate", "standard deviation", f"{level} from", f"{level} to"), rows, numeric=True)
+
+
+def _measurements(fit) -> Table:
+    rows = [
+        (
+            str(one.measured.name),
+            ", ".join(f"{each.name} [{each.unit}]" for each in one.frame.observables),
+            f"{int(np.sum(one.is_measured)):,}",
+            f"{one.measured.ts[0]:.6g}",
+            f"{one.measured.ts[-1]:.6g}",
+        )
+        for one in fit.problem.experiments
+    ]
+    return Table(("experiment", "what was measured", "values", "from [s]", "to [s]"), rows)
+
+
+def _starts(fit) -> Table:
+    def said(values: dict[str, Any] | None) -> str:
+        return "-" if values is None else ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+
+    rows = [
+        (said(one["start"]), said(one["end"]), f"{one['cost']:.6g}", one["status"], str(one["n_iterations"]))
+        for one in fit.starts
+    ]
+    return Table(("start", "end", "cost", "status", "iterations"), rows, "Where each start went")
