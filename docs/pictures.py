@@ -404,7 +404,6 @@ def scene(name: str) -> Callable[[], Figure]:
     return lambda: sj.draw(getattr(sj.gallery, name)())
 
 
-<<<<<<< HEAD
 def modes() -> Figure:
     """Modes of an arm on rubber, with a weight that hangs from it."""
     place = (0.02, 0.05, -0.1)
@@ -431,10 +430,7 @@ def modes() -> Figure:
     return sj.plot.modes(found, title="An arm on rubber: modes at rest")
 
 
-PICTURES: dict[str, Callable[[], Figure]] = {
-=======
 PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
->>>>>>> h_report
     "four_bar": four_bar,
     "accelerations": accelerations,
     "orbits": orbits,
@@ -445,11 +441,8 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,
-<<<<<<< HEAD
     "modes": modes,
-=======
     "report": report,
->>>>>>> h_report
     "suspension_over_bump": suspension,
     "wear": wear,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},

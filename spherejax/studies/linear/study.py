@@ -16,9 +16,9 @@ from spherejax.motion.start.redundancy import report_at
 from spherejax.motion.start.tolerances import length_scale
 from spherejax.studies.linear.coordinates import coordinates_of
 from spherejax.studies.linear.following import theta_slope
+from spherejax.studies.linear.linear_result import Linearization, LinearizationWarning
 from spherejax.studies.linear.numbers import Number, numbers_at
 from spherejax.studies.linear.point import Point, point_of
-from spherejax.studies.linear.result import Linearization, LinearizationWarning
 from spherejax.studies.linear.steadiness import steadiness_of
 
 NOT_AT_AN_INSTANT = ("penetration", "absorbed_work", "dissipated_energy", "elastic_energy", "mechanical_energy")
