@@ -112,7 +112,7 @@ def test_one_file_goes_up_by_name():
     """`run.report`: a method of a result whose page is made above it. Nothing else may hide an import in a text."""
     hidden = {path for path in FILES if "import_module(" in path.read_text() and folder_of(path) != "top"}
     hidden = {path for path in hidden if 'import_module("spherejax' in path.read_text()}
-    assert hidden == {PACKAGE / "motion" / "reported.py"}
+    assert hidden == {PACKAGE / "motion" / "results" / "reported.py"}
 
 
 def test_imports_have_no_cycle():
