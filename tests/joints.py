@@ -71,6 +71,8 @@ KINDS = {
     "revolute at a named point": Kind(lambda: sj.Revolute(AB, "a.p", AXIS), 5),
     "universal": Kind(lambda: sj.Universal(AB, POINT, AXIS, ACROSS), 4),
     "cylindrical": Kind(lambda: sj.Cylindrical(AB, POINT, AXIS), 4),
+    "rim": Kind(lambda: sj.Rim(AB, POINT, AXIS), 2),
+    "rim with a collar": Kind(lambda: sj.Rim(AB, POINT, AXIS, is_thrust=True), 3),
     "prismatic": Kind(lambda: sj.Prismatic(AB, "b.p", AXIS), 5),
     "fixed": Kind(lambda: sj.Fixed(AB, POINT), 6),
     "point on plane": Kind(lambda: sj.PointOnPlane("b.p", POINT, AXIS, body="a"), 1),

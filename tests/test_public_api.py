@@ -53,6 +53,8 @@ ARGUMENTS = {
     sj.Material: ("youngs_modulus", "poissons_ratio"),
     sj.Body: ("mass", "inertia", "position", "quaternion", "velocity", "angular_velocity", "points"),
     sj.Revolute: ("bodies", "point", "axis", "model"),
+    sj.Rim: ("bodies", "point", "axis", "model"),
+    sj.tilting_journal: ("name", "bodies", "point", "axis", "model", "length"),
     sj.Universal: ("bodies", "point", "first_axis", "second_axis", "model"),
     sj.Cylindrical: ("bodies", "point", "axis", "model"),
     sj.Prismatic: ("bodies", "point", "axis", "model"),

@@ -337,6 +337,8 @@ JOINTS = [
     sj.Revolute(BOTH, "a.tip", AXIS),
     sj.Revolute(BOTH, (1.0, 2.0, 3.0), AXIS, HINGE),
     sj.Revolute(BOTH, "a.tip", AXIS, sj.Ideal(sj.BrownMcPhee(), 0.01, sj.PointContact(), length=0.1, passes=5)),
+    sj.Rim(BOTH, "ground.hook", AXIS),
+    sj.Rim(BOTH, (1.0, 2.0, 3.0), AXIS, sj.Dry(1e-4, conformity=sj.EsduCylinder(0.01)), False, is_thrust=True),
     sj.Cylindrical(BOTH, "ground.hook", AXIS),
     sj.Prismatic(BOTH, (1.0, 2.0, 3.0), AXIS),
     sj.Prismatic(BOTH, "a.tip", AXIS, sj.Ideal(sj.LuGre(), pressure=sj.PreloadAlone(), preload_force=2.0)),

@@ -103,7 +103,7 @@ def joint_change(here: Here, name: str, positions: Vectors, velocities: Vectors)
 def joint_slopes(here: Here, name: str) -> tuple[Float[Array, "6 9"], Float[Array, "6 9"]]:
     """K: derivatives of u by the position-like fields and by their rates."""
     joint = here.system.spherical(name)
-    motion, memory = joint.relative_motion(here.motions), here.state.memory[here.system.memory_of(name)]
+    motion, memory = joint.motion_of_centers(here.motions), here.state.memory[here.system.memory_of(name)]
 
     def answer(positions, rates):
         response = joint.model.respond(_moved(joint, here.motions, motion, positions, rates), memory)
@@ -126,7 +126,7 @@ def joint_wrenches(here: Here, name: str, answer: Float[Array, "6 *k"]) -> Vecto
 
 
 def _moved(joint: PlacedSpherical, motions, motion: RelativeMotion, positions, rates) -> RelativeMotion:
-    """A relative motion after small changes of its fields and their rates."""
+    """What the model is told after small changes of the motion of the centers and of its rates."""
     shift, socket_turn, ball_turn = jnp.split(positions, 3)
     faster, socket_spin, ball_spin = jnp.split(rates, 3)
     turned = {
@@ -136,14 +136,15 @@ def _moved(joint: PlacedSpherical, motions, motion: RelativeMotion, positions, r
             (joint.bodies[1], motions[joint.bodies[1]], ball_turn),
         )
     }
-    return RelativeMotion(
+    moved = RelativeMotion(
         motion.eccentricity + shift,
         motion.eccentricity_rate + faster,
         motion.socket_rotation + skew(socket_turn) @ motion.socket_rotation,
-        joint.relative_motion(turned).relative_quaternion,
+        joint.motion_of_centers(turned).relative_quaternion,
         motion.socket_angular_velocity + socket_spin,
         motion.ball_angular_velocity + ball_spin,
     )
+    return joint.across(moved)
 
 
 def _bodies_and_arms(here: Here, name: str) -> tuple[tuple[str, str], tuple[Vector3, Vector3]]:

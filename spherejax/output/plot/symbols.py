@@ -95,6 +95,16 @@ def _revolute(joint, ends, axes, camera, s) -> list[Stroke]:
     ]
 
 
+def _rim_of_bearing(joint, ends, axes, camera, s) -> list[Stroke]:
+    """A ring about the axis with a disc in it, in the color of the joint's model."""
+    if not axes:
+        return _unknown(joint, ends, axes, camera, s)
+    is_ideal = joint.model is None or joint.model.is_ideal
+    color = INK if is_ideal else model_color(joint.model)
+    ring, disc = (camera.project(ends[0] + _rim(axes[0], radius * s)) for radius in (1.0, 0.55))
+    return [Stroke(ring, 0.0, color, 1.2 if is_ideal else 1.8, PAPER), Stroke(disc, 0.0, "none", 0.0, color)]
+
+
 def _cylindrical(joint, ends, axes, camera, s) -> list[Stroke]:
     """A revolute's cylinder on a rod along which it slides."""
     if not axes:
@@ -216,6 +226,7 @@ def _unknown(joint, ends, axes, camera, s) -> list[Stroke]:
 SYMBOLS: dict[str, Callable[..., list[Stroke]]] = {
     "Spherical": _spherical,
     "Revolute": _revolute,
+    "Rim": _rim_of_bearing,
     "Cylindrical": _cylindrical,
     "Prismatic": _prismatic,
     "Universal": _universal,

@@ -130,6 +130,19 @@ class _Maker:
         line = np.outer([-half, half], axis)
         return self._shape("line", joint.bodies[which], joint.places[which], line, **look)
 
+    def _rim(self, joint: DrawnJoint) -> list[Shape]:
+        """A ring about the axis with a disc in it, in the color of the joint's model."""
+        which, axis = joint.axes[0]
+        across, along = perpendiculars(axis)
+        circle = CIRCLE[:-1, :1] * across + CIRCLE[:-1, 1:] * along
+        is_ideal = joint.model is None or joint.model.is_ideal
+        color, body, at = INK if is_ideal else model_color(joint.model), joint.bodies[which], joint.places[which]
+        ring, disc = self.s * circle, 0.55 * self.s * circle
+        return [
+            self._shape("side", body, at, ring, edge=color, face=PAPER, alpha=1.0, width=1.2 if is_ideal else 1.8),
+            self._shape("side", body, at, disc, edge=color, face=color, alpha=1.0),
+        ]
+
     def _cylinder(self, joint: DrawnJoint) -> list[Shape]:
         which, axis = joint.axes[0]
         across, along = perpendiculars(axis)
@@ -252,6 +265,7 @@ class _Maker:
 SYMBOLS: dict[str, Callable[[_Maker, DrawnJoint], list[Shape]]] = {
     "Spherical": _Maker._spherical,
     "Revolute": _Maker._revolute,
+    "Rim": _Maker._rim,
     "Cylindrical": _Maker._cylindrical,
     "Prismatic": _Maker._prismatic,
     "Universal": _Maker._universal,
@@ -267,7 +281,7 @@ SYMBOLS: dict[str, Callable[[_Maker, DrawnJoint], list[Shape]]] = {
 }
 """Symbols by the kind of joint, as in `symbols`."""
 
-NEED_AXIS = ("Revolute", "Cylindrical", "Prismatic", "PointOnPlane", "TranslationDriver")
+NEED_AXIS = ("Revolute", "Rim", "Cylindrical", "Prismatic", "PointOnPlane", "TranslationDriver")
 """Kinds whose symbol has a direction; a joint of one's own may not tell it."""
 
 

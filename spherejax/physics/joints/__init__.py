@@ -13,6 +13,7 @@ from spherejax.physics.joints.joint import AbstractJoint, AbstractPlacedJoint, M
 from spherejax.physics.joints.lubricated import Lubricated
 from spherejax.physics.joints.pairs import Fixed, PointOnPlane, Universal
 from spherejax.physics.joints.reaction_friction import AbstractJointFriction, Resistance
+from spherejax.physics.joints.rim import Rim, tilting_journal
 from spherejax.physics.joints.rows import ConstraintRows, differentiated_rows
 from spherejax.physics.joints.spherical import PlacedSpherical, Spherical
 
@@ -47,9 +48,11 @@ __all__ = [
     "Resistance",
     "Response",
     "Revolute",
+    "Rim",
     "RotationDriver",
     "Spherical",
     "TranslationDriver",
     "Universal",
     "differentiated_rows",
+    "tilting_journal",
 ]

@@ -5,7 +5,6 @@ within the clearance, where a model answers: the same laws, modes and landings a
 """
 
 from spherejax.physics.joints.elementary import PlacedPair
-from spherejax.physics.joints.joint import Motions
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
 
@@ -45,9 +44,8 @@ class PlacedJournal(PlacedSpherical):
         """The joint without clearance; what guides the journal where that stays where the user placed it."""
         return self.ideal if self.starts_concentric else self._guide
 
-    def relative_motion(self, motions: Motions) -> RelativeMotion:
+    def across(self, motion: RelativeMotion) -> RelativeMotion:
         """Motion of the journal across the bearing's axis; the part along it is the guide's."""
-        motion = super().relative_motion(motions)
         axis = motion.socket_rotation[:, 2]
         e, rate = motion.eccentricity, motion.eccentricity_rate
         return motion._replace(eccentricity=e - (e @ axis) * axis, eccentricity_rate=rate - (rate @ axis) * axis)

@@ -144,7 +144,15 @@ class PlacedSpherical(AbstractPlacedJoint):
         return point_motion(motions[socket], self.socket_place), point_motion(motions[ball], self.ball_place)
 
     def relative_motion(self, motions: Motions) -> RelativeMotion:
-        """Motion of the ball in the socket (Eqs 12 to 14)."""
+        """What the model is told of the motion of the ball in the socket."""
+        return self.across(self.motion_of_centers(motions))
+
+    def across(self, motion: RelativeMotion) -> RelativeMotion:
+        """The part of a motion that the model answers: all of it for a ball."""
+        return motion
+
+    def motion_of_centers(self, motions: Motions) -> RelativeMotion:
+        """Motion of the ball's center against the socket's (Eqs 12 to 14)."""
         socket, ball = motions[self.bodies[0]], motions[self.bodies[1]]
         socket_center, ball_center = self.centers(motions)
         now = quaternion_product(conjugate(socket.quaternion), ball.quaternion)

@@ -1,0 +1,228 @@
+"""A journal that tilts in its bearing until it touches the rims: one joint for each rim.
+
+A cylinder that is tilted by a small angle in a cylinder touches it at the ends first, and there, in the plane of a rim,
+both are circles again, up to the square of the angle: each rim is the contact of two circles across the bearing's axis,
+with modes, landings and memory of its own.
+"""
+
+from typing import Annotated
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from spherejax.foundations.checks import Requirement, enforce
+from spherejax.foundations.legal import positive
+from spherejax.foundations.types import Named, Number, Numeric, Scalar, Triple, Unit, Vector3
+from spherejax.physics.bodies import numbers
+from spherejax.physics.joints.axial import AbstractAxialJoint
+from spherejax.physics.joints.base import AbstractSphericalModel, Medium
+from spherejax.physics.joints.body_axes import (
+    direction_requirement,
+    frame_along,
+    places_of,
+    relative_start,
+    turned,
+    unit,
+)
+from spherejax.physics.joints.clearance import AbstractClearanceModel
+from spherejax.physics.joints.elementary import PlacedPair, two_across
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.spherical import PlacedSpherical
+from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.laws.cylinders import AbstractCylinder
+
+
+class Rim(AbstractAxialJoint):
+    """The circle of a journal in a rim of its bearing: it moves across the bearing's axis, and turns, tilts and slides.
+
+    Two of them, half a length apart on either side, are a journal that tilts: see `tilting_journal`. With `Dry(...)`
+    the journal is free until it touches; the force acts across the bearing's axis, where the journal's circle is. With
+    `Ideal()` the journal's point stays on the axis: two constraint equations.
+
+    Attributes:
+        bodies: names of the bearing's and of the journal's body.
+        point: the rim's center, world axes at the start [m], shape (3,); None where it is given by name.
+        point_name: its name, where it is given by name (`point="body.point"`).
+        axis: direction of the bearing's axis, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Dry(...)` with the contact of a cylinder (`conformity=sj.JohnsonCylinder(length)`) or a
+            given stiffness, for the half of the bearing that belongs to this rim.
+        starts_concentric: whether the start is assembled as if the joint were ideal; False leaves the bodies, and their
+            velocities, as they are described.
+        is_thrust: whether a collar holds the journal along the axis here: one equation more.
+
+    Limits: right to first order in the tilt, which is at most two clearances over the length. A film between tilted
+    surfaces is not modelled, and refused.
+    """
+
+    turns_freely = True
+    is_bearing = True
+    slides_freely = True
+
+    is_thrust: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        bodies: Annotated[tuple[str, str], Named.BODIES],
+        point: Annotated[Numeric, Named.PLACE],
+        axis: Annotated[Triple, Unit("1")],
+        model: AbstractSphericalModel | None = None,
+        starts_concentric: bool = True,
+        is_thrust: bool = False,
+    ):
+        super().__init__(bodies, point, axis, model, starts_concentric)
+        self.is_thrust = is_thrust
+
+    def as_described(self):
+        """The joint with a journal that starts where the bodies put it."""
+        point = self.point if self.point_name is None else self.point_name
+        return Rim(self.bodies, point, self.axis, self.model, False, self.is_thrust)
+
+    def requirements(self) -> list[Requirement]:
+        """As a joint about an axis; ideal without friction, or with surfaces and without a film."""
+        return [*_of_rims(self.model), *super().requirements()]
+
+    def placed(self, bodies, find):
+        """Two equations, or none; and one along the axis of a collar."""
+        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        axis = unit(self.axis)
+        on_second = turned(bodies, self.bodies[1], axis)
+        along = (turned(bodies, self.bodies[0], axis),) if self.is_thrust else ()
+        across = two_across(bodies, self.bodies[0], axis)
+        ideal = PlacedPair(self.bodies, places, False, (*along, *across), (), (on_second,))
+        if self.model.is_ideal:
+            return ideal
+        start = relative_start(bodies, *self.bodies)
+        collar = PlacedPair(self.bodies, places, False, along, (), (on_second,)) if along else None
+        frame = frame_along(bodies, self.bodies[0], axis)
+        return PlacedRim(self.bodies, *places, start, self.model, self.starts_concentric, frame, ideal, collar)
+
+    def _equations(self, bodies, axis, axis_stays):
+        raise NotImplementedError  # `placed` is whole here
+
+
+def _of_rims(model: AbstractSphericalModel) -> list[Requirement]:
+    fits = model.is_ideal or (model.has_surfaces and model.medium is not Medium.FILM)
+    rubs = isinstance(model, Ideal) and model.friction is not None
+    name = type(model).__name__
+    remedy = "Give Dry(...) or Ideal(); a film between tilted surfaces is not modelled: Revolute has one, parallel."
+    return [
+        Requirement("model", name, fits, "be ideal or dry", remedy),
+        Requirement("friction", name, not rubs, "be left out of an ideal rim", "Revolute has friction by its reaction."),
+    ]
+
+
+class PlacedRim(PlacedSpherical):
+    """The circle of a journal in a rim of its bearing, in body axes: a ball in a socket that feels nothing along z.
+
+    Attributes:
+        bodies: names of the bearing's and of the journal's body.
+        socket_place: the rim's center on the bearing's body, body axes [m].
+        ball_place: the center of the journal's circle on its body, body axes [m].
+        start_quaternion: journal's body against bearing's body at the start.
+        model: how the rim resists.
+        starts_concentric: whether the start is assembled as if the joint were ideal.
+        frame: axes with z along the bearing in those of its body, as columns, shape (3, 3).
+        ideal: the joint without clearance.
+        collar: what holds the journal along the axis, or None.
+    """
+
+    collar: PlacedPair | None = None
+
+    @property
+    def n_rows(self) -> int:
+        """One with a collar, else none."""
+        return 0 if self.collar is None else self.collar.n_rows
+
+    def constraint_rows(self, t, motions):
+        """What holds the journal along the axis, if anything."""
+        return None if self.collar is None else self.collar.constraint_rows(t, motions)
+
+    def assembly_rows(self, t, motions):
+        """Those of the joint without clearance, unless the user placed the journal elsewhere."""
+        start = self.as_if_ideal()
+        return None if start is None else start.assembly_rows(t, motions)
+
+    def as_if_ideal(self):
+        """The joint without clearance; the collar where the journal stays where the user placed it."""
+        return self.ideal if self.starts_concentric else self.collar
+
+    def across(self, motion: RelativeMotion) -> RelativeMotion:
+        """The part of a motion across the bearing's axis, of the journal against the bearing *where its circle is*:
+
+            e' = e - s a,   e'_dot = e_dot - s w_i x a,   s = e . a
+
+        so that e' . e'_dot is the rate of |e'|^2 / 2 however the axis a turns.
+        """
+        axis, along = _along(motion)
+        return motion._replace(
+            eccentricity=motion.eccentricity - along * axis,
+            eccentricity_rate=motion.eccentricity_rate - along * jnp.cross(motion.socket_angular_velocity, axis),
+        )
+
+    def respond(self, motions, memory):
+        """Force and moments at the centers; the bearing feels the force where the journal's circle is."""
+        motion = self.motion_of_centers(motions)
+        response = self.model.respond(self.across(motion), memory)
+        axis, along = _along(motion)
+        moment = response.socket_moment - along * jnp.cross(axis, response.force)
+        return response._replace(socket_moment=moment)
+
+
+def _along(motion: RelativeMotion) -> tuple[Vector3, Scalar]:
+    """The bearing's axis, and how far along it the journal's circle is from the rim [m]."""
+    axis = motion.socket_rotation[:, 2]
+    return axis, motion.eccentricity @ axis
+
+
+def _half(model: AbstractSphericalModel) -> AbstractSphericalModel:
+    """The model of half a bearing: a cylinder's length, or a given stiffness, halved."""
+    if isinstance(model, AbstractClearanceModel):
+        if isinstance(model.conformity, AbstractCylinder):
+            return eqx.tree_at(lambda m: m.conformity.length, model, 0.5 * model.conformity.length)
+        if model.conformity is not None:
+            raise TypeError(
+                f"half of {type(model.conformity).__name__} is not known here: give each sj.Rim the contact of its half"
+            )
+        if model.normal.stiffness is not None:
+            return eqx.tree_at(lambda m: m.normal.stiffness, model, 0.5 * model.normal.stiffness)
+    return model
+
+
+def tilting_journal(
+    name: str,
+    bodies: tuple[str, str],
+    point: Triple,
+    axis: Triple,
+    model: AbstractSphericalModel | None = None,
+    *,
+    length: Number,
+    starts_concentric: bool = True,
+) -> dict[str, Rim]:
+    """A journal with clearance that tilts in its bearing, as two rims: joints of a scene.
+
+        joints = {"crank": sj.Revolute(...), **sj.tilting_journal("pin", ("rod", "piston"), at, along, dry, length=0.02)}
+
+    The rims are `NAME_1` and `NAME_2`, half a length before and behind the point along the axis; the first holds the
+    journal along the axis. Each has half of the contact: that of a cylinder of half the length, or half of a given
+    stiffness, so that a journal that stays parallel moves as in `Revolute`.
+
+    Args:
+        name: of the joint.
+        bodies: names of the bearing's and of the journal's body.
+        point: the middle of the bearing, world axes at the start [m], shape (3,).
+        axis: direction of its axis, world axes at the start, any length, shape (3,).
+        model: `Ideal()`, or `Dry(...)` as for `Revolute`, for the whole bearing.
+        length: of the bearing [m].
+        starts_concentric: see `Rim`.
+
+    Returns:
+        The joints by name.
+    """
+    enforce(f"journal {name!r}", [positive("length", length, "m"), direction_requirement(numbers(axis))])
+    model = _half(Ideal() if model is None else model)
+    point, axis = numbers(point), unit(numbers(axis))
+    places = (point - 0.5 * length * axis, point + 0.5 * length * axis)
+    return {
+        f"{name}_{i + 1}": Rim(bodies, place, axis, model, starts_concentric, is_thrust=i == 0)
+        for i, place in enumerate(places)
+    }
