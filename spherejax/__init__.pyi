@@ -155,6 +155,7 @@ from .physics.laws import (
     squeeze_coefficient,
     squeeze_factor,
 )
+from .physics.memory import MemoryEntry
 from .physics.orientations import orientation
 from .studies.accuracy import SOLVERS, WorkPrecision, work_precision
 from .studies.bayes import Posterior, posterior
@@ -259,6 +260,7 @@ __all__ = [
     "Material",
     "MatrixElastomer",
     "Maxwell",
+    "MemoryEntry",
     "Measured",
     "Mode",
     "Modes",

@@ -36,6 +36,24 @@ class Viscous(sj.AbstractStaticFriction):
         return []
 
 
+class WarmingFilm(sj.AbstractFilm):
+    """The full film of an oil that warms by what it absorbs, cools at a rate, and thins: nu exp(-thinning w)."""
+
+    capacity: Annotated[float, sj.Unit("J/K")]
+    cooling: Annotated[float, sj.Unit("1/s")] = 0.0
+    thinning: Annotated[float, sj.Unit("1/K")] = 0.0
+
+    @property
+    def memory(self):
+        return (sj.MemoryEntry("warmth", "K", 1.0),)
+
+    def action(self, motion, gap):
+        warmth = motion.memory[0]
+        found = sj.FullFilm().action(motion, gap._replace(viscosity=gap.viscosity * jnp.exp(-self.thinning * warmth)))
+        rate = (found.pressure_power + found.shear_power) / self.capacity - self.cooling * warmth
+        return found._replace(memory_rate=rate[None])
+
+
 def gust(t):
     """A force by time."""
     return jnp.stack([jnp.sin(t), 0.0 * t, 0.0 * t])

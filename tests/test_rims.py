@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import spherejax as sj
@@ -73,7 +72,8 @@ def reference(model, t_end):
     arm = 0.5 * LENGTH + OVERHANG
 
     def depths(y):
-        (z, theta, rate, turn), (sine, cosine) = y, (np.sin(y[1]), np.cos(y[1]))
+        z, rate, turn = y[0], y[2], y[3]
+        sine, cosine = np.sin(y[1]), np.cos(y[1])
         first, second = z, z + LENGTH * sine
         return (first, rate), (second, rate + LENGTH * cosine * turn)
 
@@ -99,8 +99,8 @@ def reference(model, t_end):
     while t < t_end:
 
         def event(i):
-            def touches(t, y, *_):
-                return abs(depths(y)[i][0]) - clearance
+            def touches(t, state, *_):
+                return abs(depths(state)[i][0]) - clearance
 
             touches.terminal, touches.direction = True, 1.0 if onsets[i] == 0 else -1.0
             return touches
@@ -111,9 +111,8 @@ def reference(model, t_end):
         t, y = found.t[-1], found.y[:, -1]
         for i in range(2):
             if len(found.t_events[i]):
-                e, rate = depths(y)[i]
                 counts[i] += onsets[i] == 0
-                onsets[i] = abs(rate) if onsets[i] == 0 else 0.0
+                onsets[i] = abs(depths(y)[i][1]) if onsets[i] == 0 else 0.0
                 y = y + 1e-13 * np.array(slope(t, y, onsets))
                 t = t + 1e-13
     return y[:2], counts
@@ -213,9 +212,7 @@ def test_the_crossing_has_the_rate_that_it_has():
 
 def test_lanes_make_the_runs_that_simulate_makes():
     clearances, ts = np.array([4e-4, 2e-4, 1e-4]), [0.0, 0.01]
-    swept = sj.sweep(
-        lambda c: shaft(stiff(c)), {"c": clearances}, ts, record=["final position.rotor"], progress=False
-    )
+    swept = sj.sweep(lambda c: shaft(stiff(c)), {"c": clearances}, ts, record=["final position.rotor"], progress=False)
     for i, c in enumerate(clearances):
         alone = sj.simulate(shaft(stiff(c)), jnp.array(ts), throw=True)
         np.testing.assert_allclose(swept["final_position.rotor"][i], alone.position("rotor")[-1], atol=1e-8)

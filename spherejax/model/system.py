@@ -18,7 +18,7 @@ from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce
 from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
-from spherejax.physics.joints.memory import MemoryEntry
+from spherejax.physics.memory import MemoryEntry
 from spherejax.physics.state import Layout
 
 

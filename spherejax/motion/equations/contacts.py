@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.numerics import safe_sqrt
@@ -71,8 +72,10 @@ def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> 
             was_touching = model.is_touching(memory_start[slot.entries])
             is_beyond = model.crossing(motion).value > 0
             rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
-            now = jnp.where(~was_touching & is_beyond, model.memory_at_onset(rate), now)
-            now = jnp.where(was_touching & ~is_beyond, model.memory_at_release(), now)
+            after = jnp.where(~was_touching & is_beyond, model.memory_at_onset(rate), now)
+            after = jnp.where(was_touching & ~is_beyond, model.memory_at_release(), after)
+            lasts = np.array([entry.lasts for entry in slot.contents])
+            now = jnp.where(lasts, now, after) if lasts.any() else after
         parts.append(now)
     return jnp.concatenate(parts)
 

@@ -111,14 +111,19 @@ def _wrench(force: Vector3, moment: Vector3) -> Float[Array, "6"]:
     return jnp.concatenate([force, moment])
 
 
+def memory_of_each(system: System, group: JointGroup, memory: Float[Array, " n_memory"]) -> Float[Array, "k m"]:
+    """What each joint of a group remembers, joint after joint."""
+    slots = [system.memory_of(name) for name in group.names]
+    entries = np.array([np.arange(slot.start, slot.stop) for slot in slots], int)
+    return rows_at(memory, entries.ravel()).reshape(entries.shape)
+
+
 def joint_loads(system: System, motions: BodyMotions, memory: Float[Array, " n_memory"]) -> JointLoads:
     """Loads of the joints that answer with a force."""
     found = []
     for group in stacks_of(system).joints:
         if group.joint.answers_with_force:
-            slots = [system.memory_of(name) for name in group.names]
-            entries = np.array([np.arange(slot.start, slot.stop) for slot in slots], int)
-            remembered = rows_at(memory, entries.ravel()).reshape(entries.shape)
+            remembered = memory_of_each(system, group, memory)
             load = over_lanes(_joint_load, group.joint, *motions.of_ends(group), remembered)
             found.append(LoadGroup(group, load))
     return JointLoads(system.force_joints, tuple(found))

@@ -14,6 +14,7 @@ from spherejax.motion.equations.body_motions import BodyMotions, between, body_m
 from spherejax.motion.equations.constraints import velocity_violation
 from spherejax.motion.equations.dynamics import SolvedEquations, evaluate
 from spherejax.motion.equations.joint_friction import constraint_reaction, resistances
+from spherejax.motion.equations.loads import memory_of_each
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces import AbstractForce, power_on_bodies
 from spherejax.physics.joints import PlacedSpherical, Reaction
@@ -99,16 +100,18 @@ def _relative_motion(joint: PlacedSpherical, first: BodyMotion, second: BodyMoti
 
 def looked_up(system: System, y: Float[Array, " size"]) -> dict[str, dict[str, Array]]:
     """Named parts of the spherical joints that are found only where someone looks, by joint; see `observed`."""
-    motions = body_motions(system, unpack(system.layout, y))
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
     found = {}
     for group in stacks_of(system).joints:
         if group.joint.answers_with_force:
-            found |= _by_name(group, over_lanes(_looked_up, group.joint, *motions.of_ends(group)))
+            memory = memory_of_each(system, group, state.memory)
+            found |= _by_name(group, over_lanes(_looked_up, group.joint, *motions.of_ends(group), memory))
     return dict(sorted(found.items()))
 
 
-def _looked_up(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion) -> dict[str, Array]:
-    return joint.model.observed(joint.relative_motion(between(first, second)))
+def _looked_up(joint: PlacedSpherical, first: BodyMotion, second: BodyMotion, memory) -> dict[str, Array]:
+    return joint.model.observed(joint.relative_motion(between(first, second)), memory)
 
 
 def _reactions(evaluation: SolvedEquations) -> dict[str, Reaction]:

@@ -63,7 +63,8 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
         positions    rtol min(1, 1e4 c / L) relative, 1e-2 of that times L absolute; c is the smallest clearance
         quaternions  rtol, 1e-2 rtol
         velocities   rtol, 1e-2 rtol V;  angular velocities  rtol, 1e-2 rtol V / L
-        memory       as velocities; deflections that a bushing remembers as positions, rotations as quaternions
+        memory       as velocities; deflections that a bushing remembers as positions, rotations as quaternions;
+                     what has a scale of its own by that
         work         rtol, 1e-2 rtol m V^2
 
     A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
@@ -137,7 +138,9 @@ def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocit
 def _memory_scales(system: System, xp, scales: dict[str, Any]) -> Any:
     """What counts as one for each memory entry."""
     entries = [entry for slot in system.memory_slots for entry in slot.contents]
-    return xp.stack([xp.asarray(scales[entry.scale]) for entry in entries]) if entries else scales["speed"]
+    if not entries:
+        return scales["speed"]
+    return xp.stack([xp.asarray(scales.get(entry.scale, entry.scale)) for entry in entries])
 
 
 def _scales(system: System):

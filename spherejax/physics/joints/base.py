@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Scalar, Vector3
-from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.memory import MemoryEntry
 
 
 class Response(NamedTuple):
@@ -171,7 +171,7 @@ class AbstractSphericalModel(eqx.Module):
         """Force and moment that answer a relative motion."""
         raise TypeError(f"{type(self).__name__} answers with constraints, not with a force")
 
-    def observed(self, motion: RelativeMotion) -> dict[str, Array]:
+    def observed(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> dict[str, Array]:
         """More named parts beside those of the response: evaluated where someone looks, not at every step."""
         return {}
 

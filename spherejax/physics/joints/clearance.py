@@ -11,9 +11,9 @@ from spherejax.physics.joints.contact import (
     Surfaces,
     contact_crossing,
 )
-from spherejax.physics.joints.memory import MemoryEntry, contact_memory, is_touching, memory_at_onset
 from spherejax.physics.laws import AbstractConformity, AbstractFrictionLaw, AbstractNormalLaw, Material
 from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO
+from spherejax.physics.memory import MemoryEntry, contact_memory, is_touching, memory_at_onset
 
 
 def clearance_from(clearance: Number | None, socket_radius: Number, ball_radius: Number | None) -> Numeric:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Vector3
-from spherejax.physics.joints import memory as remembered
+from spherejax.physics import memory as remembered
 from spherejax.physics.joints.base import Crossing, Effect
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws import (

@@ -14,10 +14,10 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.bodies import Body
 from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.joints.reaction_friction import AbstractJointFriction
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
+from spherejax.physics.memory import MemoryEntry
 
 Motions = Mapping[str, BodyMotion]
 """The motion of every body by name, the ground included."""

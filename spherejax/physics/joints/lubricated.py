@@ -37,6 +37,7 @@ from spherejax.physics.laws import (
     RadialFilm,
     hybrid_weight,
 )
+from spherejax.physics.memory import MemoryEntry
 
 _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(12))
 
@@ -57,16 +58,6 @@ def _check_film(film: AbstractFilm, boundary: AbstractFilmBoundary) -> None:
             f"{type(film).__name__} with {type(boundary).__name__}: that condition is of squeezing along the line of "
             "centers alone. Take boundary=sj.Guembel() or boundary=sj.Sommerfeld(), or film=sj.RadialFilm()."
         )
-
-
-def _film_motion(motion: RelativeMotion) -> FilmMotion:
-    return FilmMotion(
-        motion.eccentricity,
-        motion.eccentricity_rate,
-        motion.socket_angular_velocity,
-        motion.ball_angular_velocity,
-        motion.socket_rotation[:, 2],
-    )
 
 
 class Lubricated(AbstractClearanceModel):
@@ -179,6 +170,11 @@ class Lubricated(AbstractClearanceModel):
         ]
 
     @property
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """That of the contact, and what the film remembers."""
+        return (*super().memory, *(entry._replace(lasts=True) for entry in self.film.memory))
+
+    @property
     def medium(self) -> Medium:
         """A film."""
         return Medium.FILM
@@ -188,7 +184,7 @@ class Lubricated(AbstractClearanceModel):
         surfaces = self.surfaces
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
-        film = self.film.action(_film_motion(motion), self._film_gap)
+        film = self.film.action(self._film_motion(motion, memory), self._film_gap)
         share = 1 - weight
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
         penetration = self.penetration(motion)
@@ -196,7 +192,7 @@ class Lubricated(AbstractClearanceModel):
             force=share * film.force + contact.force,
             ball_moment=share * film.ball_moment + ball_moment,
             socket_moment=share * film.socket_moment + socket_moment,
-            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
+            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate, film.memory_rate]),
             elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
@@ -211,13 +207,23 @@ class Lubricated(AbstractClearanceModel):
             },
         )
 
-    def observed(self, motion):
+    def observed(self, motion, memory):
         """Largest pressure of the film's share [Pa], and the unit vector from the socket's center to its place."""
-        peak = self.film.pressure_peak(_film_motion(motion), self._film_gap)
+        peak = self.film.pressure_peak(self._film_motion(motion, memory), self._film_gap)
         if peak is None:
             return {}
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
         return {"film_pressure": (1 - weight) * peak.height, "film_pressure_place": peak.place}
+
+    def _film_motion(self, motion: RelativeMotion, memory) -> FilmMotion:
+        return FilmMotion(
+            motion.eccentricity,
+            motion.eccentricity_rate,
+            motion.socket_angular_velocity,
+            motion.ball_angular_velocity,
+            motion.socket_rotation[:, 2],
+            memory[len(super().memory) :],
+        )
 
     @property
     def _film_gap(self) -> FilmGap:

@@ -27,8 +27,8 @@ from spherejax.foundations.numerics import safe_divide, safe_norm
 from spherejax.foundations.types import Number, Numeric, Scalar, Vector3
 from spherejax.physics.joints.base import Reaction
 from spherejax.physics.joints.ideal import Ideal
-from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.kinematics import BodyMotion, point_motion
+from spherejax.physics.memory import MemoryEntry
 
 
 class Resistance(NamedTuple):

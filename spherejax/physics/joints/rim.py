@@ -107,7 +107,7 @@ def _of_rims(model: AbstractSphericalModel) -> list[Requirement]:
     remedy = "Give Dry(...) or Ideal(); a film between tilted surfaces is not modelled: Revolute has one, parallel."
     return [
         Requirement("model", name, fits, "be ideal or dry", remedy),
-        Requirement("friction", name, not rubs, "be left out of an ideal rim", "Revolute has friction by its reaction."),
+        Requirement("friction", name, not rubs, "be left out of an ideal rim", "Revolute has friction by reactions."),
     ]
 
 
@@ -200,7 +200,7 @@ def tilting_journal(
 ) -> dict[str, Rim]:
     """A journal with clearance that tilts in its bearing, as two rims: joints of a scene.
 
-        joints = {"crank": sj.Revolute(...), **sj.tilting_journal("pin", ("rod", "piston"), at, along, dry, length=0.02)}
+        joints = {"crank": sj.Revolute(...), **sj.tilting_journal("pin", bodies, at, along, model, length=0.02)}
 
     The rims are `NAME_1` and `NAME_2`, half a length before and behind the point along the axis; the first holds the
     journal along the axis. Each has half of the contact: that of a cylinder of half the length, or half of a given

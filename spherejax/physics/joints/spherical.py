@@ -13,10 +13,10 @@ from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.body_axes import relative_start
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.joint import AbstractJoint, AbstractPlacedJoint, Motions
-from spherejax.physics.joints.memory import MemoryEntry
 from spherejax.physics.joints.reaction_friction import BallFriction, friction_requirements
 from spherejax.physics.joints.rows import ConstraintRows, coincidence_rows
 from spherejax.physics.kinematics import PointMotion, RelativeMotion, point_motion
+from spherejax.physics.memory import MemoryEntry
 
 
 class Spherical(AbstractJoint):

@@ -4,6 +4,8 @@ import abc
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import radial_projection, safe_norm
@@ -16,6 +18,9 @@ from spherejax.physics.laws.film import (
     squeeze_coefficient,
 )
 from spherejax.physics.laws.full_film import PressurePeak, pressure_peak, shear_factors
+from spherejax.physics.memory import MemoryEntry
+
+_NOTHING = np.zeros(0)
 
 
 class FilmGap(NamedTuple):
@@ -44,6 +49,7 @@ class FilmMotion(NamedTuple):
         e_rate: its rate [m/s].
         socket_spin, ball_spin: angular velocities of both [rad/s].
         axis: of a bearing, unit length; None for a ball.
+        memory: what the film remembers, as its `memory` lists it.
     """
 
     e: Vector3
@@ -51,6 +57,7 @@ class FilmMotion(NamedTuple):
     socket_spin: Vector3
     ball_spin: Vector3
     axis: Vector3 | None = None
+    memory: Float[Array, " n"] = _NOTHING
 
 
 class FilmAction(NamedTuple):
@@ -62,6 +69,7 @@ class FilmAction(NamedTuple):
         socket_moment: on the socket about its center [N m].
         pressure_power: absorbed by the pressure [W], not negative.
         shear_power: absorbed by the shear of the oil [W], not negative.
+        memory_rate: rates of what the film remembers [1/s].
     """
 
     force: Vector3
@@ -69,6 +77,7 @@ class FilmAction(NamedTuple):
     socket_moment: Vector3
     pressure_power: Scalar
     shear_power: Scalar
+    memory_rate: Float[Array, " n"] = _NOTHING
 
 
 class AbstractFilm(AbstractLaw):
@@ -79,6 +88,14 @@ class AbstractFilm(AbstractLaw):
     """
 
     is_of_bearing: ClassVar[bool] = False
+
+    @property
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """What the film remembers through contact and flight, each entry 0 at the start (static); nothing by default.
+
+        It comes with the motion, and the action brings its rates.
+        """
+        return ()
 
     @abc.abstractmethod
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:

@@ -19,13 +19,15 @@ class MemoryEntry(NamedTuple):
     Attributes:
         name: in tables, files and tests.
         unit: SI unit.
-        scale: what its errors are judged against: lengths, angles or speeds of the mechanism; see
-            `component_tolerances`.
+        scale: what its errors are judged against: lengths, angles or speeds of the mechanism, or a number in its unit;
+            see `component_tolerances`.
+        lasts: whether it goes on through onsets and releases; others take the values of `memory_at_onset` there.
     """
 
     name: str
     unit: str
-    scale: Scale
+    scale: Scale | float
+    lasts: bool = False
 
 
 ONSET_RATE = MemoryEntry("onset_rate", "m/s", "speed")
@@ -57,8 +59,8 @@ def onset_rate(memory: Float[Array, " n_memory"]) -> Scalar:
 
 
 def bristle(memory: Float[Array, " n_memory"]) -> Vector3:
-    """Deflection of a contact's bristles [m]."""
-    return memory[1:]
+    """Deflection of a contact's bristles, where it has some [m]."""
+    return memory[1:4]
 
 
 def is_touching(memory: Float[Array, " n_memory"]) -> Bool[Array, ""]:
@@ -67,5 +69,5 @@ def is_touching(memory: Float[Array, " n_memory"]) -> Bool[Array, ""]:
 
 
 def memory_at_onset(entries: tuple[MemoryEntry, ...], rate: Scalar) -> Float[Array, " n_memory"]:
-    """The onset rate is remembered; bristles start undeflected."""
+    """The onset rate is remembered; bristles start undeflected, and what lasts is left to whoever asks."""
     return jnp.concatenate([jnp.maximum(rate, SMALLEST_ONSET_RATE)[None], jnp.zeros(len(entries) - 1)])

@@ -1,0 +1,98 @@
+"""A film that remembers, written by a user in one file: through steps, contacts, lanes, derivatives and files."""
+
+import jax
+import jax.numpy as jnp
+import my_laws
+import numpy as np
+import pytest
+
+import spherejax as sj
+
+JOINT = "coupler_rocker"
+TS = jnp.linspace(0.0, 0.1, 6)
+
+
+def model(film, **numbers):
+    return sj.Lubricated(1e-4, 0.4, film=film, **numbers)
+
+
+def run_of(film, ts=TS, **options):
+    return sj.simulate(sj.gallery.four_bar(model(film)), ts, throw=True, **options)
+
+
+@pytest.fixture(scope="module")
+def warm():
+    return run_of(my_laws.WarmingFilm(0.05), rtol=1e-9, track_work=True)
+
+
+def test_a_memory_that_nothing_asks_changes_nothing(warm):
+    plain = run_of(sj.FullFilm(), rtol=1e-9)
+    np.testing.assert_allclose(warm.position("rocker"), plain.position("rocker"), atol=1e-9)
+
+
+def test_warmth_is_the_work_that_the_film_absorbed(warm):
+    warmth = np.asarray(warm.memory(JOINT)["warmth"])
+    assert warmth[0] == 0
+    assert np.all(np.diff(warmth) > 0)
+    np.testing.assert_allclose(0.05 * warmth, warm.absorbed_work(JOINT), rtol=1e-5, atol=1e-9)
+
+
+def test_thinner_oil_moves_otherwise():
+    thin, thick = (run_of(my_laws.WarmingFilm(1e-4, thinning=x), TS[:3]) for x in (1.0, 0.0))
+    assert float(jnp.abs(thin.eccentricity(JOINT)[-1] - thick.eccentricity(JOINT)[-1]).max()) > 1e-8
+
+
+def test_contacts_leave_it_alone():
+    """A heavy ball squeezes the oil out and strikes: the onset's memory begins anew, the film's goes on."""
+    body = sj.Body(2.0, (1e-3, 1e-3, 1e-3), velocity=(0.0, 0.0, -1.0), points={"ball": (0.0, 0.0, 0.0)})
+    thin = sj.Lubricated(1e-4, 1e-4, film=my_laws.WarmingFilm(1e-6), friction=sj.LuGre())
+    joint = sj.Spherical("ground.socket", "bob.ball", thin, starts_concentric=False)
+    scene = sj.Scene({"bob": body}, {"joint": joint}, ground_points={"socket": (0.0, 0.0, 0.0)})
+    run = sj.simulate(scene, jnp.linspace(0.0, 1e-3, 201), throw=True)
+    remembered = {name: np.asarray(values) for name, values in run.memory("joint").items()}
+    assert list(remembered) == ["onset_rate", "bristle_x", "bristle_y", "bristle_z", "warmth"]
+    assert int(run.stats.n_onsets[0]) >= 1
+    assert (remembered["onset_rate"] > 0).any()
+    assert remembered["onset_rate"][0] == 0
+    assert np.all(np.diff(remembered["warmth"]) >= 0)
+    assert remembered["warmth"][-1] > remembered["warmth"][1] > 0
+
+
+def test_lanes_and_tables_carry_it():
+    capacities = [0.05, 0.1]
+    swept = sj.sweep(
+        lambda c: sj.gallery.four_bar(model(my_laws.WarmingFilm(c, thinning=0.1))),
+        {"c": capacities},
+        TS[:3],
+        record=["final position.rocker"],
+        progress=False,
+    )
+    for i, capacity in enumerate(capacities):
+        alone = run_of(my_laws.WarmingFilm(capacity, thinning=0.1), TS[:3])
+        np.testing.assert_allclose(swept["final_position.rocker"][i], alone.position("rocker")[-1], atol=1e-8)
+    table = alone.to_xarray()["joint_memory"]
+    np.testing.assert_array_equal(table.sel(memory=f"{JOINT}.warmth"), alone.memory(JOINT)["warmth"])
+
+
+def test_derivatives_by_its_numbers_agree_with_differences():
+    def eccentricity(thinning):
+        run = run_of(my_laws.WarmingFilm(1e-3, thinning=thinning), jnp.array([0.0, 0.02]), rtol=1e-10)
+        return run.eccentricity(JOINT)[-1, 2]
+
+    value, slope = jax.jit(lambda x: jax.jvp(eccentricity, (x,), (1.0,)))(0.5)
+    h = 1e-3
+    plain = jax.jit(eccentricity)
+    assert float(slope) == pytest.approx(float(plain(0.5 + h) - plain(0.5 - h)) / (2 * h), rel=1e-3)
+    assert float(value) == pytest.approx(float(plain(0.5)), rel=1e-6)
+    assert float(slope) != 0
+
+
+def test_a_film_of_ones_own_goes_through_a_file(tmp_path):
+    (tmp_path / "my_laws.py").write_text(open(my_laws.__file__).read())
+    scene = sj.gallery.four_bar(model(my_laws.WarmingFilm(0.05, 0.1, 0.2)))
+    sj.save_scene(scene, tmp_path / "warm.toml")
+    text = (tmp_path / "warm.toml").read_text()
+    assert "J/K" in text
+    again = sj.load_scene(tmp_path / "warm.toml", allow_code=True)
+    film = again.joints[JOINT].model.film
+    assert (float(film.capacity), float(film.cooling), float(film.thinning)) == (0.05, 0.1, 0.2)
