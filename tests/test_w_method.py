@@ -284,6 +284,7 @@ def film_step():
     return jax.jit(step), jnp.asarray(theta), jnp.asarray(y)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_step_is_that_of_the_discrete_step(film_step):
     """Along theta, state and step size; the approximate matrix is differentiated as well."""
     step, theta, y = film_step
