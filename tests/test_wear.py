@@ -507,6 +507,7 @@ def test_wrong_joints_and_runs_are_answered(rolling):
         sj.wear(batch, "joint", **GOOD)
 
 
+@pytest.mark.slow
 def test_what_is_known_poorly_is_said(rolling, monkeypatch):
     with pytest.warns(sj.WearWarning, match="Ask for more cells"):
         worn = sj.wear(rolling, "joint", **GOOD, cells=16)
