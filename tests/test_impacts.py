@@ -95,16 +95,18 @@ def test_peaks_are_those_of_fine_samples(run, fine):
         run.peak("reaction.jiont")
 
 
-def test_peaks_of_a_stiff_method_and_of_a_smooth_motion():
-    for model in (sj.Ideal(), sj.Lubricated(clearance=1e-4, viscosity=0.4)):
-        scene = sj.gallery.four_bar(model)
-        coarse = sj.simulate(scene, [0.0, 0.2], rtol=1e-8)
-        fine = sj.simulate(scene, np.linspace(0.0, 0.2, 4001), rtol=1e-8)
-        for name, values in (
-            ("acceleration.rocker", fine.acceleration("rocker")),
-            ("reaction.coupler_rocker", fine.reaction("coupler_rocker")),
-        ):
-            assert coarse.peak(name).value == pytest.approx(np.linalg.norm(values, axis=1).max(), rel=2e-4)
+@pytest.mark.parametrize(
+    "model", [sj.Ideal(), pytest.param(sj.Lubricated(clearance=1e-4, viscosity=0.4), marks=pytest.mark.slow)]
+)
+def test_peaks_of_a_smooth_motion_and_of_a_stiff_method(model):
+    scene = sj.gallery.four_bar(model)
+    coarse = sj.simulate(scene, [0.0, 0.2], rtol=1e-8)
+    fine = sj.simulate(scene, np.linspace(0.0, 0.2, 4001), rtol=1e-8)
+    for name, values in (
+        ("acceleration.rocker", fine.acceleration("rocker")),
+        ("reaction.coupler_rocker", fine.reaction("coupler_rocker")),
+    ):
+        assert coarse.peak(name).value == pytest.approx(np.linalg.norm(values, axis=1).max(), rel=2e-4)
 
 
 def test_contacts_at_the_start_and_at_the_end():

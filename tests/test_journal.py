@@ -78,6 +78,7 @@ def test_less_clearance_is_nearer_to_the_ideal_motion(ideal):
     assert away[2] < 2e-5
 
 
+@pytest.mark.slow
 def test_oil_spares_the_motor_what_dry_play_costs_it(ideal):
     """Known of this mechanism: a dry pin makes peaks of the crank's moment, a lubricated one hardly any."""
 

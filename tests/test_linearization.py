@@ -186,6 +186,7 @@ def test_a_sleeping_top(spin):
     assert lin.modes().is_stable == (C * spin > 2 * np.sqrt(A * 15.0 * G))
 
 
+@pytest.mark.slow
 def test_a_conical_pendulum_in_axes_that_turn():
     """W^2 = (g / (l cos a)) (1 + 3 cos^2 a): constant in axes that turn with it, and not in others."""
     a, length = 0.6, 0.4
@@ -209,6 +210,7 @@ def test_a_conical_pendulum_in_axes_that_turn():
     assert "not about a rest" in str(standing.modes())
 
 
+@pytest.mark.slow
 def test_a_pendulum_on_a_foundation_that_turns():
     """Foucault's: in axes that turn by W, rates +-sqrt(g/l) - W and +-sqrt(g/l) + W for a rod with free ends."""
     bob = sj.Body(1.0, (1e-2,) * 3, (0.0, 0.0, -2.0), points={"center": (0.0, 0.0, 0.0)})

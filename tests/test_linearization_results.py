@@ -313,6 +313,7 @@ def test_frequencies_that_make_no_sense(rubber):
             rubber.frequency_response(wrong)
 
 
+@pytest.mark.slow
 def test_a_run_has_the_moments_of_its_samples():
     run = sj.simulate(pendulum(0.3), jnp.linspace(0.0, 0.2, 3))
     with pytest.raises(sj.SceneError, match=r"the nearest is at 0\.1 s"):

@@ -155,6 +155,7 @@ def test_what_a_law_is_not_for_is_a_caution(run, tmp_path):
     assert "range of their elastic law" in top
 
 
+@pytest.mark.slow
 def test_of_lanes_the_failed_one_is_told(tmp_path):
     def build(speed):
         scene = pendulum()
@@ -278,6 +279,7 @@ def test_a_fit(tmp_path):
     assert "The mechanism" in read.headings
 
 
+@pytest.mark.slow
 def test_a_study_of_accuracy(tmp_path):
     solvers = {name: sj.SOLVERS[name] for name in ("Dopri8",)}
     study = sj.work_precision({EVIL: pendulum()}, 0.2, solvers=solvers, tolerances=(1e-5,), n_repeats=1, n_samples=21)
@@ -333,6 +335,7 @@ def test_a_long_table_says_that_it_is_cut():
     assert "The first 400 of 1,000 rows." in read.text
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_report_of_a_failed_run_too(tmp_path, capsys):
     path = tmp_path / "run.html"
     words = ["run", "simple-pendulum", "--t1", "0.1", "--samples", "11", "--max-steps", "2", "--report", str(path)]

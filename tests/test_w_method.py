@@ -284,6 +284,7 @@ def film_step():
     return jax.jit(step), jnp.asarray(theta), jnp.asarray(y)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_step_is_that_of_the_discrete_step(film_step):
     """Along theta, state and step size; the approximate matrix is differentiated as well."""
     step, theta, y = film_step
@@ -300,6 +301,7 @@ def test_derivative_of_a_step_is_that_of_the_discrete_step(film_step):
     assert (errors[1] < errors[0] / 50).all()  # what is left is the differences' own error
 
 
+@pytest.mark.slow
 def test_vmap_of_steps_equals_loop(film_step):
     step, theta, y = film_step
     sizes = jnp.array([1e-6, 1e-5, 1e-4])

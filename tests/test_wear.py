@@ -125,6 +125,7 @@ def test_sliding_is_that_of_materials_at_one_place():
     np.testing.assert_allclose(found, v - np.sum(v * u, axis=1, keepdims=True) * u, atol=1e-12 * RATE * R)
 
 
+@pytest.mark.slow
 def test_a_pair_that_turns_as_one_body_does_not_wear():
     """On an arm that is driven around, the ball is pressed outwards and turns with its socket.
 
@@ -293,6 +294,7 @@ def test_what_is_rubbed_off_is_k_times_the_sliding_work_of_fine_samples(bouncing
     assert worn.checks.instants > worn.checks.gathered > 10
 
 
+@pytest.mark.slow
 def test_gathered_instants_wear_as_all_of_them(bouncing, monkeypatch):
     """What stands for alike instants, against every instant by itself."""
     found = sj.wear(bouncing, "joint", k_socket=1e-13, k_ball=1e-13, cells=96)
@@ -339,6 +341,7 @@ def test_without_contact_nothing_wears():
     worn.figure()
 
 
+@pytest.mark.slow
 def test_maps_are_fixed_to_the_bodies():
     """The whole mechanism, bodies with it, turned in space: the same maps."""
     spin = (4.0, RATE, 11.0)
@@ -355,6 +358,7 @@ def test_maps_are_fixed_to_the_bodies():
     assert np.abs(off).max() > 0.5 * upright.depth_per_cycle("ball").max()
 
 
+@pytest.mark.slow
 def test_half_a_turn_wears_half(rolling):
     half = sj.wear(rolling, "joint", k_socket=K[0], k_ball=0.0, window=(0.3 * TURN, 0.8 * TURN), cells=96)
     full = sj.wear(rolling, "joint", k_socket=K[0], k_ball=0.0, cells=96)
@@ -503,6 +507,7 @@ def test_wrong_joints_and_runs_are_answered(rolling):
         sj.wear(batch, "joint", **GOOD)
 
 
+@pytest.mark.slow
 def test_what_is_known_poorly_is_said(rolling, monkeypatch):
     with pytest.warns(sj.WearWarning, match="Ask for more cells"):
         worn = sj.wear(rolling, "joint", **GOOD, cells=16)

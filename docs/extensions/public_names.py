@@ -1,6 +1,6 @@
 """Directive `public-names`: the public names of spherejax that some of its modules define, with their docstrings.
 
-    ```{public-names} studies.sweep motion.many
+    ```{public-names} studies.sweep motion.runs.many
     ```
 
 A name that is added to such a module stands on the page by itself. Functions come first.

@@ -382,7 +382,7 @@ class Trajectory(eqx.Module, Reported):
         return self.observation.velocity_violation
 
     def to_xarray(self, *, every: int = 1) -> "xarray.Dataset":
-        """The run as a labelled `xarray.Dataset`, with units in the attributes; see `motion.dataset.to_dataset`.
+        """The run as a labelled `xarray.Dataset`, with units in the attributes; see `motion.results.dataset.to_dataset`.
 
         Args:
             every: keep every so many samples.

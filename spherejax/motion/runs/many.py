@@ -1,7 +1,7 @@
 """Many runs of one scene builder at once: what `jax.vmap(simulate)` does, in lanes that never idle.
 
 `jax.vmap` of an integration waits for its slowest lane and carries every buffer through every step. Here the runs
-queue for a block of lanes inside one compiled loop; see `motion.lanes`.
+queue for a block of lanes inside one compiled loop; see `motion.integration.lanes`.
 """
 
 import warnings
