@@ -1,5 +1,7 @@
 """A film that remembers, written by a user in one file: through steps, contacts, lanes, derivatives and files."""
 
+import shutil
+
 import jax
 import jax.numpy as jnp
 import my_laws
@@ -38,14 +40,16 @@ def test_warmth_is_the_work_that_the_film_absorbed(warm):
 
 
 def test_thinner_oil_moves_otherwise():
-    thin, thick = (run_of(my_laws.WarmingFilm(1e-4, thinning=x), TS[:3]) for x in (1.0, 0.0))
+    thin, thick = (run_of(my_laws.WarmingFilm(1e-6, thinning=x), TS[:2]) for x in (1.0, 0.0))
     assert float(jnp.abs(thin.eccentricity(JOINT)[-1] - thick.eccentricity(JOINT)[-1]).max()) > 1e-8
 
 
 def test_contacts_leave_it_alone():
     """A heavy ball squeezes the oil out and strikes: the onset's memory begins anew, the film's goes on."""
     body = sj.Body(2.0, (1e-3, 1e-3, 1e-3), velocity=(0.0, 0.0, -1.0), points={"ball": (0.0, 0.0, 0.0)})
-    thin = sj.Lubricated(1e-4, 1e-4, film=my_laws.WarmingFilm(1e-6), friction=sj.LuGre())
+    thin = sj.Lubricated(
+        1e-4, 1e-4, film=my_laws.WarmingFilm(1e-6), friction=sj.LuGre(), conformity=sj.SphericalProfile()
+    )
     joint = sj.Spherical("ground.socket", "bob.ball", thin, starts_concentric=False)
     scene = sj.Scene({"bob": body}, {"joint": joint}, ground_points={"socket": (0.0, 0.0, 0.0)})
     run = sj.simulate(scene, jnp.linspace(0.0, 1e-3, 201), throw=True)
@@ -88,7 +92,7 @@ def test_derivatives_by_its_numbers_agree_with_differences():
 
 
 def test_a_film_of_ones_own_goes_through_a_file(tmp_path):
-    (tmp_path / "my_laws.py").write_text(open(my_laws.__file__).read())
+    shutil.copy(my_laws.__file__, tmp_path)
     scene = sj.gallery.four_bar(model(my_laws.WarmingFilm(0.05, 0.1, 0.2)))
     sj.save_scene(scene, tmp_path / "warm.toml")
     text = (tmp_path / "warm.toml").read_text()

@@ -382,20 +382,14 @@ class Trajectory(eqx.Module, Reported):
         return self.observation.velocity_violation
 
     def to_xarray(self, *, every: int = 1) -> "xarray.Dataset":
-        """The run as a labelled `xarray.Dataset`, with units in the attributes; see `motion.results.dataset.to_dataset`.
-
-        Args:
-            every: keep every so many samples.
-        """
+        """The run as a labelled `xarray.Dataset`, units in the attributes, one of `every` samples; see `to_dataset`."""
         return to_dataset(self, every=every)
 
     def _found(self, lane: tuple) -> str:
         """What the audit of a lane has found; of a single run it names the joint or the body."""
-        if np.ndim(self.ended):
-            return findings(np.asarray(self.stats.audit)[lane])
-        shares = np.asarray(self.stats.audit)
-        if not findings(shares):
-            return ""
+        shares = np.asarray(self.stats.audit)[lane if np.ndim(self.ended) else ()]
+        if np.ndim(self.ended) or not findings(shares):
+            return findings(shares)
         return findings(shares, suspects(self.system, float(self.t_reached), np.asarray(self.y_reached)))
 
     # Names -------------------------------------------------------------------------------------------------------

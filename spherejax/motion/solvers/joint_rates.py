@@ -21,7 +21,7 @@ from spherejax.motion.equations.constraints import (
 )
 from spherejax.motion.equations.loads import applied_wrenches, by_body
 from spherejax.motion.equations.programs import program_for
-from spherejax.physics.joints import PlacedSpherical
+from spherejax.physics.joints import ConstraintRows, PlacedSpherical
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.state import VELOCITY_SIZE, unpack
 
@@ -172,19 +172,25 @@ def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> Pres
     decays, squares, times = [], [], []
     for name in system.force_joints:
         joint = system.spherical(name)
-        if not joint.model.has_surfaces or name not in multipliers:
+        if not (joint.model.has_surfaces and joint.starts_concentric):
             decays.append(jnp.zeros((2, 6, 6)))
             squares.append(jnp.zeros((2, 3, 3)))
             times.append(jnp.zeros(()))
             continue
         mobility = _mobility_with_rotation(system, motions, free, masses, joint)
-        force = LOADS_IN_MOTION * multipliers[name][:3]  # on the socket: the ball presses this way
+        force = LOADS_IN_MOTION * _load(joint, motions, closed.rows[name], multipliers[name])
         fall = safe_norm(_relative_acceleration(joint, motions, falling))
         looks = [_pressed(joint, motions, force, along, fall) for along in (force, _yielding(mobility, force))]
         decays.append(jnp.stack([mobility @ look.damping for look in looks]))
         squares.append(jnp.stack([mobility[:3, :3] @ look.stiffness for look in looks]))
         times.append(looks[0].sinking_time)
     return PressedActions(jnp.stack(decays), jnp.stack(squares), jnp.stack(times))
+
+
+def _load(joint: PlacedSpherical, motions, rows: ConstraintRows, multipliers) -> Vector3:
+    """What presses ball to socket in the ideal joint, on the socket [N]; of a journal, across its axis."""
+    force = rows.jacobians[1][:, :3].T @ multipliers
+    return joint.across(joint.motion_of_centers(motions)._replace(eccentricity=force)).eccentricity
 
 
 class _Look(NamedTuple):
