@@ -135,7 +135,7 @@ def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocit
     return xp.concatenate([q, v, memory * xp.ones(layout.n_memory), work * xp.ones(layout.n_work)])
 
 
-def _memory_scales(system: System, xp, scales: dict[str, Any]) -> Any:
+def _memory_scales(system: System, xp, scales: dict[Any, Any]) -> Any:
     """What counts as one for each memory entry."""
     entries = [entry for slot in system.memory_slots for entry in slot.contents]
     if not entries:

@@ -1,7 +1,7 @@
 """What a film does to ball and socket: the paper's, along the line of centers, or the full one, in every direction."""
 
 import abc
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +20,7 @@ from spherejax.physics.laws.film import (
 from spherejax.physics.laws.full_film import PressurePeak, pressure_peak, shear_factors
 from spherejax.physics.memory import MemoryEntry
 
-_NOTHING = np.zeros(0)
+_NOTHING: Any = np.zeros(0)
 
 
 class FilmGap(NamedTuple):
