@@ -29,132 +29,108 @@ from .output.citations import cite
 from .output.drawing import animate, draw, view
 from .output.report import report
 from .physics.bodies import Body
-from .physics.forces import (
-    AbstractCoordinate,
-    AbstractForce,
-    AppliedWrench,
-    BumpStop,
-    Coupler,
-    ShockAbsorber,
-    SpringDamper,
-    TorsionalSpring,
-    Travel,
-    Turn,
-    Tyre,
-    Wrench,
-)
-from .physics.functions import (
-    AbstractFunction,
+from .physics.forces.applied import AppliedWrench
+from .physics.forces.base import AbstractForce, Wrench
+from .physics.forces.bump_stop import BumpStop
+from .physics.forces.coupler import AbstractCoordinate, Coupler, Travel, Turn
+from .physics.forces.spring_damper import ShockAbsorber, SpringDamper
+from .physics.forces.torsional import TorsionalSpring
+from .physics.forces.tyre import Tyre
+from .physics.functions.base import AbstractFunction, UserFunction
+from .physics.functions.pieces import Piecewise, Sum
+from .physics.functions.shapes import (
     Bump,
     Constant,
     Linear,
-    Piecewise,
     Polynomial,
     PowerTail,
     Sine,
     SmoothStep,
-    SmoothTable,
     Step,
-    Sum,
-    Table,
-    UserFunction,
 )
-from .physics.joints import (
-    AbstractCurve,
-    AbstractJoint,
-    AbstractPlacedJoint,
-    AbstractSphericalModel,
-    Bushing,
-    Circle,
-    ConstraintRows,
-    Cylindrical,
-    Distance,
-    DistanceDriver,
-    Dry,
-    Fixed,
-    Ideal,
-    ImplicitCurve,
-    Line,
-    Lubricated,
-    PointOnCurve,
-    PointOnPlane,
-    PositionDriver,
-    Prismatic,
-    Response,
-    Revolute,
-    Rim,
-    RotationDriver,
-    Spherical,
-    TranslationDriver,
-    Universal,
-    differentiated_rows,
-    tilting_journal,
-)
-from .physics.laws import (
-    AbstractConformity,
-    AbstractElastomer,
-    AbstractFilm,
+from .physics.functions.tables import SmoothTable, Table
+from .physics.joints.axial import Cylindrical, Prismatic, Revolute
+from .physics.joints.base import AbstractSphericalModel, Response
+from .physics.joints.bushing import Bushing
+from .physics.joints.curves import AbstractCurve, Circle, ImplicitCurve, Line, PointOnCurve
+from .physics.joints.distance import Distance, DistanceDriver
+from .physics.joints.drivers import PositionDriver, RotationDriver, TranslationDriver
+from .physics.joints.dry import Dry
+from .physics.joints.ideal import Ideal
+from .physics.joints.joint import AbstractJoint, AbstractPlacedJoint
+from .physics.joints.lubricated import Lubricated
+from .physics.joints.pairs import Fixed, PointOnPlane, Universal
+from .physics.joints.rim import Rim, tilting_journal
+from .physics.joints.rows import ConstraintRows, differentiated_rows
+from .physics.joints.spherical import Spherical
+from .physics.laws.bearings import LongBearing, ShortBearing
+from .physics.laws.conformity import AbstractConformity, SphericalProfile, WinklerLiner
+from .physics.laws.cylinders import EsduCylinder, JohnsonCylinder
+from .physics.laws.elastomer import AbstractElastomer, RadialElastomer, VectorElastomer
+from .physics.laws.elastomer_axes import CrossElastomer, HingeElastomer
+from .physics.laws.elastomer_curve import CurveElastomer
+from .physics.laws.elastomer_matrix import MatrixElastomer
+from .physics.laws.film import (
     AbstractFilmBoundary,
-    AbstractFrictionLaw,
-    AbstractHysteresisLaw,
-    AbstractNormalLaw,
-    AbstractPressure,
-    AbstractStaticFriction,
-    Ambrosio,
-    BengisuAkay,
-    Berg,
-    BrownMcPhee,
-    CosinePressure,
-    Coulomb,
-    CrossElastomer,
-    CurveElastomer,
-    EsduCylinder,
-    ExactRestitution,
-    FilmAction,
-    FilmGap,
-    FilmMotion,
-    Flores,
-    FullFilm,
-    Gonthier,
     Guembel,
-    Hertz,
-    HingeElastomer,
-    HuntCrossley,
-    HuntCrossleyDissipation,
-    JohnsonCylinder,
-    LankaraniNikravesh,
-    LongBearing,
-    LuGre,
-    Material,
-    MatrixElastomer,
-    Maxwell,
     PinkusSternlicht,
-    PointContact,
-    PreloadAlone,
-    PressurePeak,
-    RadialElastomer,
-    RadialFilm,
-    ShearFactors,
-    ShortBearing,
     Sommerfeld,
-    SphericalProfile,
-    Threlfall,
-    UniformPressure,
-    VectorElastomer,
-    WinklerLiner,
-    exact_hysteresis_factor,
     film_force,
-    full_sphere_load,
-    generalized_stiffness,
-    half_sphere_load,
     hybrid_weight,
-    maximum_penetration,
-    pressure_peak,
-    realized_restitution,
-    shear_factors,
     squeeze_coefficient,
     squeeze_factor,
 )
+from .physics.laws.films import (
+    AbstractFilm,
+    FilmAction,
+    FilmGap,
+    FilmMotion,
+    FullFilm,
+    RadialFilm,
+)
+from .physics.laws.friction import (
+    AbstractFrictionLaw,
+    AbstractStaticFriction,
+    Ambrosio,
+    BengisuAkay,
+    BrownMcPhee,
+    Coulomb,
+    LuGre,
+    Threlfall,
+)
+from .physics.laws.full_film import (
+    PressurePeak,
+    ShearFactors,
+    full_sphere_load,
+    half_sphere_load,
+    pressure_peak,
+    shear_factors,
+)
+from .physics.laws.impact import (
+    exact_hysteresis_factor,
+    maximum_penetration,
+    realized_restitution,
+)
+from .physics.laws.material import Material, generalized_stiffness
+from .physics.laws.normal import (
+    AbstractHysteresisLaw,
+    AbstractNormalLaw,
+    ExactRestitution,
+    Flores,
+    Gonthier,
+    Hertz,
+    HuntCrossley,
+    HuntCrossleyDissipation,
+    LankaraniNikravesh,
+)
+from .physics.laws.pressure import (
+    AbstractPressure,
+    CosinePressure,
+    PointContact,
+    PreloadAlone,
+    UniformPressure,
+)
+from .physics.laws.viscoelastic import Berg, Maxwell
 from .physics.memory import MemoryEntry
 from .physics.orientations import orientation
 from .studies.accuracy import SOLVERS, WorkPrecision, work_precision

@@ -9,7 +9,7 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.motion.equations.body_motions import body_motions
-from spherejax.physics.forces import power_on_bodies
+from spherejax.physics.forces.base import power_on_bodies
 from spherejax.physics.state import unpack
 
 ENDS = ("first.eye", "second.eye")

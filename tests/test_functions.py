@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.physics.functions import as_function
+from spherejax.physics.functions.base import as_function
 
 X, Y = [-0.5, 0.0, 0.2, 0.9], [-1.0, -0.5, 2.0, 3.0]
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.physics.laws import generalized_stiffness
+from spherejax.physics.laws.material import generalized_stiffness
 
 
 def _dry(n):

@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import quad
 
 import spherejax as sj
-from spherejax.physics.laws import FilmGap, FilmMotion, Pair
 from spherejax.physics.laws.bearings import (
     long_full_load,
     long_half_load,
@@ -17,6 +16,8 @@ from spherejax.physics.laws.bearings import (
     short_full_load,
     short_half_load,
 )
+from spherejax.physics.laws.conformity import Pair
+from spherejax.physics.laws.films import FilmGap, FilmMotion
 
 AXIS = jnp.array([0.0, 0.0, 1.0])
 RATIOS = (0.0, 1e-3, 0.3, 0.8, 0.99, 0.999)

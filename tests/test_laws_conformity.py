@@ -11,8 +11,7 @@ import pytest
 from scipy.integrate import quad
 
 import spherejax as sj
-from spherejax.physics.laws import Pair, PressedPair
-from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO
+from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO, Pair, PressedPair
 
 STEEL = sj.Material()
 LINER = sj.WinklerLiner(youngs_modulus=0.8e9, poissons_ratio=0.46, thickness=5e-3)

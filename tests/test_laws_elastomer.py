@@ -10,7 +10,9 @@ from scipy.linalg import expm
 
 from spherejax.foundations.checks import enforce
 from spherejax.foundations.errors import SceneError
-from spherejax.physics.laws import CurveElastomer, MatrixElastomer, RadialElastomer, VectorElastomer
+from spherejax.physics.laws.elastomer import RadialElastomer, VectorElastomer
+from spherejax.physics.laws.elastomer_curve import CurveElastomer
+from spherejax.physics.laws.elastomer_matrix import MatrixElastomer
 
 K, B = 1e6, 1e-2  # N/m, s: the paper's bushing
 POINTS = np.array([0.2e-3, 0.5e-3, 0.6e-3, 1.2e-3])  # m

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from spherejax.foundations.numerics import CONCENTRIC_RADIUS
-from spherejax.physics.laws import (
+from spherejax.physics.laws.film import (
     Guembel,
     PinkusSternlicht,
     Sommerfeld,

@@ -9,7 +9,14 @@ from scipy.optimize import brentq
 
 from spherejax.foundations.checks import enforce
 from spherejax.foundations.errors import SceneError
-from spherejax.physics.laws import Ambrosio, BengisuAkay, BrownMcPhee, Coulomb, LuGre, Threlfall
+from spherejax.physics.laws.friction import (
+    Ambrosio,
+    BengisuAkay,
+    BrownMcPhee,
+    Coulomb,
+    LuGre,
+    Threlfall,
+)
 
 LAWS = [Threlfall(), BengisuAkay(), Ambrosio(), BrownMcPhee()]
 MU_K, MU_S, V0, V1, VS, KAPPA = 0.1, 0.15, 1e-4, 1e-3, 1e-3, 1000.0  # Table 3 of the paper

@@ -10,14 +10,13 @@ from numpy.polynomial import legendre
 
 import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
-from spherejax.physics.laws import (
-    FilmGap,
-    FilmMotion,
+from spherejax.physics.laws.film import squeeze_factor
+from spherejax.physics.laws.films import FilmGap, FilmMotion
+from spherejax.physics.laws.full_film import (
     full_sphere_load,
     half_sphere_load,
     pressure_peak,
     shear_factors,
-    squeeze_factor,
 )
 
 C, R, NU = 1e-4, 0.01, 0.4

@@ -10,7 +10,13 @@ from scipy.optimize import brentq
 
 from spherejax.foundations.checks import enforce
 from spherejax.foundations.errors import SceneError
-from spherejax.physics.laws import (
+from spherejax.physics.laws.impact import (
+    exact_hysteresis_factor,
+    maximum_penetration,
+    realized_restitution,
+)
+from spherejax.physics.laws.material import Material, generalized_stiffness
+from spherejax.physics.laws.normal import (
     MINIMUM_ONSET_RATE,
     AbstractHysteresisLaw,
     ExactRestitution,
@@ -19,11 +25,6 @@ from spherejax.physics.laws import (
     Hertz,
     HuntCrossley,
     LankaraniNikravesh,
-    Material,
-    exact_hysteresis_factor,
-    generalized_stiffness,
-    maximum_penetration,
-    realized_restitution,
 )
 
 FORMULAS = {

@@ -16,8 +16,8 @@ import spherejax as sj
 from spherejax import cli
 from spherejax.command_line.scenes import model_name
 from spherejax.files.dimensions import FIELDS
-from spherejax.files.kinds import kebab
 from spherejax.files.objects import same
+from spherejax.foundations.parts import kebab
 
 
 @pytest.fixture

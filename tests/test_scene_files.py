@@ -18,11 +18,12 @@ from scipy.spatial.transform import Rotation
 
 import spherejax as sj
 from spherejax.files.dimensions import FIELDS
-from spherejax.files.kinds import kebab, keys_of, kinds_of, parameters_of
+from spherejax.files.kinds import keys_of, kinds_of, parameters_of
 from spherejax.files.objects import same
 from spherejax.files.parts import Part
 from spherejax.files.quantities import Quantity
 from spherejax.files.units import in_si, simplified
+from spherejax.foundations.parts import kebab
 
 
 @pytest.fixture

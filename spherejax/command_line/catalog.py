@@ -8,30 +8,9 @@ from typing import NamedTuple
 
 import spherejax as sj
 from spherejax.files.solvers import SOLVERS
-from spherejax.foundations.parts import Parts
+from spherejax.foundations.parts import Parts, names_in
 
-SCENES = Parts(
-    {
-        name.replace("_", "-"): f"spherejax.gallery:{name}"
-        for name in (
-            "andrews",
-            "bricard",
-            "car_axis",
-            "chain",
-            "four_bar",
-            "governor",
-            "hip",
-            "n_four_bar",
-            "double_pendulum",
-            "heavy_top",
-            "physical_pendulum",
-            "piston",
-            "simple_pendulum",
-            "slider_crank",
-            "suspension",
-        )
-    }
-)
+SCENES = Parts({name.replace("_", "-"): f"spherejax.gallery:{name}" for name in names_in("gallery/__init__.py")})
 """The scenes of the gallery: functions that can be called without arguments."""
 
 SUBJECTS = Parts(
@@ -76,49 +55,16 @@ JOINTS = {
     "bushing": "an elastomer instead of the clearance",
 }
 
-NORMAL_LAWS = Parts(
-    {
-        "hertz": "spherejax:Hertz",
-        "hunt-crossley-dissipation": "spherejax:HuntCrossleyDissipation",
-        "hunt-crossley": "spherejax:HuntCrossley",
-        "lankarani-nikravesh": "spherejax:LankaraniNikravesh",
-        "gonthier": "spherejax:Gonthier",
-        "flores": "spherejax:Flores",
-        "exact": "spherejax:ExactRestitution",
-    }
-)
-
-FRICTION_LAWS = Parts(
-    {
-        "threlfall": "spherejax:Threlfall",
-        "bengisu-akay": "spherejax:BengisuAkay",
-        "ambrosio": "spherejax:Ambrosio",
-        "brown-mcphee": "spherejax:BrownMcPhee",
-        "lugre": "spherejax:LuGre",
-    }
-)
-
-FILMS = Parts({"radial": "spherejax:RadialFilm", "full": "spherejax:FullFilm"})
-BEARING_FILMS = Parts({"short": "spherejax:ShortBearing", "long": "spherejax:LongBearing"})
-BOUNDARIES = Parts(
-    {
-        "guembel": "spherejax:Guembel",
-        "pinkus-sternlicht": "spherejax:PinkusSternlicht",
-        "sommerfeld": "spherejax:Sommerfeld",
-    }
-)
-
-PRESSURES = Parts(
-    {
-        "cosine-pressure": "spherejax:CosinePressure",
-        "uniform-pressure": "spherejax:UniformPressure",
-        "point-contact": "spherejax:PointContact",
-        "preload-alone": "spherejax:PreloadAlone",
-    }
-)
+NORMAL_LAWS = Parts.of_laws("physics/laws/normal.py")
+FRICTION_LAWS = Parts.of_laws("physics/laws/friction.py", without=["Coulomb"])  # which no step can follow at rest
+FILMS = Parts.of_laws("physics/laws/films.py", ending="Film")
+BEARING_FILMS = Parts.of_laws("physics/laws/bearings.py", ending="Bearing")
+BOUNDARIES = Parts.of_laws("physics/laws/film.py")
+PRESSURES = Parts.of_laws("physics/laws/pressure.py")
 """How the reaction of an ideal joint with friction is spread."""
 
-ELASTOMERS = Parts({"radial": "spherejax:RadialElastomer", "vector": "spherejax:VectorElastomer"})
+ELASTOMERS = Parts.of_laws("physics/laws/elastomer.py", ending="Elastomer")
+"""Those that two numbers describe; others are for scene files."""
 
 DRIFT_CONTROLS = Parts(
     {

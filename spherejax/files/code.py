@@ -21,7 +21,7 @@ from spherejax.files.fields import Context, words_of
 from spherejax.files.location import Place
 from spherejax.files.parts import OwnFunction
 from spherejax.foundations.errors import SceneError, one_of
-from spherejax.physics.functions import AbstractFunction
+from spherejax.physics.functions.base import AbstractFunction
 
 TAKE_CALLABLES = (AbstractFunction, OwnFunction)
 """Families for which any function, or class whose objects can be called, will do."""

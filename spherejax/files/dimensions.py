@@ -4,9 +4,12 @@ A class describes itself: `v1: Annotated[Number, Unit("m/s")]` beside its formul
 command line know of a number. See the marks in `foundations.types`.
 """
 
+import importlib
 import inspect
+import pkgutil
 import types
 from collections.abc import Mapping, Sequence
+from types import ModuleType
 from typing import Any, Union, get_args, get_origin
 
 import equinox as eqx
@@ -19,6 +22,13 @@ from spherejax.foundations.types import COEFFICIENTS, OWN, Function, Named, Shap
 from spherejax.model import drift
 from spherejax.physics import forces, functions, joints, laws
 from spherejax.physics.bodies import Body
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.forces.coupler import AbstractCoordinate
+from spherejax.physics.functions.base import AbstractFunction, UserFunction
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.curves import AbstractCurve
+from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.physics.laws.base import AbstractLaw
 
 Fields = Mapping[str, Field]
 
@@ -49,11 +59,11 @@ def described_field(parameter: inspect.Parameter) -> Field | None:
     unit = next((mark.si for mark in marks if isinstance(mark, Unit)), None)
     function = next((mark for mark in marks if isinstance(mark, Function)), None)
     if function is not None and unit is not None:
-        family = functions.AbstractFunction
+        family = AbstractFunction
         return Either(Quantity(unit, ((),)), Part(family, function.argument, function.value))
     if function is not None:
         is_many = parameter.kind is inspect.Parameter.VAR_POSITIONAL or (get_origin(kind) or kind) is Sequence
-        family = functions.AbstractFunction
+        family = AbstractFunction
         return Parts(family) if is_many else Part(family, function.argument, function.value)
     if unit is not None:
         if (get_origin(kind) or kind) is Mapping:
@@ -95,22 +105,31 @@ def _described(cls: type) -> Fields:
     return {name: field for name, field in found.items() if field is not None}
 
 
+FOLDERS: Mapping[ModuleType, tuple[type, ...]] = {
+    joints: (AbstractJoint, AbstractCurve, AbstractSphericalModel),
+    laws: (AbstractLaw,),
+    forces: (AbstractForce, AbstractCoordinate),
+    functions: (AbstractFunction,),
+}
+"""Where the kinds of parts are, and what they are."""
+
+
 def _kinds() -> list[type]:
     """The classes that a file can name: all of the package that are no helpers and can be made."""
-    bases: Mapping[Any, tuple[type, ...]] = {
-        joints: (joints.AbstractJoint, joints.AbstractCurve, joints.AbstractSphericalModel),
-        laws: (laws.AbstractLaw, laws.Material),
-        forces: (forces.AbstractForce, forces.AbstractCoordinate),
-        functions: (functions.AbstractFunction,),
-        drift: (drift.AbstractDriftControl,),
-    }
     found: list[type] = [Body]
-    for module, families in bases.items():
-        for thing in vars(module).values():
-            is_kind = inspect.isclass(thing) and issubclass(thing, families) and thing is not functions.UserFunction
-            if is_kind and not thing.__name__.startswith("Abstract"):
-                found.append(thing)
-    return found
+    for folder, families in FOLDERS.items():
+        for file in pkgutil.iter_modules(folder.__path__, f"{folder.__name__}."):
+            found += _of_module(importlib.import_module(file.name), families)
+    return found + _of_module(drift, (drift.AbstractDriftControl,))
+
+
+def _of_module(module: ModuleType, families: tuple[type, ...]) -> list[type]:
+    own = [cls for cls in vars(module).values() if inspect.isclass(cls) and cls.__module__ == module.__name__]
+    return [
+        cls
+        for cls in own
+        if issubclass(cls, families) and not cls.__name__.startswith(("Abstract", "_")) and cls is not UserFunction
+    ]
 
 
 FIELDS: Mapping[type, Fields] = {cls: _described(cls) for cls in _kinds()}

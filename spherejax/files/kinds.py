@@ -19,18 +19,11 @@ from spherejax.files.location import Place
 from spherejax.files.parts import OwnFunction, Part
 from spherejax.files.quantities import Quantity
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.parts import kebab
 from spherejax.model.drift import AbstractDriftControl
-from spherejax.physics.forces import AbstractForce
-from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints import AbstractJoint
-
-SPELLINGS = {"BrownMcPhee": "brown-mcphee", "LuGre": "lugre"}
-"""Names with capitals inside that begin no word."""
-
-
-def kebab(name: str) -> str:
-    """`"LankaraniNikravesh"` as `"lankarani-nikravesh"`."""
-    return SPELLINGS.get(name) or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower()
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.functions.base import AbstractFunction
+from spherejax.physics.joints.joint import AbstractJoint
 
 
 def kinds_of(family: type) -> dict[str, type]:

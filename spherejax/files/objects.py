@@ -16,9 +16,9 @@ from spherejax.files.location import Place
 from spherejax.files.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
-from spherejax.physics.functions import UserFunction
-from spherejax.physics.functions.base import Given
-from spherejax.physics.joints import Dry, Lubricated
+from spherejax.physics.functions.base import Given, UserFunction
+from spherejax.physics.joints.dry import Dry
+from spherejax.physics.joints.lubricated import Lubricated
 
 KIND = "kind"
 """The key that names the class."""

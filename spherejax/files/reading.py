@@ -15,8 +15,8 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractJoint
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.joints.joint import AbstractJoint
 
 TABLES = ("title", "gravity", "drift", "ground_points", "bodies", "joints", "forces", "simulation")
 """What may stand at the top of a scene file."""

@@ -9,10 +9,19 @@ from spherejax.files.robot import SLIDING, TURNING, Edge, Robot
 from spherejax.files.robot_bodies import Groups
 from spherejax.files.rotations import turn_about, turned
 from spherejax.foundations.errors import SceneError, one_of
-from spherejax.physics.forces import AbstractForce, BumpStop, Coupler, SpringDamper, TorsionalSpring, Travel, Turn
-from spherejax.physics.functions import Constant, Linear, Piecewise
-from spherejax.physics.joints import AbstractJoint, Ideal, PointOnPlane, Prismatic, Revolute
-from spherejax.physics.laws import AbstractFrictionLaw, PreloadAlone
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.forces.bump_stop import BumpStop
+from spherejax.physics.forces.coupler import Coupler, Travel, Turn
+from spherejax.physics.forces.spring_damper import SpringDamper
+from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.functions.pieces import Piecewise
+from spherejax.physics.functions.shapes import Constant, Linear
+from spherejax.physics.joints.axial import Prismatic, Revolute
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.physics.joints.pairs import PointOnPlane
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.pressure import PreloadAlone
 
 _FOOT = 0.1
 """Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""

@@ -16,8 +16,8 @@ from spherejax.files.settings import FIELDS as SETTINGS
 from spherejax.files.units import PURE
 from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
-from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractJoint
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.joints.joint import AbstractJoint
 
 HEAD = (
     'SI units; a text with another unit is checked and converted, e.g. "0.1 mm". World axes for positions at the',

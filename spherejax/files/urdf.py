@@ -27,9 +27,9 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import GROUND, UNIT_NORM_TOLERANCE, numbers
-from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractJoint
-from spherejax.physics.laws import AbstractFrictionLaw
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.orientations import as_quaternion
 
 CAN_BE_IGNORED = ("friction", "mimic", "damping")

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.forces import AppliedWrench, SpringDamper
-from spherejax.physics.joints import Revolute
+from spherejax.physics.forces.applied import AppliedWrench
+from spherejax.physics.forces.spring_damper import SpringDamper
+from spherejax.physics.joints.axial import Revolute
 
 START = (
     -0.0617138900142764496, 0.0, 0.455279819163070380, 0.222668390165885885, 0.487364979543842550,

@@ -5,7 +5,7 @@ from spherejax.gallery.rods import rod_inertia
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.joints import Revolute
+from spherejax.physics.joints.axial import Revolute
 
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, -1, 0), (1, -1, 1), (0, -1, 1), (0, 0, 1))
 """The joints, on six edges of a cube that form a loop; the sixth edge is the ground."""

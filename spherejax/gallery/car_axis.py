@@ -7,8 +7,11 @@ from spherejax.foundations.types import Number, Scalar
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.forces import SpringDamper
-from spherejax.physics.joints import Distance, PointOnPlane, Revolute, RotationDriver
+from spherejax.physics.forces.spring_damper import SpringDamper
+from spherejax.physics.joints.axial import Revolute
+from spherejax.physics.joints.distance import Distance
+from spherejax.physics.joints.drivers import RotationDriver
+from spherejax.physics.joints.pairs import PointOnPlane
 
 MASS, EPSILON, LENGTH, REST = 10.0, 1e-2, 1.0, 0.5
 """M, epsilon, L and L_0 of the problem; it has no units, and is read as if in SI."""

@@ -3,7 +3,10 @@
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
-from spherejax.physics.joints import AbstractSphericalModel, Ideal, Revolute, Spherical
+from spherejax.physics.joints.axial import Revolute
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.spherical import Spherical
 
 
 def four_bar(model: AbstractSphericalModel | None = None, *, drift: AbstractDriftControl | None = None) -> Scene:

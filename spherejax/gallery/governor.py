@@ -7,8 +7,8 @@ from spherejax.gallery.rods import box_inertia
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.forces import SpringDamper
-from spherejax.physics.joints import Prismatic, Revolute
+from spherejax.physics.forces.spring_damper import SpringDamper
+from spherejax.physics.joints.axial import Prismatic, Revolute
 
 DENSITY, LENGTH, WIDTH, CUBE = 3000.0, 1.0, 0.01, 0.1
 """Density [kg/m^3], length of shaft and rods, side of their sections, and side of the slider [m]."""

@@ -9,9 +9,12 @@ from spherejax.foundations.types import Number, Scalar, Vector3
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce, Wrench
-from spherejax.physics.joints import AbstractSphericalModel, Lubricated, Spherical
-from spherejax.physics.laws import HuntCrossley, Material
+from spherejax.physics.forces.base import AbstractForce, Wrench
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.joints.spherical import Spherical
+from spherejax.physics.laws.material import Material
+from spherejax.physics.laws.normal import HuntCrossley
 
 CUP_RADIUS, CLEARANCE = 14.05e-3, 50e-6
 """Metal on metal, nominal diameter 28 mm: inner radius of the cup and radial clearance [m]."""

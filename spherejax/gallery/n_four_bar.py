@@ -6,7 +6,7 @@ from spherejax.gallery.rods import rod_inertia
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.joints import Revolute
+from spherejax.physics.joints.axial import Revolute
 
 WIDTH = 0.1
 """Side of the rods' square section, as a fraction of their length; the motion, being plane, does not depend on it."""

@@ -5,7 +5,10 @@ from spherejax.gallery.rods import rod_inertia
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
-from spherejax.physics.joints import AbstractSphericalModel, Distance, Ideal, Spherical
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.distance import Distance
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.spherical import Spherical
 
 ORIGIN = (0.0, 0.0, 0.0)
 

@@ -6,8 +6,11 @@ from spherejax.foundations.types import Number
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.functions import Linear
-from spherejax.physics.joints import AbstractSphericalModel, Ideal, Prismatic, Revolute, RotationDriver
+from spherejax.physics.functions.shapes import Linear
+from spherejax.physics.joints.axial import Prismatic, Revolute
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.drivers import RotationDriver
+from spherejax.physics.joints.ideal import Ideal
 
 CRANK, ROD = 0.05, 0.12
 """Lengths [m]."""

@@ -8,7 +8,11 @@ from spherejax.foundations.types import Number
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.joints import AbstractSphericalModel, Ideal, Prismatic, Revolute, Spherical, Universal
+from spherejax.physics.joints.axial import Prismatic, Revolute
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.pairs import Universal
+from spherejax.physics.joints.spherical import Spherical
 
 PIVOT, CRANK, ROD = (0.0, 0.1, 0.12), 0.08, 0.3
 """The crank's pivot [m], the crank's length and the connecting rod's length [m]."""

@@ -6,18 +6,19 @@ from spherejax.foundations.types import Number
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce, BumpStop, SpringDamper, Tyre
-from spherejax.physics.functions import Bump, Linear, Piecewise, Polynomial
-from spherejax.physics.joints import (
-    AbstractJoint,
-    AbstractSphericalModel,
-    Circle,
-    Distance,
-    Ideal,
-    PointOnCurve,
-    Revolute,
-    Spherical,
-)
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.forces.bump_stop import BumpStop
+from spherejax.physics.forces.spring_damper import SpringDamper
+from spherejax.physics.forces.tyre import Tyre
+from spherejax.physics.functions.pieces import Piecewise
+from spherejax.physics.functions.shapes import Bump, Linear, Polynomial
+from spherejax.physics.joints.axial import Revolute
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.curves import Circle, PointOnCurve
+from spherejax.physics.joints.distance import Distance
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.physics.joints.spherical import Spherical
 
 X_AXIS = (1.0, 0.0, 0.0)
 UP = (0.0, 0.0, 1.0)

@@ -16,7 +16,7 @@ import numpy as np
 
 from spherejax.model.system import Structure, System
 from spherejax.physics.bodies import Body
-from spherejax.physics.joints import AbstractPlacedJoint
+from spherejax.physics.joints.joint import AbstractPlacedJoint
 
 FIRST, SECOND = "first", "second"
 """Names of the two bodies of a joint that stands for all of its kind."""

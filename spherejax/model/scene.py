@@ -12,8 +12,8 @@ from spherejax.foundations.forms import mapping_of, misformed, of_form
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.physics.bodies import GROUND, Body, numbers
-from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractJoint
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.joints.joint import AbstractJoint
 
 
 class Scene(eqx.Module):

@@ -16,8 +16,9 @@ from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce
-from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.joints.joint import AbstractPlacedJoint
+from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.memory import MemoryEntry
 from spherejax.physics.state import Layout
 

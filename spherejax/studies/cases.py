@@ -9,21 +9,25 @@ for; one figure shows both.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from spherejax.physics.joints import AbstractSphericalModel, Bushing, Dry, Ideal, Lubricated
-from spherejax.physics.laws import (
-    AbstractFilm,
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.bushing import Bushing
+from spherejax.physics.joints.dry import Dry
+from spherejax.physics.joints.ideal import Ideal
+from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.laws.films import AbstractFilm, FullFilm, RadialFilm
+from spherejax.physics.laws.friction import (
     AbstractFrictionLaw,
-    AbstractNormalLaw,
     Ambrosio,
     BengisuAkay,
     BrownMcPhee,
+    Threlfall,
+)
+from spherejax.physics.laws.normal import (
+    AbstractNormalLaw,
     Flores,
-    FullFilm,
     Gonthier,
     HuntCrossley,
     LankaraniNikravesh,
-    RadialFilm,
-    Threlfall,
 )
 
 CLEARANCE = 1e-4

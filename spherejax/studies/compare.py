@@ -23,7 +23,7 @@ from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
 from spherejax.output.plot.curves import Curves, curves_of
-from spherejax.physics.joints import Ideal
+from spherejax.physics.joints.ideal import Ideal
 from spherejax.studies.cases import Case, LimitStudy, Study
 from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult, Subject, Timed
 from spherejax.studies.subjects.four_bar import FOUR_BAR

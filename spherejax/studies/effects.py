@@ -14,7 +14,8 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.integrate import as_ideal, initial_state
 from spherejax.motion.start.assembly import assemble_now
-from spherejax.physics.joints import AbstractSphericalModel, Ideal
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.joints.ideal import Ideal
 
 _REPEATS = 5
 _CALLS = 20_000

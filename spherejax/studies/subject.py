@@ -16,8 +16,8 @@ from spherejax.model.scene import Scene
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
-from spherejax.physics.joints import AbstractSphericalModel
-from spherejax.physics.laws import AbstractFilm
+from spherejax.physics.joints.base import AbstractSphericalModel
+from spherejax.physics.laws.films import AbstractFilm
 from spherejax.studies.cases import Case, LimitStudy, Study, film_name
 from spherejax.studies.comparison_page import page_of
 

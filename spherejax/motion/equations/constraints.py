@@ -24,7 +24,7 @@ from spherejax.motion.equations.body_motions import BodyMotions, between, with_g
 from spherejax.motion.equations.loads import BodyVectors
 from spherejax.motion.equations.mobility import InverseMass, Mobility, constraint_mobility
 from spherejax.physics.bodies import Body, inverse_inertia_in_world
-from spherejax.physics.joints import ConstraintRows
+from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
 
 

@@ -39,7 +39,9 @@ from spherejax.motion.equations.constraints import (
     solve_augmented,
 )
 from spherejax.motion.equations.loads import BodyVectors
-from spherejax.physics.joints import AbstractPlacedJoint, Reaction, Resistance
+from spherejax.physics.joints.base import Reaction
+from spherejax.physics.joints.joint import AbstractPlacedJoint
+from spherejax.physics.joints.reaction_friction import Resistance
 from spherejax.physics.kinematics import BodyMotion, point_motion
 
 SETTLED = 1e-10

@@ -15,7 +15,7 @@ from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import BodyMotions, between
 from spherejax.physics.bodies import Body, inertia_in_world
 from spherejax.physics.forces.base import power_on_bodies
-from spherejax.physics.joints import Response
+from spherejax.physics.joints.base import Response
 from spherejax.physics.kinematics import BodyMotion
 
 BodyVectors = Float[Array, "b 6"]

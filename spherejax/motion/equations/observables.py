@@ -16,8 +16,9 @@ from spherejax.motion.equations.dynamics import SolvedEquations, evaluate
 from spherejax.motion.equations.joint_friction import constraint_reaction, resistances
 from spherejax.motion.equations.loads import memory_of_each
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces import AbstractForce, power_on_bodies
-from spherejax.physics.joints import PlacedSpherical, Reaction
+from spherejax.physics.forces.base import AbstractForce, power_on_bodies
+from spherejax.physics.joints.base import Reaction
+from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import BodyMotion, RelativeMotion
 from spherejax.physics.state import unpack
 

@@ -21,8 +21,8 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.observables import Observation, looked_up, observe
-from spherejax.physics.forces import UNITS
-from spherejax.physics.joints import PART_UNITS
+from spherejax.physics.forces.base import UNITS
+from spherejax.physics.joints.base import PART_UNITS
 from spherejax.physics.state import unpack
 
 AXIS, COMPONENT = ("axis",), ("component",)

@@ -8,8 +8,8 @@ import numpy as np
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.impacts import COLUMNS
-from spherejax.physics.forces import UNITS
-from spherejax.physics.joints import PART_UNITS
+from spherejax.physics.forces.base import UNITS
+from spherejax.physics.joints.base import PART_UNITS
 
 if TYPE_CHECKING:
     import xarray

@@ -21,8 +21,9 @@ from spherejax.motion.equations.constraints import (
 )
 from spherejax.motion.equations.loads import applied_wrenches, by_body
 from spherejax.motion.equations.programs import program_for
-from spherejax.physics.joints import ConstraintRows, PlacedSpherical
 from spherejax.physics.joints.contact import stiffness_of
+from spherejax.physics.joints.rows import ConstraintRows
+from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.state import VELOCITY_SIZE, unpack
 
 USUAL_ECCENTRICITY_RATIO = 0.5

@@ -30,7 +30,7 @@ from spherejax.motion.equations.body_motions import BodyMotions, body_motions
 from spherejax.motion.equations.constraints import ConstraintSet, constraint_set, inverse_masses, solve_augmented
 from spherejax.motion.equations.mobility import InverseMass
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.joints import PlacedSpherical
+from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, State, unpack
 

@@ -24,7 +24,7 @@ from spherejax.motion.equations.dynamics import evaluate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.start.tolerances import length_scale, time_scale
 from spherejax.physics.bodies import Body
-from spherejax.physics.joints import AbstractJoint
+from spherejax.physics.joints.joint import AbstractJoint
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, unpack
 
 N_STEPS = 60

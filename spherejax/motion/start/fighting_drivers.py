@@ -20,8 +20,8 @@ from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.constraints import assembly_set, velocity_violation
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, UNMET_TOLERANCE, Assembly, described_state
-from spherejax.physics.joints import AbstractPlacedJoint
 from spherejax.physics.joints.drivers import PlacedRotationDriver
+from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.state import unpack
 
 DEPENDENT = 1e-7

@@ -12,8 +12,9 @@ from spherejax.motion.equations.constraints import assembly_set, velocity_violat
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import length_scale
-from spherejax.physics.joints import AbstractPlacedJoint, PlacedSpherical
 from spherejax.physics.joints.elementary import PlacedPair
+from spherejax.physics.joints.joint import AbstractPlacedJoint
+from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.state import POSITION_SIZE, unpack
 
 NOTICEABLE = 1e-3

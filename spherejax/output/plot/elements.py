@@ -13,7 +13,8 @@ from spherejax.output.plot.shapes import body_strokes, triad_strokes
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, arrow_outline, ground_marks
 from spherejax.output.plot.symbols import joint_strokes
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.forces import TorsionalSpring, Tyre
+from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.tyre import Tyre
 from spherejax.physics.kinematics import BodyMotion
 
 

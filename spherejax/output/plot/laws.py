@@ -12,18 +12,12 @@ from matplotlib.figure import Figure
 
 from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, letter, new_figure, note, repeated
-from spherejax.physics.joints import Lubricated
 from spherejax.physics.joints.contact import stiffness_of
-from spherejax.physics.laws import (
-    AbstractFrictionLaw,
-    AbstractHysteresisLaw,
-    ExactRestitution,
-    Hertz,
-    film_force,
-    hybrid_weight,
-    maximum_penetration,
-    realized_restitution,
-)
+from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.laws.film import film_force, hybrid_weight
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.impact import maximum_penetration, realized_restitution
+from spherejax.physics.laws.normal import AbstractHysteresisLaw, ExactRestitution, Hertz
 
 ImpactLaw = Hertz | AbstractHysteresisLaw
 """A law whose free impact is known in closed form."""

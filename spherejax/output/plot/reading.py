@@ -19,7 +19,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.assembly import assemble_now
 from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism
 from spherejax.physics.bodies import GROUND, Body
-from spherejax.physics.joints import Circle
+from spherejax.physics.joints.curves import Circle
 from spherejax.physics.state import Layout, unpack
 
 

@@ -20,7 +20,7 @@ from spherejax.output.plot.reading import force_places
 from spherejax.output.plot.shapes import AXIS_COLORS
 from spherejax.output.plot.strokes import INK, Stroke
 from spherejax.output.plot.style import dress
-from spherejax.physics.forces import Tyre
+from spherejax.physics.forces.tyre import Tyre
 
 SYMBOL_SHARE, SMALLEST_SHARE = 0.017, 0.005
 """Radius of a joint's symbol as a share of the drawing's size: the usual one, and the least."""

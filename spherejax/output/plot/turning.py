@@ -19,7 +19,8 @@ from spherejax.output.plot.shapes import bars_of
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, INK, PAPER
 from spherejax.output.plot.symbols import DRIVER_COLOR, model_color, perpendiculars
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.forces import TorsionalSpring, Tyre
+from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.tyre import Tyre
 
 Shape = dict[str, Any]
 

@@ -16,8 +16,8 @@ from spherejax.files.quantities import Coefficients, Points
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
-from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.joints import AbstractPlacedJoint
+from spherejax.physics.functions.base import AbstractFunction
+from spherejax.physics.joints.joint import AbstractPlacedJoint
 
 MOST_ENTRIES = 12
 """Numbers of an array that are written out; of a longer one shape, smallest and largest."""

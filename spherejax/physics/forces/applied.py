@@ -13,7 +13,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import OWN, Named, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
-from spherejax.physics.functions import Given
+from spherejax.physics.functions.base import Given
 from spherejax.physics.kinematics import PointMotion, point_motion
 
 

@@ -15,7 +15,7 @@ from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import Touch
 from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, stores_all, two_ends
 from spherejax.physics.forces.one_sided import OneSided
-from spherejax.physics.functions import AbstractFunction, as_function
+from spherejax.physics.functions.base import AbstractFunction, as_function
 from spherejax.physics.functions.shapes import finite
 
 

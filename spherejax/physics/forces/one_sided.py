@@ -15,7 +15,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import non_negative, numeric
 from spherejax.foundations.types import Number, Scalar
 from spherejax.physics.forces.line import elastic_part
-from spherejax.physics.functions import AbstractFunction, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, function_requirements
 
 
 class Press(NamedTuple):

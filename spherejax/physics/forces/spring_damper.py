@@ -20,7 +20,7 @@ from spherejax.physics.forces.line import (
     two_ends,
 )
 from spherejax.physics.forces.one_sided import smooth_rise
-from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
 
 

@@ -26,7 +26,7 @@ from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench
 from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
-from spherejax.physics.functions import AbstractFunction, as_function, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
 from spherejax.physics.kinematics import BodyMotion
 

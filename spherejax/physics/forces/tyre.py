@@ -24,7 +24,7 @@ from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Touch, Wrench, body_of, place_of
 from spherejax.physics.forces.line import stores_all
 from spherejax.physics.forces.one_sided import OneSided
-from spherejax.physics.functions import AbstractFunction, Given, as_function, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
 from spherejax.physics.kinematics import PointMotion, point_motion
 

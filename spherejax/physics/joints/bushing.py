@@ -11,8 +11,8 @@ from spherejax.foundations.legal import numeric
 from spherejax.foundations.rotation import rotation_vector
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
 from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Medium, Response
-from spherejax.physics.laws import AbstractElastomer, Berg, Maxwell, RadialElastomer
-from spherejax.physics.laws.viscoelastic import free_directions
+from spherejax.physics.laws.elastomer import AbstractElastomer, RadialElastomer
+from spherejax.physics.laws.viscoelastic import Berg, Maxwell, free_directions
 from spherejax.physics.memory import MemoryEntry, Scale, vector
 
 

@@ -11,8 +11,10 @@ from spherejax.physics.joints.contact import (
     Surfaces,
     contact_crossing,
 )
-from spherejax.physics.laws import AbstractConformity, AbstractFrictionLaw, AbstractNormalLaw, Material
-from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO
+from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO, AbstractConformity
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.material import Material
+from spherejax.physics.laws.normal import AbstractNormalLaw
 from spherejax.physics.memory import MemoryEntry, contact_memory, is_touching, memory_at_onset
 
 

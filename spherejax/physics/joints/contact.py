@@ -20,16 +20,10 @@ from spherejax.foundations.types import Number, Scalar, Vector3
 from spherejax.physics import memory as remembered
 from spherejax.physics.joints.base import Crossing, Effect
 from spherejax.physics.kinematics import RelativeMotion
-from spherejax.physics.laws import (
-    AbstractConformity,
-    AbstractFrictionLaw,
-    AbstractNormalLaw,
-    Hertz,
-    Material,
-    Pair,
-    PressedPair,
-    generalized_stiffness,
-)
+from spherejax.physics.laws.conformity import AbstractConformity, Pair, PressedPair
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.material import Material, generalized_stiffness
+from spherejax.physics.laws.normal import AbstractNormalLaw, Hertz
 
 
 class Surfaces(NamedTuple):

@@ -11,7 +11,7 @@ from spherejax.foundations.checks import Requirement, is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Function, Named, Number, Numeric, Single, Unit
 from spherejax.physics.bodies import Body, numbers
-from spherejax.physics.functions import AbstractFunction
+from spherejax.physics.functions.base import AbstractFunction
 from spherejax.physics.joints.body_axes import in_world
 from spherejax.physics.joints.joint import AbstractJoint, AbstractPlacedAtPoints
 from spherejax.physics.joints.prescribed import prescribed, time_requirements

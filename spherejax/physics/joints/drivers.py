@@ -20,7 +20,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import two_names
 from spherejax.foundations.types import OWN, Function, Named, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions import AbstractFunction
+from spherejax.physics.functions.base import AbstractFunction
 from spherejax.physics.joints.body_axes import (
     cross,
     direction_requirement,

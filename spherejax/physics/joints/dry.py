@@ -16,13 +16,10 @@ from spherejax.physics.joints.contact import (
     contact_moments,
     stiffness_of,
 )
-from spherejax.physics.laws import (
-    AbstractConformity,
-    AbstractFrictionLaw,
-    AbstractNormalLaw,
-    LankaraniNikravesh,
-    Material,
-)
+from spherejax.physics.laws.conformity import AbstractConformity
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.material import Material
+from spherejax.physics.laws.normal import AbstractNormalLaw, LankaraniNikravesh
 
 
 class Dry(AbstractClearanceModel):

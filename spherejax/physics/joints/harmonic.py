@@ -16,7 +16,8 @@ from spherejax.foundations.numerics import safe_divide
 from spherejax.foundations.rotation import quaternion_from_rotation_vector
 from spherejax.foundations.types import Number, Scalar, Vector3
 from spherejax.physics.joints.bushing import Bushing
-from spherejax.physics.laws import AbstractElastomer, Berg, Maxwell
+from spherejax.physics.laws.elastomer import AbstractElastomer
+from spherejax.physics.laws.viscoelastic import Berg, Maxwell
 
 N_PHASES = 256
 """Samples of the elastomer over a cycle: exact for what is smooth, 1e-4 for a curve with kinks."""

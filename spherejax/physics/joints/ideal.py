@@ -8,7 +8,8 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import non_negative, numeric, positive
 from spherejax.foundations.types import Number, Unit
 from spherejax.physics.joints.base import AbstractSphericalModel, Effect
-from spherejax.physics.laws import AbstractFrictionLaw, AbstractPressure, CosinePressure
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.pressure import AbstractPressure, CosinePressure
 
 FEWEST_PASSES, MOST_PASSES = 2, 20
 """Passes of the fixed point: with fewer nothing tells how it contracts, and what needs more is no fixed point."""

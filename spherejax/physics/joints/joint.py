@@ -13,7 +13,7 @@ import equinox as eqx
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.bodies import Body
-from spherejax.physics.functions import AbstractFunction
+from spherejax.physics.functions.base import AbstractFunction
 from spherejax.physics.joints.reaction_friction import AbstractJointFriction
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion

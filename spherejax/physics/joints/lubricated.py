@@ -21,22 +21,12 @@ from spherejax.physics.joints.contact import (
     stiffness_of,
 )
 from spherejax.physics.kinematics import RelativeMotion
-from spherejax.physics.laws import (
-    AbstractConformity,
-    AbstractFilm,
-    AbstractFilmBoundary,
-    AbstractFrictionLaw,
-    AbstractNormalLaw,
-    FilmGap,
-    FilmMotion,
-    FullFilm,
-    Guembel,
-    HuntCrossleyDissipation,
-    Material,
-    PressedPair,
-    RadialFilm,
-    hybrid_weight,
-)
+from spherejax.physics.laws.conformity import AbstractConformity, PressedPair
+from spherejax.physics.laws.film import AbstractFilmBoundary, Guembel, hybrid_weight
+from spherejax.physics.laws.films import AbstractFilm, FilmGap, FilmMotion, FullFilm, RadialFilm
+from spherejax.physics.laws.friction import AbstractFrictionLaw
+from spherejax.physics.laws.material import Material
+from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
 from spherejax.physics.memory import MemoryEntry
 
 _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(12))

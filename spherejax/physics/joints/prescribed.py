@@ -8,7 +8,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
-from spherejax.physics.functions import AbstractFunction, UserFunction, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, UserFunction, function_requirements
 
 
 def prescribed(function: Callable, field: str) -> AbstractFunction:

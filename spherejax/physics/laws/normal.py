@@ -23,8 +23,7 @@ from spherejax.foundations.checks import Requirement, is_concrete
 from spherejax.foundations.legal import non_negative, numeric, positive
 from spherejax.foundations.numerics import positive_power
 from spherejax.foundations.types import Function, Number, Scalar, Unit
-from spherejax.physics.functions import AbstractFunction
-from spherejax.physics.functions.base import as_function, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
 from spherejax.physics.laws.base import AbstractLaw
 from spherejax.physics.laws.conformity import PressedPair
 from spherejax.physics.laws.impact import exact_hysteresis_factor

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.physics.joints import Bushing
+from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.harmonic import complex_stiffness
-from spherejax.physics.laws import AbstractElastomer
+from spherejax.physics.laws.elastomer import AbstractElastomer
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.parameters import Unknowns, unknowns_from

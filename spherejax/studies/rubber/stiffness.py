@@ -17,9 +17,9 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import misformed, shape_of
 from spherejax.foundations.types import Number, Numeric
 from spherejax.output.io import save, writable
-from spherejax.physics.joints import Bushing
+from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.harmonic import complex_stiffness
-from spherejax.physics.laws import AbstractElastomer
+from spherejax.physics.laws.elastomer import AbstractElastomer
 
 if TYPE_CHECKING:
     import xarray

@@ -3,19 +3,15 @@
 from collections.abc import Callable
 
 from spherejax.gallery import four_bar
-from spherejax.physics.joints import Lubricated
-from spherejax.physics.laws import (
-    Ambrosio,
-    BengisuAkay,
-    BrownMcPhee,
-    Coulomb,
+from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.laws.friction import Ambrosio, BengisuAkay, BrownMcPhee, Coulomb, Threlfall
+from spherejax.physics.laws.normal import (
     ExactRestitution,
     Flores,
     Gonthier,
     Hertz,
     HuntCrossley,
     LankaraniNikravesh,
-    Threlfall,
 )
 from spherejax.studies.cases import CLEARANCE, VISCOSITY, five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, Length, StudyResult, Subject, TableColumn
