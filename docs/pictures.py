@@ -252,6 +252,39 @@ def piston() -> Figure:
     return figure
 
 
+def tilting() -> Figure:
+    """A shaft that hangs out of its bearing falls, tilts to both rims and comes to rest on its lever."""
+    ts = jnp.linspace(0.0, 0.12, 2401)
+    model = sj.Dry(
+        2e-4,
+        normal=sj.LankaraniNikravesh(0.5, stiffness=1e9),
+        friction=sj.Threlfall(0.1),
+    )
+    rotor = sj.Body(0.5, (1e-4, 2e-4, 2e-4), (0.05, 0, 0), angular_velocity=(50, 0, 0))
+    bearing = sj.tilting_journal(
+        "shaft", ("ground", "rotor"), (0, 0, 0), (1, 0, 0), model, length=0.04
+    )
+    run = sj.simulate(sj.Scene({"rotor": rotor}, bearing), ts)
+    figure = plt.figure(figsize=(8.6, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2.3, 1))
+    around = np.linspace(0, 2 * np.pi, 200)
+    right.plot(0.2 * np.cos(around), 0.2 * np.sin(around), color="0.6", linewidth=0.8)
+    rims = (("shaft_1", "far rim"), ("shaft_2", "rim at the overhang"))
+    for (name, words), color in zip(rims, LINES[1:3], strict=True):
+        e = 1e3 * np.asarray(run.eccentricity(name))
+        left.plot(
+            1e3 * np.asarray(ts), e[:, 2], color=color, linewidth=1.0, label=words
+        )
+        right.plot(e[:, 1], e[:, 2], color=color, linewidth=0.8)
+    for side in (-0.2, 0.2):
+        left.axhline(side, color="0.6", linewidth=0.8)
+    left.set(xlabel="t [ms]", ylabel="e$_z$ [mm]", xlim=(0, 120))
+    left.legend(fontsize=8, frameon=False, loc="center right")
+    right.set(aspect="equal", xlabel="e$_y$ [mm]", ylabel="e$_z$ [mm]")
+    right.set_title("shaft in its bearing", fontsize=9, loc="left")
+    return figure
+
+
 def friction() -> Figure:
     """Friction coefficients against sliding speed."""
     figure, panel = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
@@ -438,6 +471,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "restitution": restitution,
     "conformity": conformity,
     "piston": piston,
+    "tilting": tilting,
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,

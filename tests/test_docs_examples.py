@@ -23,6 +23,8 @@ SLOW = (
     "howto/solvers.md",
     "howto/swap_models.md",
     "howto/sweep.md",
+    "concepts/wear.md",
+    "howto/report.md",
 )
 """Pages that take a quarter of a minute or more, for what other tests run too."""
 

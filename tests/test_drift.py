@@ -253,7 +253,9 @@ def slope_of_the_door(control):
     return float(jax.jit(jax.jacfwd(lambda weight: height_of_the_door(weight, control)))(1.0))
 
 
-@pytest.mark.parametrize("control", CORRECTING)
+@pytest.mark.parametrize(
+    "control", [pytest.param(c, marks=[pytest.mark.slow] * (c == "post_stabilization")) for c in CORRECTING]
+)
 def test_derivative_agrees_with_differences(control):
     height = jax.jit(lambda weight: height_of_the_door(weight, control))
     h = 1e-4

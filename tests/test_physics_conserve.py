@@ -136,7 +136,16 @@ def _matrices(q):
 
 @pytest.mark.filterwarnings("ignore::spherejax.StartWarning")  # the velocities are made to agree with the joint
 @pytest.mark.parametrize(
-    "name", ["ideal", "dry", "friction", "lubricated", "bushing", "bushing_matrix", "bushing_rubber_turning"]
+    "name",
+    [
+        "ideal",
+        "dry",
+        "friction",
+        pytest.param("lubricated", marks=pytest.mark.slow),
+        "bushing",
+        "bushing_matrix",
+        "bushing_rubber_turning",
+    ],
 )
 def test_momentum_of_a_free_pair_is_conserved(name):
     run = sj.simulate(free_pair(cases.MODELS[name]), cases.times(0.05, 11), rtol=1e-10, atol=1e-13).require_success()

@@ -31,7 +31,13 @@ def shaft(model, *, pitch=0.0, **numbers):
 # Against a journal that cannot tilt -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", [sj.Dry(5e-4, conformity=CYLINDER, friction=sj.Threlfall(0.1)), stiff()])
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(sj.Dry(5e-4, conformity=CYLINDER, friction=sj.Threlfall(0.1)), marks=pytest.mark.slow),
+        stiff(),
+    ],
+)
 def test_a_journal_that_nothing_tilts_moves_as_a_revolute_joint(model):
     scene = sj.gallery.piston(model)
     joints = dict(scene.joints)
@@ -122,7 +128,6 @@ def test_a_shaft_that_tilts_to_both_rims_moves_as_by_hand():
     scene = shaft(model, pitch=pitch, starts_concentric=False)
     run = sj.simulate(scene, jnp.array([0.0, t_end]), rtol=1e-11, throw=True)
     (z, theta), counts = reference(model, t_end, pitch)
-    print(counts, run.stats.n_onsets, z, theta)
     assert min(counts) >= 1
     assert sum(counts) >= 4
     np.testing.assert_array_equal(np.asarray(run.stats.n_onsets), counts)

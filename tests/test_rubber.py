@@ -409,6 +409,7 @@ def test_a_fast_branch_gets_a_stiff_method(rtol):
     assert np.asarray(run.eccentricity("joint"))[:, 0] == pytest.approx(exact[:, 0], abs=10 * rtol * 1e-3 + 1e-9)
 
 
+@pytest.mark.slow
 def test_friction_of_a_short_reach_gets_a_stiff_method():
     explanations = []
     for half in (1e-4, 1e-9):

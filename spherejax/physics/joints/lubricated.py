@@ -5,6 +5,7 @@ from typing import Annotated
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
@@ -23,7 +24,7 @@ from spherejax.physics.joints.contact import (
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws.conformity import AbstractConformity, PressedPair
 from spherejax.physics.laws.film import AbstractFilmBoundary, Guembel, hybrid_weight
-from spherejax.physics.laws.films import AbstractFilm, FilmGap, FilmMotion, FullFilm, RadialFilm
+from spherejax.physics.laws.films import AbstractFilm, FilmAction, FilmGap, FilmMotion, FullFilm, RadialFilm
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
@@ -48,6 +49,10 @@ def _check_film(film: AbstractFilm, boundary: AbstractFilmBoundary) -> None:
             f"{type(film).__name__} with {type(boundary).__name__}: that condition is of squeezing along the line of "
             "centers alone. Take boundary=sj.Guembel() or boundary=sj.Sommerfeld(), or film=sj.RadialFilm()."
         )
+
+
+def _rates_of(film: FilmAction) -> list[Float[Array, " n"]]:
+    return [] if film.memory_rate is None else [film.memory_rate]
 
 
 class Lubricated(AbstractClearanceModel):
@@ -182,7 +187,7 @@ class Lubricated(AbstractClearanceModel):
             force=share * film.force + contact.force,
             ball_moment=share * film.ball_moment + ball_moment,
             socket_moment=share * film.socket_moment + socket_moment,
-            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate, film.memory_rate]),
+            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate, *_rates_of(film)]),
             elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
@@ -212,7 +217,7 @@ class Lubricated(AbstractClearanceModel):
             motion.socket_angular_velocity,
             motion.ball_angular_velocity,
             motion.socket_rotation[:, 2],
-            memory[len(super().memory) :],
+            memory[len(super().memory) :] if self.film.memory else None,
         )
 
     @property

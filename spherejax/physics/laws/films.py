@@ -1,10 +1,9 @@
 """What a film does to ball and socket: the paper's, along the line of centers, or the full one, in every direction."""
 
 import abc
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
@@ -19,8 +18,6 @@ from spherejax.physics.laws.film import (
 )
 from spherejax.physics.laws.full_film import PressurePeak, pressure_peak, shear_factors
 from spherejax.physics.memory import MemoryEntry
-
-_NOTHING: Any = np.zeros(0)
 
 
 class FilmGap(NamedTuple):
@@ -49,7 +46,7 @@ class FilmMotion(NamedTuple):
         e_rate: its rate [m/s].
         socket_spin, ball_spin: angular velocities of both [rad/s].
         axis: of a bearing, unit length; None for a ball.
-        memory: what the film remembers, as its `memory` lists it.
+        memory: what the film remembers, as its `memory` lists it; None for one that lists nothing.
     """
 
     e: Vector3
@@ -57,7 +54,7 @@ class FilmMotion(NamedTuple):
     socket_spin: Vector3
     ball_spin: Vector3
     axis: Vector3 | None = None
-    memory: Float[Array, " n"] = _NOTHING
+    memory: Float[Array, " n"] | None = None
 
 
 class FilmAction(NamedTuple):
@@ -69,7 +66,7 @@ class FilmAction(NamedTuple):
         socket_moment: on the socket about its center [N m].
         pressure_power: absorbed by the pressure [W], not negative.
         shear_power: absorbed by the shear of the oil [W], not negative.
-        memory_rate: rates of what the film remembers [1/s].
+        memory_rate: rates of what the film remembers; None for one that lists nothing.
     """
 
     force: Vector3
@@ -77,7 +74,7 @@ class FilmAction(NamedTuple):
     socket_moment: Vector3
     pressure_power: Scalar
     shear_power: Scalar
-    memory_rate: Float[Array, " n"] = _NOTHING
+    memory_rate: Float[Array, " n"] | None = None
 
 
 class AbstractFilm(AbstractLaw):
