@@ -37,6 +37,10 @@ RUBBER = ("bushing", "vector", "curve", "matrix", "hinge", "cross")
 REMEMBERED = ((), (), ("branches",), ("friction",), ("branches", "friction"))
 DRIVERS = ("driver", "translation", "position", "distance driver")
 STARTS = ("concentric", "flight", "contact")
+WITH_SURFACES = ("spherical", "journal", "rim")
+
+JOURNALS = 1000
+"""Seeds from here on have journals, parallel or at one rim, where others have dry balls in sockets."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class Link:
     @property
     def is_contact(self) -> bool:
         """Whether ball and socket can touch."""
-        return self.kind == "spherical" and self.model in ("dry", "lubricated")
+        return self.kind in WITH_SURFACES and self.model in ("dry", "lubricated")
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ class Structure:
     @property
     def contacts(self) -> tuple[str, ...]:
         """Joints with clearance."""
-        return tuple(f"j{i}" for i, link in enumerate(self.links) if link.kind == "spherical" and link.model == "dry")
+        return tuple(f"j{i}" for i, link in enumerate(self.links) if link.is_contact and link.model == "dry")
 
     def __str__(self) -> str:
         return f"structure {self.seed}"
@@ -128,6 +132,9 @@ def structure(seed: int) -> Structure:
     links = [replace(x, model=RUBBER[others.integers(len(RUBBER))]) if x.model in RUBBER else x for x in links]
     memories = np.random.default_rng([seed, 4])
     links = [replace(x, remembers=REMEMBERED[memories.integers(len(REMEMBERED))]) for x in links]
+    if seed >= JOURNALS:
+        kinds = ("journal", "rim")
+        links = [replace(x, kind=kinds[others.integers(2)]) if x.is_contact and x.model == "dry" else x for x in links]
     closure = None if is_free else pick(CLOSURES)
     if closure == "driver":
         possible = _drivers_of(links[-1])
@@ -256,6 +263,16 @@ def _joint(link, i, x, middle, length, speed, concentric):
     if link.kind == "spherical":
         model = _model(link, i, x, length, speed)
         return sj.Spherical(f"{link.parent}.socket{i}", f"b{i}.ball{i}", model, starts_concentric=concentric)
+    if link.kind == "journal":
+        model, at_rest = _model(link, i, x, length, speed), link.start == "concentric"
+        return sj.Revolute(pair, middle, x["axis"][i], model, starts_concentric=at_rest)
+    if link.kind == "rim":
+        model, at_rest, has_collar = (
+            _model(link, i, x, length, speed),
+            link.start == "concentric",
+            link.film == "FullFilm",
+        )
+        return sj.Rim(pair, middle, x["axis"][i], model, starts_concentric=at_rest, is_thrust=has_collar)
     if link.kind == "universal":
         return sj.Universal(pair, middle, x["axis"][i], across)
     if link.kind == "fixed":

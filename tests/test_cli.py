@@ -256,6 +256,7 @@ def test_a_bearing_has_a_length_and_laws_of_cylinders():
             model_from(parsed(*words))
 
 
+@pytest.mark.slow
 def test_a_piston_runs_with_play_in_its_pin(tmp_path, capsys):
     words = ["--joint", "dry", "--clearance", "0.5 mm", "--length", "20 mm", "--t1", "2 ms", "--samples", "5"]
     assert (

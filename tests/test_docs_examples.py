@@ -25,6 +25,7 @@ SLOW = (
     "howto/sweep.md",
     "concepts/wear.md",
     "howto/report.md",
+    "concepts/linearization.md",
 )
 """Pages that take a quarter of a minute or more, for what other tests run too."""
 

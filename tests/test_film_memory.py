@@ -54,6 +54,7 @@ def test_thinner_oil_yields_more(warm):
     )
 
 
+@pytest.mark.slow
 def test_contacts_leave_it_alone():
     """A heavy ball squeezes the oil out and strikes: the onset's memory begins anew, the film's goes on."""
     body = sj.Body(2.0, (1e-3, 1e-3, 1e-3), velocity=(0.0, 0.0, -1.0), points={"ball": (0.0, 0.0, 0.0)})
@@ -72,6 +73,7 @@ def test_contacts_leave_it_alone():
     assert remembered["warmth"][-1] > remembered["warmth"][1] > 0
 
 
+@pytest.mark.slow
 def test_lanes_and_tables_carry_it():
     capacities = [1e-3, 2e-3]
     swept = sj.sweep(

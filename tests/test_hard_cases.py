@@ -195,7 +195,7 @@ def test_gradient_of_dry_contact_meets_differences(name):
 FINITE = [name for name in DRY_CASES if name not in ("long chatter", "at rest for 10 s", "1000 impacts all around")]
 
 
-@pytest.mark.parametrize("name", FINITE)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "100 m/s")) for n in FINITE])
 def test_gradient_of_dry_contact_is_finite(name):
     t_end, changes = DRY_CASES[name]
     assert np.isfinite(hard.gradient(DRY, DRY_NUMBERS, min(t_end, 0.2), rtol=1e-8, **changes)).all()

@@ -176,6 +176,7 @@ def test_journals_go_through_files(tmp_path, model):
     assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(scene), strict=True))
 
 
+@pytest.mark.slow
 def test_lanes_make_the_runs_that_simulate_makes():
     clearances = np.array([5e-4, 2.5e-4, 1e-4])
     ts = [0.0, 0.004]

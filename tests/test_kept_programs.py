@@ -114,7 +114,8 @@ def test_builders_that_close_over_traced_values_are_not_confused():
     assert float(height(9.0)) == pytest.approx(second, abs=1e-12)
 
 
-@pytest.mark.parametrize("is_kept", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("is_kept", [False, True])
 def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_path, monkeypatch):
     """diffrax keeps a trace of its own of each integration, which held the functions of ours for ever."""
     monkeypatch.setattr(runtime, "_kept", [tmp_path] if is_kept else [])

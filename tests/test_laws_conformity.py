@@ -185,6 +185,7 @@ def held(normal, load=20e3, ramp=0.05):
 
 
 @beyond_eq_24
+@pytest.mark.slow
 def test_a_held_contact_is_pressed_in_as_far_as_its_load_presses_it():
     ts = jnp.array([0.0, 0.05, 0.1])
     run = sj.simulate(held(None), ts, throw=True)

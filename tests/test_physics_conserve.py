@@ -49,6 +49,7 @@ def pressed(model, load=2000.0, speed=0.0):
 
 
 @pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
+@pytest.mark.slow
 def test_balance_closes_for_a_hybrid_film_pressed_into_contact():
     load, wide = 2000.0, 2e-5
     model = sj.Lubricated(clearance=cases.C, viscosity=0.004, e_h0=wide, e_h1=wide)

@@ -371,6 +371,7 @@ def test_slider_crank_keeps_to_its_one_degree_of_freedom():
     assert np.asarray(run.position("slider"))[:, 0] == pytest.approx(expected, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_hip_sinks_through_its_film_and_rests_on_the_metal():
     scene = sj.gallery.hip()
     coefficient = 6 * np.pi * 2.5e-3 * 14.05e-3 * (14.05e-3 / 50e-6) ** 3

@@ -102,6 +102,7 @@ def test_a_wrong_name_is_told_what_there_is(name, message):
         quantity(name, compile_scene(scene()).system)
 
 
+@pytest.mark.slow
 def test_a_part_that_is_found_where_someone_looks_has_a_peak_too():
     scene = cases.ball_in_socket(sj.Lubricated(clearance=1e-4, viscosity=0.4), 0.2, (0.0, 0.0, 0.1))
     run = sj.simulate(scene, np.linspace(0.0, 0.05, 101))

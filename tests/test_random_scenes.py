@@ -15,6 +15,12 @@ FEW = (1, 3, 13, 17)
 """A ball on a torsion spring, a tyre, a cylinder on a plane, a free pair whose ball starts in flight."""
 
 MANY = tuple(seed for seed in range(60) if len(structure(seed).links) <= 2)[:36]
+OF_JOURNALS = tuple(
+    seed
+    for seed in range(random_scenes.JOURNALS, random_scenes.JOURNALS + 60)
+    if len(structure(seed).links) <= 2
+    and any(link.kind in ("journal", "rim") for link in structure(seed).links[structure(seed).is_free :])
+)[:12]
 LARGE = (0, 2, 4, 16, 35, 43, 45, 59)
 RTOLS = (1e-6, 1e-8)
 
@@ -53,6 +59,14 @@ def test_scenes_are_sound_or_explained(seed):
 @pytest.mark.parametrize("seed", MANY)
 def test_many_scenes_are_sound_or_explained(seed):
     found = all_faults(seed, 28)
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=[pytest.mark.slow] * (seed != OF_JOURNALS[0])) for seed in OF_JOURNALS]
+)
+def test_scenes_with_journals_are_sound_or_explained(seed):
+    found = all_faults(seed, 20)
     assert not found, "\n".join(found)
 
 

@@ -267,6 +267,7 @@ def test_a_sweep_with_failed_runs(tmp_path):
     assert "bodies.arm.mass" in read.text
 
 
+@pytest.mark.slow
 def test_a_fit(tmp_path):
     true = sj.simulate(weighed(0.5), jnp.asarray(TS))
     noise = 1e-4 * np.random.default_rng(0).normal(size=TS.size)

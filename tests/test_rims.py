@@ -225,6 +225,7 @@ def test_lanes_make_the_runs_that_simulate_makes():
         np.testing.assert_allclose(swept["final_position.rotor"][i], alone.position("rotor")[-1], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_differences():
     def height(c, length):
         body = sj.Body(MASS, (1e-4, INERTIA, INERTIA), (OVERHANG, 0.0, 0.0))

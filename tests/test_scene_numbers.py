@@ -109,6 +109,7 @@ def test_the_scene_still_judges_the_number(capsys):
     assert "positive" in said
 
 
+@pytest.mark.slow
 def test_paths_are_varied_and_derived_by(tmp_path, capsys):
     out = tmp_path / "swept.nc"
     words = ["four-bar", "--joint", "friction", "--t1", "0.02"]

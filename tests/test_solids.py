@@ -82,6 +82,7 @@ def test_a_rod_falls_as_it_must():
     assert run.acceleration("rod")[0, 2] == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_lengths_are_swept_and_derived_by():
     def depth(length):
         return sj.simulate(linkage(length, 5e-3), jnp.array([0.0, 0.1])).position("rod")[-1, 2]

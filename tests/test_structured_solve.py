@@ -136,6 +136,7 @@ def dense_jacobian(scene):
     return jacobian
 
 
+@pytest.mark.slow
 def test_derivatives_pass_through_the_structured_solve():
     """By the numbers and by the state, against differences, with the rule that never enters the elimination."""
     # Linear in the deflection, so that differences may be wide.

@@ -123,6 +123,7 @@ def test_clearance_is_pressed_in_by_the_load(name):
     assert np.all(e[settled] > 1e-4)
 
 
+@pytest.mark.slow
 def test_the_film_cannot_carry_the_load():
     """In contact mode from 0.03 s on, for good; the film itself then carries nothing."""
     run = run_of("lubricated")

@@ -210,6 +210,7 @@ def test_derivative_that_the_adjoint_cannot_give_names_the_option():
         jax.grad(lambda x: _pushed(x, adjoint=diffrax.BacksolveAdjoint()))(zero)
 
 
+@pytest.mark.slow
 def test_second_derivative_of_a_smooth_motion():
     zero = jnp.zeros(2)
     hessian = jax.hessian(_pushed)(zero)

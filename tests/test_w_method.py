@@ -314,7 +314,7 @@ def test_vmap_of_steps_equals_loop(film_step):
 
 
 @pytest.mark.parametrize(
-    "name", ["film", *(pytest.param(name, marks=pytest.mark.slow) for name in ("bushing", "friction"))]
+    "name", ["bushing", *(pytest.param(name, marks=pytest.mark.slow) for name in ("film", "friction"))]
 )
 def test_agrees_with_a_method_of_high_order(name):
     model, end = {

@@ -240,7 +240,7 @@ def closed_volumes(motion):
     return turn * K[0] / K[1], turn
 
 
-@pytest.mark.parametrize("motion", ["spinning", "rolling"])
+@pytest.mark.parametrize("motion", ["spinning", pytest.param("rolling", marks=pytest.mark.slow)])
 def test_steady_turning_wears_as_its_closed_form(motion, request):
     worn = sj.wear(request.getfixturevalue(motion), "joint", k_socket=K[0], k_ball=K[1], cells=192)
     area = R**2 * cell_solid_angle(192)
@@ -280,6 +280,7 @@ def test_finer_maps_converge(rolling):
 # What must hold -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_rubbed_off_is_k_times_the_sliding_work_of_fine_samples(bouncing):
     """Impacts of microseconds, found by the steps; the samples, far finer than an impact, are the independent way."""
     worn = sj.wear(bouncing, "joint", k_socket=1e-13, k_ball=3e-13)
