@@ -12,6 +12,9 @@ from socket_starts import Laws, draw, exact, in_lanes, judge, single
 
 import spherejax as sj
 
+# Starts of 5 m/s press deeper than Eq. 24 is for; the reference does the same.
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
+
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 PLAIN = Laws("LankaraniNikravesh", friction=False)
 ROUGH = Laws("Flores", friction=True)
