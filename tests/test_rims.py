@@ -194,6 +194,11 @@ def test_what_a_free_pair_loses_its_rims_absorb(free_pair):
     assert absorbed[-1] > 1e-4 * energy[0]
 
 
+def test_what_is_of_balls_is_refused(free_pair):
+    with pytest.raises(sj.SceneError, match="'pair_1' is a journal in its bearing"):
+        sj.wear(free_pair, "pair_1", k_socket=1e-15, k_ball=0.0)
+
+
 def test_the_crossing_has_the_rate_that_it_has():
     """However the axis turns, and however far along it the journal has slid."""
     rim = sj.Rim(("a", "b"), (0.1, 0.2, 0.3), (0.0, 0.3, 1.0), stiff(), starts_concentric=False)

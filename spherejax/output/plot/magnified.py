@@ -33,6 +33,9 @@ SNAP = 0.94
 REACH = 1.42
 """Half width of the panel against the radius of the circle: room for wall, normal and force."""
 
+ROUNDING = 1e-12
+"""Of the largest force: what equations along a bearing leave in flight."""
+
 LONGEST_PATH = 4000
 """Samples of a path that are drawn at most; a longer one is thinned."""
 
@@ -63,10 +66,12 @@ class JointMotion:
         return max(float(np.linalg.norm(self.eccentricity, axis=1).max()), 1e-12)
 
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray | None]:
-        """Eccentricity and force at a time, linear between samples."""
-        both = [None if rows is None else _between(self.ts, rows, t) for rows in (self.eccentricity, self.force)]
-        assert both[0] is not None
-        return both[0], both[1]
+        """Eccentricity and force at a time, linear between samples; a force that is rounding beside others is none."""
+        e = _between(self.ts, self.eccentricity, t)
+        if self.force is None:
+            return e, None
+        force = _between(self.ts, self.force, t)
+        return e, force if np.linalg.norm(force) > ROUNDING * np.abs(self.force).max() else 0.0 * force
 
 
 def joints_to_magnify(mechanism: Mechanism, names: Sequence[str] | None) -> list[str]:

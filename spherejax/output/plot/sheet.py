@@ -159,7 +159,7 @@ def _grid(
         axes = [figure.add_subplot(grid[0, 0])]
     beside = []
     if n_joints:
-        column = grid[0, 1].subgridspec(n_joints, 1)
+        column = grid[0, 1].subgridspec(n_joints, 1, hspace=0.25)  # for the two lines below each panel
         beside = [figure.add_subplot(column[i, 0]) for i in range(n_joints)]
     return figure, axes, beside, figure.add_subplot(grid[1, :]) if has_key else None
 

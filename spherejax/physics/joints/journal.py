@@ -4,6 +4,8 @@ The journal keeps its place along the bearing and its direction (three constrain
 within the clearance, where a model answers: the same laws, modes and landings as of a ball in its socket, in the plane.
 """
 
+from typing import ClassVar
+
 from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
@@ -23,6 +25,8 @@ class PlacedJournal(PlacedSpherical):
         ideal: the revolute joint that this one is without clearance.
         guide: what holds the journal along the axis and parallel to it.
     """
+
+    is_ball: ClassVar[bool] = False
 
     guide: PlacedPair | None = None
 

@@ -5,7 +5,7 @@ both are circles again, up to the square of the angle: each rim is the contact o
 with modes, landings and memory of its own.
 """
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -125,6 +125,8 @@ class PlacedRim(PlacedSpherical):
         ideal: the joint without clearance.
         collar: what holds the journal along the axis, or None.
     """
+
+    is_ball: ClassVar[bool] = False
 
     collar: PlacedPair | None = None
 

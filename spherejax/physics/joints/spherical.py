@@ -1,6 +1,6 @@
 """The spherical joint: a ball in a socket, ideal or with a model of how they resist."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -72,7 +72,10 @@ class PlacedSpherical(AbstractPlacedJoint):
         starts_concentric: whether the start is assembled as if the joint were ideal.
         frame: socket axes in those of its body, as columns, shape (3, 3); None: they are the same.
         ideal: the joint that this one is with an ideal model, where that is not spherical.
+        is_ball: whether its surfaces are those of a ball in a socket, and not of a journal in a bearing (static).
     """
+
+    is_ball: ClassVar[bool] = True
 
     bodies: tuple[str, str] = eqx.field(static=True)
     socket_place: Numeric

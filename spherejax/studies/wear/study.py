@@ -73,7 +73,7 @@ def wear(
 
     Args:
         run: a single run that reached its end.
-        joint: a spherical joint with contact (`Dry`, or the contact of `Lubricated`).
+        joint: a spherical joint with contact (`Dry`, or the contact of `Lubricated`); journals are refused.
 
     Other args:
         k_socket, k_ball: wear coefficients of the socket's and the ball's material [m^2/N], 0 for one that does not
@@ -147,6 +147,11 @@ def _contact_model(run: Trajectory, joint: str) -> Any:
     if joint not in run.system.contact_joints:
         known = list(run.system.contact_joints)
         raise SceneError(f"joint {joint!r} has no contact that could wear; {one_of(known, str(joint))}")
+    if not run.system.spherical(joint).is_ball:
+        raise SceneError(
+            f"joint {joint!r} is a journal in its bearing: maps of wear are those of a ball and its socket. What "
+            "Archard's law rubs off in all is k times the integral of normal_force |sliding_velocity| over time"
+        )
     run.require_success()
     return run.system.spherical(joint).model
 
