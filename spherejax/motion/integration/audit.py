@@ -61,10 +61,10 @@ OUTSIDE = 1e-6
 NOT_MADE = -1.0
 """Share that says that a check is not made."""
 
-CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity")
+CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity", "tilt")
 """What is audited, in the order of `run.stats.audit`."""
 
-WARNINGS = ("conformity",)
+WARNINGS = ("conformity", "tilt")
 """Checks, the last of them all, that do not fail a run: its equations are solved, but they are used out of range."""
 
 N_FATAL = len(CHECKS) - len(WARNINGS)
@@ -77,6 +77,8 @@ FINDINGS = {
     "conformity": "surfaces were pressed in beyond the range of their elastic law (that of Eq. 24 ends at a tenth of "
     "the clearance): give a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...), a journal "
     "sj.EsduCylinder(...), or the normal law a stiffness of its own",
+    "tilt": "a journal tilted in a rim of its bearing until its circle was an oval there, by more than a tenth of the "
+    "clearance: give the bearing its other rim, or a ball in a socket to what turns freely",
 }
 """What a failed check says."""
 
@@ -85,7 +87,7 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     """What an audit has found, in words; empty for a sound run.
 
     Args:
-        shares: the worst of each of `CHECKS` as a share of its limit, shape (5,).
+        shares: the worst of each of `CHECKS` as a share of its limit, shape (6,).
 
     Other args:
         suspected: for a check the part of which it was largest where the run ended.
@@ -100,7 +102,7 @@ def cautions(shares) -> str:
     """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
 
     Args:
-        shares: as for `findings`, of one run or of many, shape (..., 5).
+        shares: as for `findings`, of one run or of many, shape (..., 6).
     """
     worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
     found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
@@ -156,6 +158,7 @@ class Vitals(NamedTuple):
         violation: largest entry of the constraint equations [m or 1].
         norm: largest | |q|^2 - 1 |.
         pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
+        tilt: largest tilt of a journal in a rim, as a share of what its circles are for; -1 without one.
         friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
     """
 
@@ -165,6 +168,7 @@ class Vitals(NamedTuple):
     violation: Scalar
     norm: Scalar
     pressed: Scalar
+    tilt: Scalar
     friction: Scalar | None = None
 
 
@@ -173,6 +177,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     outside, pressed, stored = [jnp.asarray(-0.5)], [jnp.asarray(NOT_MADE)], jnp.zeros(())
+    tilts = [jnp.asarray(NOT_MADE)]
     if system.force_joints:
         loads = joint_loads(system, motions, state.memory)
         stores = (load.response.elastic_energy for name, load in loads.items() if system.joints[name].never_adds_energy)
@@ -181,7 +186,10 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     for slot in system.memory_slots:
         if slot.joint in system.contact_joints:
             joint: Any = system.spherical(slot.joint)
-            g = joint.model.crossing(joint.relative_motion(motions)).value
+            motion = joint.relative_motion(motions)
+            g = joint.model.crossing(motion).value
+            tilt = joint.share_of_tilt(motion)
+            tilts += [] if tilt is None else [tilt]
             is_touching = joint.model.is_touching(state.memory[slot.entries])
             outside.append(jnp.where(is_touching, -0.5, g))
             if joint.model.largest_ratio is not None:
@@ -200,6 +208,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(residual),
         jnp.max(jnp.abs(norms - 1)),
         jnp.max(jnp.stack(pressed)),
+        jnp.max(jnp.stack(tilts)),
         friction,
     )
 
@@ -211,7 +220,7 @@ class Watch(NamedTuple):
         lowest: the lowest energy [J].
         bottom, top: the lowest and the highest potential energy [J].
         agitation: the highest agitation [J].
-        worst: of each of `CHECKS` the worst, as a share of its limit, shape (5,): above 1 the run is wrong, or what it
+        worst: of each of `CHECKS` the worst, as a share of its limit, shape (6,): above 1 the run is wrong, or what it
             says of the last one is to be read.
     """
 
@@ -219,7 +228,7 @@ class Watch(NamedTuple):
     bottom: Array
     top: Array
     agitation: Array
-    worst: Float[Array, "5"]
+    worst: Float[Array, "6"]
 
     @classmethod
     def of_nothing(cls) -> "Watch":
@@ -272,6 +281,7 @@ class Limits(eqx.Module):
             equations,
             now.norm / NORM,
             now.pressed,
+            now.tilt,
         ]
         return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))
 

@@ -18,7 +18,7 @@ class Statistics(eqx.Module):
         n_rejected: steps repeated, for their error or to land on a contact onset or release.
         n_evaluations: evaluations of the right-hand side; for an implicit method without its Newton iterations.
         n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
-        audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, shape (5,): above 1
+        audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, shape (6,): above 1
             the run has failed. `run.audit` says it in words.
         explanation: which method and which tolerances were used, and why (static).
     """

@@ -35,6 +35,7 @@ WHAT_IS_AUDITED = {
     "constraints": "the joints' equations hold",
     "quaternions": "quaternions keep their norm",
     "conformity": "surfaces are pressed in within the range of their elastic law",
+    "tilt": "journals tilt in their rims by little",
 }
 
 

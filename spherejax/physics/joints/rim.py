@@ -5,7 +5,7 @@ both are circles again, up to the square of the angle: each rim is the contact o
 with modes, landings and memory of its own.
 """
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,6 +31,9 @@ from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws.cylinders import AbstractCylinder
 
+LARGEST_OVAL = 0.1
+"""How oval the journal's section in a rim may be, as a share of the clearance, without a word."""
+
 
 class Rim(AbstractAxialJoint):
     """The circle of a journal in a rim of its bearing: it moves across the bearing's axis, and turns, tilts and slides.
@@ -50,8 +53,9 @@ class Rim(AbstractAxialJoint):
             velocities, as they are described.
         is_thrust: whether a collar holds the journal along the axis here: one equation more.
 
-    Limits: right to first order in the tilt, which is at most two clearances over the length. A film between tilted
-    surfaces is not modelled, and refused.
+    Limits: right to first order in the tilt theta, which two rims hold below two clearances over the length. A run in
+    which R theta^2/2 exceeds a tenth of the clearance, as a single rim allows, gives an `OutOfRangeWarning`. A film
+    between tilted surfaces is not modelled, and refused.
     """
 
     turns_freely = True
@@ -160,6 +164,13 @@ class PlacedRim(PlacedSpherical):
             eccentricity=motion.eccentricity - along * axis,
             eccentricity_rate=motion.eccentricity_rate - along * jnp.cross(motion.socket_angular_velocity, axis),
         )
+
+    def share_of_tilt(self, motion: RelativeMotion) -> Scalar:
+        """R (sin theta)^2 / 2, by which the journal's section is an oval there, against a tenth of the clearance."""
+        model: Any = self.model
+        x, y = motion.relative_quaternion[1], motion.relative_quaternion[2]
+        half = x * x + y * y  # (sin (theta/2))^2, for the axis is z here
+        return 2.0 * model.socket_radius * half * (1.0 - half) / (LARGEST_OVAL * model.clearance)
 
     def respond(self, motions, memory):
         """Force and moments at the centers; the bearing feels the force where the journal's circle is."""

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, called
 from spherejax.foundations.rotation import conjugate, quaternion_product
-from spherejax.foundations.types import Named, Numeric
+from spherejax.foundations.types import Named, Numeric, Scalar
 from spherejax.physics.joints.base import AbstractSphericalModel, Response
 from spherejax.physics.joints.body_axes import relative_start
 from spherejax.physics.joints.ideal import Ideal
@@ -153,6 +153,11 @@ class PlacedSpherical(AbstractPlacedJoint):
     def across(self, motion: RelativeMotion) -> RelativeMotion:
         """The part of a motion that the model answers: all of it for a ball."""
         return motion
+
+    def share_of_tilt(self, motion: RelativeMotion) -> Scalar | None:
+        """How far its parts tilt against each other, as a share of what the joint is for; None for any tilt."""
+        del motion
+        return None
 
     def motion_of_centers(self, motions: Motions) -> RelativeMotion:
         """Motion of the ball's center against the socket's (Eqs 12 to 14)."""
