@@ -143,7 +143,7 @@ def test_a_failed_audit_names_the_joint_and_the_body():
 def test_every_sound_run_shows_what_was_looked_at():
     joint = sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1))
     run = sj.simulate(sj.gallery.four_bar(joint), jnp.linspace(0.0, 0.05, 6))
-    assert all(check in run.audit for check in CHECKS)
+    assert [check for check in CHECKS if check not in run.audit] == ["tilt"]  # a ball may tilt as it likes
     shares = np.asarray(run.stats.audit)
     assert shares.shape == (len(CHECKS),)
     assert np.all(shares < 0.1)
@@ -169,7 +169,7 @@ def test_who_pays_for_an_account_of_what_is_put_in(scene, supplied):
 
 
 LIMITS = Limits(energy=jnp.array(1e-3), least=jnp.array(1e-9), violation=jnp.array(1e-3))
-SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3)))
+SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2)))
 
 
 @pytest.mark.parametrize(
@@ -194,11 +194,18 @@ def test_each_check_fails_on_what_it_is_for(check, wrong):
     assert not bool(LIMITS.seen(watch, SOUND).is_sound)
 
 
-def test_pressing_beyond_the_range_of_a_law_is_said_and_fails_nothing():
-    watch = LIMITS.seen(LIMITS.begun(SOUND), SOUND._replace(pressed=jnp.asarray(1.5)))
+@pytest.mark.parametrize(
+    ("vital", "remedy"),
+    [
+        ("pressed", "a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...)"),
+        ("tilt", "give the bearing its other rim"),
+    ],
+)
+def test_use_beyond_a_range_is_said_and_fails_nothing(vital, remedy):
+    watch = LIMITS.seen(LIMITS.begun(SOUND), SOUND._replace(**{vital: jnp.asarray(1.5)}))
     assert bool(watch.is_sound)
     assert cautions(LIMITS.begun(SOUND).worst) == findings(watch.worst) == ""
-    assert "a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...)" in cautions(watch.worst)
+    assert remedy in cautions(watch.worst)
     assert "(1.5 times that)" in cautions(np.stack([watch.worst, LIMITS.begun(SOUND).worst]))
 
 

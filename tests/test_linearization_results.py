@@ -13,8 +13,8 @@ from test_linearization import G, double_pendulum, on_rubber, pendulum, top
 
 import spherejax as sj
 from spherejax import cli
+from spherejax.model.numbers import full_path, number_at, numbers_at
 from spherejax.studies.linear.eigen import eigen
-from spherejax.studies.linear.numbers import number_at, numbers_at
 
 W = np.sqrt(G * 0.5 / 0.26)
 """Rate of the pendulum."""
@@ -246,12 +246,12 @@ def test_figures(rubber, tmp_path):
 
 
 def test_the_command(capsys, tmp_path):
-    words = ["modes", "four-bar", "--at", "start", "--by", "bodies.rocker.mass", "--out", str(tmp_path / "out")]
+    words = ["modes", "four-bar", "--at", "start", "--by", "rocker.inertia", "--out", str(tmp_path / "out")]
     words += ["--input", "gravity.z", "--output", "position.rocker.z", "--points", "20"]
     assert cli.main(words) == 0
     out = capsys.readouterr().out
     assert "Modes about the start" in out
-    assert "per unit of bodies.rocker.mass" in out
+    assert [f"per kg m^2 of bodies.rocker.inertia.{axis}" in out for axis in "xyz"] == [True] * 3
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "modes.nc", "modes.png", "response.csv", "response.png"
     }  # fmt: skip
@@ -263,6 +263,33 @@ def test_the_command(capsys, tmp_path):
     assert "exists" in capsys.readouterr().err
     assert cli.main(["modes", "four-bar", "--input", "gravity.z"]) == 2
     assert "needs --input, --output and --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "words"),
+    [
+        ("--by", "clearence", "nothing of that name in the model of coupler_rocker; did you mean 'clearance'"),
+        ("--by", "normal.stiffness", "is not given"),
+        ("--input", "gravity.w", "its entries are x, y, z"),
+    ],
+)
+def test_the_command_judges_names_before_it_computes(capsys, tmp_path, monkeypatch, option, name, words):
+    def computes(*_, **__):
+        raise AssertionError("computed before the names were looked at")
+
+    monkeypatch.setattr(sj, "linearize", computes)
+    asked = ["--output", "position.rocker.z", "--out", str(tmp_path)] if option == "--input" else []
+    assert cli.main(["modes", "four-bar", "--joint", "friction", option, name, *asked]) == 2
+    said = capsys.readouterr().err
+    assert option in said
+    assert words in said
+
+
+def test_names_are_judged_before_a_rest_position_is_looked_for(monkeypatch):
+    monkeypatch.setattr("spherejax.studies.linear.point.equilibrium", None)
+    for asked in ({"inputs": "bodies.body.mas"}, {"outputs": "position.bodi"}):
+        with pytest.raises(sj.SceneError, match="did you mean"):
+            sj.linearize(on_rubber(), at="rest", **asked)
 
 
 # Bad input -----------------------------------------------------------------------------------------------------------
@@ -284,7 +311,7 @@ def driven():
         (lambda: sj.linearize(3), "int is no scene and no run"),
         (lambda: sj.linearize(pendulum(), at="resting"), "it is 'start' or 'rest'"),
         (lambda: sj.linearize(pendulum(), at=0.1), "give the run"),
-        (lambda: sj.linearize(pendulum(), inputs="forces.push.force"), "'forces.push.force': .* has no 'push'"),
+        (lambda: sj.linearize(pendulum(), inputs="forces.push.force"), "inputs: forces.push.force: forces has no 'push'"),
         (lambda: sj.linearize(pendulum(), inputs="bodies.bob"), "is no number.*mass"),
         (lambda: sj.linearize(pendulum(), inputs="gravity.w"), "its entries are x, y, z"),
         (lambda: sj.linearize(pendulum(), inputs=["gravity", "gravity.x"]), "'gravity.x' twice"),
@@ -355,6 +382,9 @@ def test_numbers_by_path():
     assert number_at(scene, "bodies.body.mass").value(scene) == 2.0
     # The law of the bushing may be left out, for it alone has a stiffness.
     assert number_at(scene, "joints.mount.model.stiffness.2.2").value(scene) == 3e4
+    assert full_path(scene, "body.mass") == "bodies.body.mass"
+    assert full_path(scene, "stiffness.2.2", "mount").startswith("joints.mount.model.")
+    assert full_path(scene, "forces.push.force.y") == "forces.push.force.y"
 
 
 # In time --------------------------------------------------------------------------------------------------------------

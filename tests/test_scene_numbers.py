@@ -1,5 +1,6 @@
 """Any number of a scene by its path on the command line: `--set`, `--vary`, `--by`, `--start`."""
 
+import jax
 import numpy as np
 import pytest
 import xarray
@@ -22,6 +23,8 @@ SCENE = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))
         ("v1 = 0.1 mm/s", "joints.coupler_rocker.model.friction.v1", 1e-4),
         ("model.clearance=0.05mm", "joints.coupler_rocker.model.clearance", 5e-5),
         ("gravity=0, 0, -1.62", "gravity", (0.0, 0.0, -1.62)),
+        ("gravity.z=-162 cm/s^2", "gravity", (0.0, 0.0, -1.62)),
+        ("rocker.inertia.0=10 g mm^2", "bodies.rocker.inertia.x", 1e-8),
         ("gravity=[0,0,-162 cm/s^2]", "gravity", (0.0, 0.0, -1.62)),
         ("bodies.rocker.inertia=10 g mm^2,2e-5,3e-5", "rocker.inertia", (1e-8, 2e-5, 3e-5)),
         ("socket_material.youngs_modulus=70 GPa", "model.socket_material.youngs_modulus", 70e9),
@@ -48,6 +51,9 @@ def test_a_number_is_set_in_its_unit(text, path, value):
         ("normal.stiffness=1e9 N/m", "[N/m^1.5] is expected"),
         ("friction=3", "friction is no number but a Threlfall; it has mu, v1"),
         ("gravity=1", "1 given; gravity is 3 numbers"),
+        ("gravity.w=1", "its entries are x, y, z"),
+        ("rocker.mass.x=1", "bodies.rocker.mass is a number by itself"),
+        ("normal.stiffness.x=1", "is not given"),
         ("clearance", "write PATH=VALUE"),
         ("clearance=much", "'much'"),
     ],
@@ -80,6 +86,19 @@ def test_every_number_of_every_law_is_reached(cls, argument):
 def test_another_shape_is_refused():
     with pytest.raises(sj.SceneError, match="gravity is numbers of shape"):
         with_number(SCENE, "gravity", 1.0)
+
+
+def test_entries_of_one_array_may_be_traced():
+    """As a fit of two of them does."""
+
+    @jax.jit
+    def inertia(x, y):
+        return number_at(
+            with_number(with_number(SCENE, "rocker.inertia.x", x), "rocker.inertia.y", y), "rocker.inertia"
+        )
+
+    own = np.asarray(SCENE.bodies["rocker"].inertia)
+    np.testing.assert_array_equal(inertia(1e-5, 2e-5), [1e-5, 2e-5, own[2]])
 
 
 def test_a_run_moves_as_its_numbers_say(tmp_path):

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+import spherejax as sj
 from spherejax.foundations import terminals
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.terminals import waiting_for
@@ -130,3 +131,14 @@ def test_threads_wait_each_for_itself(capsys):
         "spherejax: compiling two",
     ]
     assert len(lines) == 4
+
+
+@pytest.mark.usefixtures("watched")
+def test_a_linearization_says_that_it_is_compiled(capsys):
+    """One word for its many programs."""
+    jax.clear_caches()
+    sj.linearize(sj.gallery.four_bar(sj.Bushing(1e6, 1e-4)), inputs="gravity.z")
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "spherejax: compiling a linearization; once for each kind of scene ..."
+    assert said[1].startswith("spherejax: compiled a linearization in ")
+    assert len(said) == 2

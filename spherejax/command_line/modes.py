@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
+from spherejax.command_line.scene_numbers import unit_at
 from spherejax.command_line.scenes import add_scene, chosen
+
+if TYPE_CHECKING:
+    from spherejax.model.numbers import Number
 
 DESCRIPTION = """\
 Linearize a mechanism about its start, or about the rest position near it, and print its modes:
@@ -20,7 +25,7 @@ ones too, are taken into account; derivatives are exact.
 
 EPILOG = """examples:
   spherejax modes suspension --at rest
-  spherejax modes suspension --at rest --by bodies.wheel.mass --out modes/
+  spherejax modes suspension --at rest --by wheel.mass --out modes/
   spherejax modes four-bar --joint bushing --input gravity.z --output position.rocker.z --f1 2000 --out modes/
 """
 
@@ -83,21 +88,34 @@ def find_modes(options: argparse.Namespace) -> int:
     if folder is not None:
         for name in FILES:
             require_free(folder / name, overwrite=options.overwrite)
-    scene = chosen(options).scene(options)
-    linear = sj.linearize(scene, at=options.at, inputs=options.input, outputs=options.output)
+    found = chosen(options)
+    scene = found.scene(options)
+    inputs = [number.name for name in options.input for number in _numbers("--input", scene, name, found.studied)]
+    by = [number for name in options.by for number in _numbers("--by", scene, name, found.studied)]
+    linear = sj.linearize(scene, at=options.at, inputs=inputs, outputs=options.output)
     modes = linear.modes()
     print(modes)
-    for number in options.by:
-        _print_slopes(modes, number)
+    for number in by:
+        _print_slopes(modes, number.name, unit_at(scene, number.steps))
     if folder is not None:
         _write(linear, folder, options)
     return 0
 
 
-def _print_slopes(modes: sj.Modes, number: str) -> None:
+def _numbers(option: str, scene: sj.Scene, name: str, studied: str | None) -> list[Number]:
+    """What an option names, by names with nothing left out; of an array all entries."""
+    from spherejax.model.numbers import full_path, numbers_at
+
+    try:
+        return numbers_at(scene, full_path(scene, name, studied))
+    except sj.SceneError as error:
+        raise sj.SceneError(f"{option} {error}") from None
+
+
+def _print_slopes(modes: sj.Modes, number: str, unit: str | None) -> None:
     """Derivatives of frequency and damping of each mode."""
     found = modes.slopes(number)
-    print(f"per unit of {number}:")
+    print(f"per {unit or 'unit'} of {number}:")
     for k, slope in enumerate(found):
         said = "repeated" if slope is None else f"{slope.frequency:+.5g} Hz, damping {slope.damping_ratio:+.5g}"
         print(f"{k:4d}  {said}")

@@ -150,13 +150,12 @@ ONE_POINT = ("PositionDriver", "PointOnCurve")
 
 
 KINDS = {
-    (True, 0, 0): "Spherical",
+    (True, 0, 0): "Rim",
     (True, 0, 1): "Universal",
     (True, 0, 2): "Revolute",
     (True, 0, 3): "Fixed",
     (False, 1, 0): "PointOnPlane",
     (False, 2, 0): "Rim",
-    (False, 3, 0): "Rim",
     (False, 2, 2): "Cylindrical",
     (False, 2, 3): "Prismatic",
 }

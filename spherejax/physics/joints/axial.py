@@ -22,7 +22,13 @@ from spherejax.physics.joints.body_axes import (
     unit,
 )
 from spherejax.physics.joints.elastic import model_requirements, with_model
-from spherejax.physics.joints.elementary import PlacedPair, RightAngles, right_angles_of_all_axes, two_across
+from spherejax.physics.joints.elementary import (
+    Directions,
+    PlacedPair,
+    RightAngles,
+    right_angles_of_all_axes,
+    two_across,
+)
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.joint import AbstractPairJoint
 from spherejax.physics.joints.reaction_friction import ShaftFriction
@@ -99,8 +105,8 @@ class AbstractAxialJoint(AbstractPairJoint):
         if isinstance(self.model, Ideal) and self.model.friction is not None:
             rubbing = ShaftFriction(self.model, on_second, self.turns_freely, self.slides_freely)
         ideal = PlacedPair(self.bodies, places, coincides, normals, right_angles, (on_second,), rubbing)
-        on_first = (turned(bodies, self.bodies[0], axis),)
-        guide = PlacedPair(self.bodies, places, False, on_first, axis_stays, (on_second,)) if self.is_bearing else None
+        held = self._held_with_clearance(turned(bodies, self.bodies[0], axis), axis_stays)
+        guide = None if held is None else PlacedPair(self.bodies, places, False, *held, (on_second,))
         return with_model(ideal, self.model, self.starts_concentric, bodies, axis, guide=guide)
 
     @abc.abstractmethod
@@ -112,6 +118,16 @@ class AbstractAxialJoint(AbstractPairJoint):
             axis: world axes at the start, unit length.
             axis_stays: the right angles that keep the axis of the second body along that of the first.
         """
+
+    def _held_with_clearance(self, along, axis_stays) -> tuple[Directions, RightAngles] | None:
+        """What guides a journal with clearance: normals of planes on the first body, and right angles; None: nothing.
+
+        Args:
+            along: the axis on the first body.
+            axis_stays: as for `_equations`.
+        """
+        del along, axis_stays
+        return None
 
 
 class Revolute(AbstractAxialJoint):
@@ -149,6 +165,9 @@ class Revolute(AbstractAxialJoint):
 
     def _equations(self, bodies, axis, axis_stays):
         return True, axis_stays
+
+    def _held_with_clearance(self, along, axis_stays):
+        return (along,), axis_stays
 
 
 class Cylindrical(AbstractAxialJoint):

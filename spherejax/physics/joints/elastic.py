@@ -34,7 +34,7 @@ def with_model(
         bodies: the scene's bodies.
         axis: where z of the joint's axes points, world axes at the start; None: they are those of its first body.
         second_axis: where x points, as nearly as it can; any direction across the axis where it is None.
-        guide: what holds a journal with clearance along its axis and parallel to it.
+        guide: what holds a journal with clearance along its axis and parallel to it, if anything.
     """
     if model.is_ideal:
         return ideal

@@ -1,14 +1,21 @@
-"""A revolute joint with clearance: a journal that plays in its bearing, both with parallel axes.
+"""A journal in a bearing with clearance: a ball in a socket that feels nothing along the axis.
 
-The journal keeps its place along the bearing and its direction (three constraint equations) and moves across the axis
-within the clearance, where a model answers: the same laws, modes and landings as of a ball in its socket, in the plane.
+A journal that keeps parallel to its bearing has a guide of three equations, which hold its direction and its place
+along the axis; across it the same laws, modes and landings answer as of a ball in its socket, in the plane. Without
+the two that hold the direction it is the circle of a journal in a rim of its bearing; see `rim`.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import jax.numpy as jnp
+
+from spherejax.foundations.types import Scalar, Vector3
 from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
+
+LARGEST_OVAL = 0.1
+"""How oval the section of a journal that tilts may be, as a share of the clearance, without a word."""
 
 
 class PlacedJournal(PlacedSpherical):
@@ -22,8 +29,8 @@ class PlacedJournal(PlacedSpherical):
         model: how the joint resists.
         starts_concentric: whether the start is assembled as if the joint were ideal.
         frame: axes with z along the bearing in those of its body, as columns, shape (3, 3).
-        ideal: the revolute joint that this one is without clearance.
-        guide: what holds the journal along the axis and parallel to it.
+        ideal: the joint that this one is without clearance.
+        guide: what holds the journal along the axis, and parallel to it; None for nothing.
     """
 
     is_ball: ClassVar[bool] = False
@@ -32,29 +39,57 @@ class PlacedJournal(PlacedSpherical):
 
     @property
     def n_rows(self) -> int:
-        """Three: one along the axis, two of directions."""
-        return self._guide.n_rows
+        """Those of the guide: one along the axis, two of directions."""
+        return 0 if self.guide is None else self.guide.n_rows
 
     def constraint_rows(self, t, motions):
         """What holds the journal along the axis and parallel to it."""
-        return self._guide.constraint_rows(t, motions)
+        return None if self.guide is None else self.guide.constraint_rows(t, motions)
 
     def assembly_rows(self, t, motions):
         """Those of the joint without clearance, unless the user placed the journal elsewhere."""
-        start = self._guide if self.ideal is None or not self.starts_concentric else self.ideal
-        return start.assembly_rows(t, motions)
+        start = self.as_if_ideal()
+        return None if start is None else start.assembly_rows(t, motions)
 
     def as_if_ideal(self):
         """The joint without clearance; what guides the journal where that stays where the user placed it."""
-        return self.ideal if self.starts_concentric else self._guide
+        return self.ideal if self.starts_concentric else self.guide
 
     def across(self, motion: RelativeMotion) -> RelativeMotion:
-        """Motion of the journal across the bearing's axis; the part along it is the guide's."""
-        axis = motion.socket_rotation[:, 2]
-        e, rate = motion.eccentricity, motion.eccentricity_rate
-        return motion._replace(eccentricity=e - (e @ axis) * axis, eccentricity_rate=rate - (rate @ axis) * axis)
+        """The part of a motion across the bearing's axis, of the journal against the bearing *where its center is*:
 
-    @property
-    def _guide(self) -> PlacedPair:
-        assert self.guide is not None
-        return self.guide
+            e' = e - s a,   e'_dot = e_dot - s w_i x a,   s = e . a
+
+        so that e' . e'_dot is the rate of |e'|^2 / 2 however the axis a turns, and wherever along it the journal is.
+        """
+        axis, along = _along(motion)
+        return motion._replace(
+            eccentricity=motion.eccentricity - along * axis,
+            eccentricity_rate=motion.eccentricity_rate - along * jnp.cross(motion.socket_angular_velocity, axis),
+        )
+
+    def respond(self, motions, memory):
+        """Force and moments at the centers; the bearing feels the force where the journal's center is."""
+        motion = self.motion_of_centers(motions)
+        response = self.model.respond(self.across(motion), memory)
+        axis, along = _along(motion)
+        moment = response.socket_moment - along * jnp.cross(axis, response.force)
+        return response._replace(socket_moment=moment)
+
+    def share_of_tilt(self, motion: RelativeMotion) -> Scalar | None:
+        """R (sin theta)^2 / 2, by which the journal's section is an oval, against a tenth of the clearance.
+
+        None for a journal that is held parallel.
+        """
+        if self.guide is not None and self.guide.right_angles:
+            return None
+        model: Any = self.model
+        x, y = motion.relative_quaternion[1], motion.relative_quaternion[2]
+        half = x * x + y * y  # (sin (theta/2))^2, for z is the axis here
+        return 2.0 * model.socket_radius * half * (1.0 - half) / (LARGEST_OVAL * model.clearance)
+
+
+def _along(motion: RelativeMotion) -> tuple[Vector3, Scalar]:
+    """The bearing's axis, and how far along it the journal's center is from the bearing's [m]."""
+    axis = motion.socket_rotation[:, 2]
+    return axis, motion.eccentricity @ axis

@@ -5,34 +5,20 @@ both are circles again, up to the square of the angle: each rim is the contact o
 with modes, landings and memory of its own.
 """
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement, enforce
 from spherejax.foundations.legal import positive
-from spherejax.foundations.types import Named, Number, Numeric, Scalar, Triple, Unit, Vector3
+from spherejax.foundations.types import Named, Number, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.axial import AbstractAxialJoint
 from spherejax.physics.joints.base import AbstractSphericalModel, Medium
-from spherejax.physics.joints.body_axes import (
-    direction_requirement,
-    frame_along,
-    places_of,
-    relative_start,
-    turned,
-    unit,
-)
+from spherejax.physics.joints.body_axes import direction_requirement, unit
 from spherejax.physics.joints.clearance import AbstractClearanceModel
-from spherejax.physics.joints.elementary import PlacedPair, two_across
 from spherejax.physics.joints.ideal import Ideal
-from spherejax.physics.joints.spherical import PlacedSpherical
-from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws.cylinders import AbstractCylinder
-
-LARGEST_OVAL = 0.1
-"""How oval the journal's section in a rim may be, as a share of the clearance, without a word."""
 
 
 class Rim(AbstractAxialJoint):
@@ -85,23 +71,11 @@ class Rim(AbstractAxialJoint):
         """As a joint about an axis; ideal without friction, or with surfaces and without a film."""
         return [*_of_rims(self.model), *super().requirements()]
 
-    def placed(self, bodies, find):
-        """Two equations, or none; and one along the axis of a collar."""
-        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
-        axis = unit(self.axis)
-        on_second = turned(bodies, self.bodies[1], axis)
-        along = (turned(bodies, self.bodies[0], axis),) if self.is_thrust else ()
-        across = two_across(bodies, self.bodies[0], axis)
-        ideal = PlacedPair(self.bodies, places, False, (*along, *across), (), (on_second,))
-        if self.model.is_ideal:
-            return ideal
-        start = relative_start(bodies, *self.bodies)
-        collar = PlacedPair(self.bodies, places, False, along, (), (on_second,)) if along else None
-        frame = frame_along(bodies, self.bodies[0], axis)
-        return PlacedRim(self.bodies, *places, start, self.model, self.starts_concentric, frame, ideal, collar)
-
     def _equations(self, bodies, axis, axis_stays):
-        raise NotImplementedError  # `placed` is whole here
+        return self.is_thrust, ()
+
+    def _held_with_clearance(self, along, axis_stays):
+        return ((along,), ()) if self.is_thrust else None
 
 
 def _of_rims(model: AbstractSphericalModel) -> list[Requirement]:
@@ -113,78 +87,6 @@ def _of_rims(model: AbstractSphericalModel) -> list[Requirement]:
         Requirement("model", name, fits, "be ideal or dry", remedy),
         Requirement("friction", name, not rubs, "be left out of an ideal rim", "Revolute has friction by reactions."),
     ]
-
-
-class PlacedRim(PlacedSpherical):
-    """The circle of a journal in a rim of its bearing, in body axes: a ball in a socket that feels nothing along z.
-
-    Attributes:
-        bodies: names of the bearing's and of the journal's body.
-        socket_place: the rim's center on the bearing's body, body axes [m].
-        ball_place: the center of the journal's circle on its body, body axes [m].
-        start_quaternion: journal's body against bearing's body at the start.
-        model: how the rim resists.
-        starts_concentric: whether the start is assembled as if the joint were ideal.
-        frame: axes with z along the bearing in those of its body, as columns, shape (3, 3).
-        ideal: the joint without clearance.
-        collar: what holds the journal along the axis, or None.
-    """
-
-    is_ball: ClassVar[bool] = False
-
-    collar: PlacedPair | None = None
-
-    @property
-    def n_rows(self) -> int:
-        """One with a collar, else none."""
-        return 0 if self.collar is None else self.collar.n_rows
-
-    def constraint_rows(self, t, motions):
-        """What holds the journal along the axis, if anything."""
-        return None if self.collar is None else self.collar.constraint_rows(t, motions)
-
-    def assembly_rows(self, t, motions):
-        """Those of the joint without clearance, unless the user placed the journal elsewhere."""
-        start = self.as_if_ideal()
-        return None if start is None else start.assembly_rows(t, motions)
-
-    def as_if_ideal(self):
-        """The joint without clearance; the collar where the journal stays where the user placed it."""
-        return self.ideal if self.starts_concentric else self.collar
-
-    def across(self, motion: RelativeMotion) -> RelativeMotion:
-        """The part of a motion across the bearing's axis, of the journal against the bearing *where its circle is*:
-
-            e' = e - s a,   e'_dot = e_dot - s w_i x a,   s = e . a
-
-        so that e' . e'_dot is the rate of |e'|^2 / 2 however the axis a turns.
-        """
-        axis, along = _along(motion)
-        return motion._replace(
-            eccentricity=motion.eccentricity - along * axis,
-            eccentricity_rate=motion.eccentricity_rate - along * jnp.cross(motion.socket_angular_velocity, axis),
-        )
-
-    def share_of_tilt(self, motion: RelativeMotion) -> Scalar:
-        """R (sin theta)^2 / 2, by which the journal's section is an oval there, against a tenth of the clearance."""
-        model: Any = self.model
-        x, y = motion.relative_quaternion[1], motion.relative_quaternion[2]
-        half = x * x + y * y  # (sin (theta/2))^2, for the axis is z here
-        return 2.0 * model.socket_radius * half * (1.0 - half) / (LARGEST_OVAL * model.clearance)
-
-    def respond(self, motions, memory):
-        """Force and moments at the centers; the bearing feels the force where the journal's circle is."""
-        motion = self.motion_of_centers(motions)
-        response = self.model.respond(self.across(motion), memory)
-        axis, along = _along(motion)
-        moment = response.socket_moment - along * jnp.cross(axis, response.force)
-        return response._replace(socket_moment=moment)
-
-
-def _along(motion: RelativeMotion) -> tuple[Vector3, Scalar]:
-    """The bearing's axis, and how far along it the journal's circle is from the rim [m]."""
-    axis = motion.socket_rotation[:, 2]
-    return axis, motion.eccentricity @ axis
 
 
 def _half(model: AbstractSphericalModel) -> AbstractSphericalModel:

@@ -155,7 +155,7 @@ class PlacedSpherical(AbstractPlacedJoint):
         return motion
 
     def share_of_tilt(self, motion: RelativeMotion) -> Scalar | None:
-        """How far its parts tilt against each other, as a share of what the joint is for; None for any tilt."""
+        """How far a journal tilts in its bearing, as a share of what the joint is for; None for any."""
         del motion
         return None
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from spherejax.model.numbers import Number
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.integration.integrate import initial_state
@@ -23,7 +24,6 @@ from spherejax.motion.start.assembly import as_ideal, assemble, described_state
 from spherejax.motion.start.equilibrium import SINGULAR, resting_at
 from spherejax.motion.start.start_now import known_start
 from spherejax.studies.linear.coordinates import coordinates_of
-from spherejax.studies.linear.numbers import Number
 from spherejax.studies.linear.point import Point
 from spherejax.studies.linear.tangent import Equations, moved
 

@@ -45,6 +45,12 @@ class Linearization:
         inverse: states by these, shape (n_x, 12 n + m).
         turning: angular velocity of the axes [rad/s].
         steadiness: whether the coefficients are constant.
+        point: the state, and the system whose it is.
+        coordinates: the independent coordinates, with the masses and P.
+        geometry: derivatives of the constraints at the state.
+        kept: which of the coordinates, speeds and entries of memory are states; memory that nothing changes is none.
+        rates: derivatives of the rates of displacements, velocities and memory along all of these, world axes, shape
+            (12 n + m, 2 f + m).
     """
 
     A: Float[np.ndarray, "n_x n_x"]

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from spherejax.foundations.errors import SceneError
+from spherejax.model.numbers import number_at
 from spherejax.studies.linear.eigen import Eigen, eigen
 from spherejax.studies.linear.following import slopes_of
-from spherejax.studies.linear.numbers import number_at
 
 if TYPE_CHECKING:
     import xarray

@@ -50,14 +50,19 @@ class Point(NamedTuple):
         return Equations(self.structure, self.theta, self.t, self.y)
 
 
-def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
-    """The state that is asked for.
+def asked_of(what: Scene | Trajectory, at: str | float) -> tuple[Scene | System, System]:
+    """Where numbers are found by name, and the system, before a start or a rest position is looked for.
 
     Raises:
         SceneError: for something that is no scene or run, a moment that there is not, or traced numbers.
     """
     if isinstance(what, Trajectory):
-        return _of_run(what, at)
+        if not is_concrete(what.ys) or np.ndim(what.ys) != 2:
+            raise SceneError(
+                "linearize takes a single run outside of jit, vmap and grad; take one lane of the batch first"
+            )
+        _sample(what, at)
+        return what.system, what.system
     if not isinstance(what, Scene):
         raise SceneError(f"linearize: {type(what).__name__} is no scene and no run; give a Scene or a Trajectory")
     if not isinstance(at, str) or at not in ("start", "rest"):
@@ -65,22 +70,35 @@ def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
             f"linearize: at={at!r} is no state of a scene; it is 'start' or 'rest'. For a moment of its motion give "
             "the run: sj.linearize(sj.simulate(scene, ts), at=0.1)"
         )
-    if not is_concrete(flatten_system(compile_scene(what).system)[1]):
+    system = compile_scene(what).system
+    if not is_concrete(flatten_system(system)[1]):
         raise SceneError("linearize looks at numbers; call it outside of jit, vmap and grad")
+    return what, system
+
+
+def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
+    """The state that is asked for, of what `asked_of` has found to be right."""
+    if isinstance(what, Trajectory):
+        return _of_run(what, at)
     scene = equilibrium(what, t=t).scene if at == "rest" else what
     system = compile_scene(scene).system
     structure, theta = flatten_system(system)
     assembly = start_now(system, np.array([t]), stacklevel=4)
     assert assembly is not None
     y = np.asarray(initial_state(system, jax.tree.map(jnp.asarray, assembly)))
-
     words = "at rest" if at == "rest" else "about the start"
-    return Point(what, system, structure, np.asarray(theta), t, y, words, at)
+    return Point(what, system, structure, np.asarray(theta), t, y, words, str(at))
 
 
 def _of_run(run: Trajectory, at: str | float) -> Point:
-    if not is_concrete(run.ys) or np.ndim(run.ys) != 2:
-        raise SceneError("linearize takes a single run outside of jit, vmap and grad; take one lane of the batch first")
+    i = _sample(run, at)
+    t, y, system = float(run.ts[i]), np.asarray(run.ys[i]), run.system
+    structure, theta = flatten_system(system)
+    return Point(system, system, structure, np.asarray(theta), t, y, f"of the run at {t:.6g} s", "run")
+
+
+def _sample(run: Trajectory, at: str | float) -> int:
+    """The sample of a run that is asked for."""
     ts, ys = np.asarray(run.ts), np.asarray(run.ys)
     if (isinstance(at, str) and at != "start") or (not isinstance(at, str) and shape_of(at) != ()):
         raise SceneError(f"linearize: at={at!r} is no moment of a run; give a sample time [s], or 'start'")
@@ -93,8 +111,4 @@ def _of_run(run: Trajectory, at: str | float) -> Point:
         )
     if not np.all(np.isfinite(ys[i])):
         raise SceneError(f"linearize: the run did not reach {ts[i]:.9g} s: {run.diagnosis}")
-    system = run.system
-    structure, theta = flatten_system(system)
-
-    words = f"of the run at {ts[i]:.6g} s"
-    return Point(system, system, structure, np.asarray(theta), float(ts[i]), ys[i], words, "run")
+    return i

@@ -8,6 +8,8 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import shape_of
+from spherejax.foundations.terminals import waiting_for
+from spherejax.model.numbers import Number, numbers_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.equations.quantities import LETTERS, Quantity, quantity
@@ -17,9 +19,10 @@ from spherejax.motion.start.tolerances import length_scale
 from spherejax.studies.linear.coordinates import coordinates_of
 from spherejax.studies.linear.following import theta_slope
 from spherejax.studies.linear.linear_result import Linearization, LinearizationWarning
-from spherejax.studies.linear.numbers import Number, numbers_at
-from spherejax.studies.linear.point import Point, point_of
+from spherejax.studies.linear.point import Point, asked_of, point_of
 from spherejax.studies.linear.steadiness import steadiness_of
+
+Outputs = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 NOT_AT_AN_INSTANT = ("penetration", "absorbed_work", "dissipated_energy", "elastic_energy", "mechanical_energy")
 """Kinds of quantities that are made of a whole run, or of several others."""
@@ -75,9 +78,16 @@ def linearize(
         LinearizationWarning: where the rates have a kink, so that a derivative is right to one side only.
     """
     moment, axes = _finite("t", t, ()), _finite("turning", turning, (3,))
-    point = point_of(what, at, float(moment))
-    numbers = _inputs(point, inputs)
-    names, labels, units = _outputs(point.system, outputs)
+    whole, system = asked_of(what, at)
+    numbers = _inputs(whole, inputs)
+    outputs_asked = _outputs(system, outputs)
+    with waiting_for("a linearization", program="a linearization"):
+        point = point_of(what, at, float(moment))
+        return _linearized(point, numbers, outputs_asked, axes)
+
+
+def _linearized(point: Point, numbers: list[Number], outputs: Outputs, axes: np.ndarray) -> Linearization:
+    names, labels, units = outputs
     _require_regular(point)
     layout = point.system.layout
     equations = point.equations
@@ -129,14 +139,17 @@ def _finite(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def _inputs(point: Point, names: Sequence[str] | str) -> list[Number]:
+def _inputs(whole: Scene | System, names: Sequence[str] | str) -> list[Number]:
     names = [names] if isinstance(names, str) else list(names)
-    found = [number for name in names for number in numbers_at(point.whole, name)]
+    try:
+        found = [number for name in names for number in numbers_at(whole, name)]
+    except SceneError as error:
+        raise SceneError(f"linearize: inputs: {error}") from None
     _require_distinct("inputs", [number.name for number in found])
     return found
 
 
-def _outputs(system: System, names: Sequence[str] | str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+def _outputs(system: System, names: Sequence[str] | str) -> Outputs:
     """Names of whole quantities, labels of their entries, and units."""
     found = [quantity(name, system) for name in ([names] if isinstance(names, str) else names)]
     for each in found:
@@ -219,5 +232,5 @@ def _warn_of_kinks(result: Linearization, nearby: np.ndarray) -> None:
             f"linearize: {result.point.words} the rates have a kink along {names} (friction that reverses, a contact "
             "that just touches): the derivative holds to one side. Linearize beside it, or take a smooth law",
             LinearizationWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
