@@ -311,7 +311,10 @@ def driven():
         (lambda: sj.linearize(3), "int is no scene and no run"),
         (lambda: sj.linearize(pendulum(), at="resting"), "it is 'start' or 'rest'"),
         (lambda: sj.linearize(pendulum(), at=0.1), "give the run"),
-        (lambda: sj.linearize(pendulum(), inputs="forces.push.force"), "inputs: forces.push.force: forces has no 'push'"),
+        (
+            lambda: sj.linearize(pendulum(), inputs="forces.push.force"),
+            "inputs: forces.push.force: forces has no 'push'",
+        ),
         (lambda: sj.linearize(pendulum(), inputs="bodies.bob"), "is no number.*mass"),
         (lambda: sj.linearize(pendulum(), inputs="gravity.w"), "its entries are x, y, z"),
         (lambda: sj.linearize(pendulum(), inputs=["gravity", "gravity.x"]), "'gravity.x' twice"),
