@@ -23,6 +23,7 @@ SLOW = (
     "howto/solvers.md",
     "howto/swap_models.md",
     "howto/sweep.md",
+    "howto/tolerances.md",
     "concepts/wear.md",
     "howto/report.md",
     "concepts/linearization.md",

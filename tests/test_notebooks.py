@@ -26,6 +26,7 @@ TOPICS = (
     "lubrication",
     "suspension",
     "sweep",
+    "tolerances",
     "your_own_mechanism",
 )
 """What there must be a notebook about."""

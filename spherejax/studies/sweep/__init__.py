@@ -5,12 +5,14 @@ from spherejax.studies.sweep.grids import Grid, product, random_samples, sobol_s
 from spherejax.studies.sweep.reading import open_sweep
 from spherejax.studies.sweep.records import Sensitivity
 from spherejax.studies.sweep.run import sweep
+from spherejax.studies.sweep.spreads import Tolerance
 
 __all__ = [
     "Grid",
     "Sensitivity",
     "StoreWarning",
     "SweepError",
+    "Tolerance",
     "open_sweep",
     "product",
     "random_samples",

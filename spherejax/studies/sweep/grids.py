@@ -10,10 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
-
-Range = tuple[float, float]
-"""Least and largest value."""
-
+from spherejax.studies.sweep.spreads import Scattered, Spread, scattered
 
 SLAB = 2**20
 """Runs whose parameters are in memory at a time, where not all of them need be."""
@@ -133,11 +130,12 @@ def zipped(values: Mapping[str, Any]) -> Grid:
     return Grid(lists, {}, "zipped")
 
 
-def random_samples(ranges: Mapping[str, Range], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
-    """Independent uniform samples.
+def random_samples(ranges: Mapping[str, Spread], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
+    """Independent samples.
 
     Args:
-        ranges: least and largest value of each parameter.
+        ranges: of each parameter the least and largest value (uniform), a `sj.Tolerance`, or a distribution of
+            scipy.stats.
         n: number of runs.
         seed: of the random numbers; the same seed gives the same runs.
         logarithmic: names of parameters whose logarithm is uniform.
@@ -149,8 +147,8 @@ def random_samples(ranges: Mapping[str, Range], n: int, *, seed: int = 0, logari
     return _within(ranges, points, logarithmic, "random")
 
 
-def sobol_samples(ranges: Mapping[str, Range], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
-    """Samples of a scrambled Sobol sequence, which fill the ranges evenly; best with a power of two.
+def sobol_samples(ranges: Mapping[str, Spread], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
+    """Samples of a scrambled Sobol sequence, which fill ranges and distributions evenly; best with a power of two.
 
     Arguments and errors as `random_samples`.
 
@@ -168,20 +166,27 @@ def as_grid(grid: "Grid | Mapping[str, Any]") -> Grid:
     return grid if isinstance(grid, Grid) else product(grid)
 
 
-def _within(ranges: Mapping[str, Range], points, logarithmic: Sequence[str], kind: str) -> Grid:
+def _within(ranges: Mapping[str, Spread], points, logarithmic: Sequence[str], kind: str) -> Grid:
     unknown = sorted(set(logarithmic) - set(ranges))
     if unknown:
         raise SceneError(f"logarithmic={unknown[0]!r} names no parameter; there are {', '.join(map(repr, ranges))}")
     values = {}
     for column, (name, given) in enumerate(ranges.items()):
-        low, high = _range(name, given)
-        if name in logarithmic:
-            if not low > 0:
-                raise SceneError(f"parameter {name!r}: a logarithmic range must be positive; it is {low:g} to {high:g}")
-            values[name] = np.exp(np.log(low) + points[:, column] * np.log(high / low))
-        else:
-            values[name] = low + points[:, column] * (high - low)
+        spread = scattered(name, given)
+        values[name] = _logarithmic(spread, points[:, column]) if name in logarithmic else spread.at(points[:, column])
     return Grid(values, {}, kind)
+
+
+def _logarithmic(spread: Scattered, points: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    if not spread.is_range:
+        raise SceneError(
+            f"parameter {spread.name!r}: logarithmic= is for ranges (least, largest); of a distribution take that of "
+            "the logarithm, e.g. scipy.stats.lognorm"
+        )
+    low, high = (float(end) for end in spread.distribution.support())
+    if not low > 0:
+        raise SceneError(f"parameter {spread.name!r}: a logarithmic range must be positive; it is {low:g} to {high:g}")
+    return np.exp(np.log(low) + points * np.log(high / low))
 
 
 def _named(values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -203,13 +208,6 @@ def _numbers(name: str, given) -> Float[np.ndarray, " n"]:
     if not np.all(np.isfinite(numbers)):
         raise SceneError(f"parameter {name!r} must be finite; entry {int(np.argmin(np.isfinite(numbers)))} is not")
     return numbers
-
-
-def _range(name: str, given) -> Range:
-    numbers = _numbers(name, given)
-    if numbers.shape != (2,) or not numbers[0] < numbers[1]:
-        raise SceneError(f"parameter {name!r} needs a range (least, largest); it has {given!r}")
-    return float(numbers[0]), float(numbers[1])
 
 
 def _positive(n: int) -> int:
