@@ -245,6 +245,13 @@ def test_figures(rubber, tmp_path):
     assert rubber.modes().figure().axes
 
 
+def test_the_command_names_no_unit_of_a_pure_number(capsys):
+    assert cli.main(["modes", "four-bar", "--joint", "friction", "--by", "friction.mu", "--by", "clearance"]) == 0
+    out = capsys.readouterr().out
+    assert "per unit of joints.coupler_rocker.model.friction.mu" in out
+    assert "per m of joints.coupler_rocker.model.clearance" in out
+
+
 def test_the_command(capsys, tmp_path):
     words = ["modes", "four-bar", "--at", "start", "--by", "rocker.inertia", "--out", str(tmp_path / "out")]
     words += ["--input", "gravity.z", "--output", "position.rocker.z", "--points", "20"]

@@ -115,7 +115,7 @@ def _numbers(option: str, scene: sj.Scene, name: str, studied: str | None) -> li
 def _print_slopes(modes: sj.Modes, number: str, unit: str | None) -> None:
     """Derivatives of frequency and damping of each mode."""
     found = modes.slopes(number)
-    print(f"per {unit or 'unit'} of {number}:")
+    print(f"per {'unit' if unit in (None, '1') else unit} of {number}:")
     for k, slope in enumerate(found):
         said = "repeated" if slope is None else f"{slope.frequency:+.5g} Hz, damping {slope.damping_ratio:+.5g}"
         print(f"{k:4d}  {said}")

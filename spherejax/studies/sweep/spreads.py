@@ -87,6 +87,12 @@ class Scattered:
         reach = max(self.nominal - low, high - self.nominal)
         return reach if np.isfinite(reach) else UNBOUNDED * self.deviation
 
+    @property
+    def step(self) -> float:
+        """A standard deviation, or less where the nearer limit is nearer than that."""
+        low, high = (float(end) for end in self.distribution.support())
+        return min(self.deviation, self.nominal - low, high - self.nominal)
+
     def at(self, shares) -> np.ndarray:
         """The values below which these shares of all lie."""
         return np.asarray(self.distribution.ppf(np.clip(shares, LEAST, 1 - 2 * LEAST)))

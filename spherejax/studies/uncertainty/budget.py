@@ -34,6 +34,9 @@ STRAIGHT = 0.2
 ROUNDING = 1e-4
 """Percent of the deviation below which nobody wants to know the number."""
 
+NOTHING = 1e-10
+"""Change of what is observed, as a share of its size, that is rounding."""
+
 LEAST_SHARE = 5e-4
 """Shares of the variance below this are printed as zero."""
 
@@ -150,8 +153,6 @@ class ToleranceBudget:
             rows.append((label, f"{deviation:.3g}", f"{worst:.3g}", units[label], f"{t:.4g} s", *said))
         lines = ["Tolerance budget, first order:", *table(heads), "", "Where each scatters most, and which number's:"]
         lines += [*table(rows), *([self.note] if self.note else [])]
-        if self.sensitivities.diagnosis:
-            lines.append(self.sensitivities.diagnosis)
         return "\n".join(line.rstrip() for line in lines)
 
 
@@ -195,8 +196,8 @@ def tolerance_budget(
         SceneError: for a request that cannot be answered, before anything is computed.
 
     Warns:
-        UncertaintyWarning: where the first order is off by more than a fifth of the deviation, or a run of the check
-            fails.
+        UncertaintyWarning: where the first order is off by more than a fifth of the deviation, a run of the check
+            fails, or the run at the middle stops early.
     """
     numbers = scattered_numbers(spreads)
     middle = {number.name: number.nominal for number in numbers}
@@ -204,27 +205,28 @@ def tolerance_budget(
     found = sensitivity(build, middle, ts, observables=observables, of=of, **how)
     deviations = np.array([number.deviation for number in numbers])
     widths = np.array([number.half_width for number in numbers])
-    aside = _aside(build, numbers, ts, observables, of, how) if check else None
+    steps = np.array([number.step for number in numbers])
+    aside = _aside(build, numbers, steps, ts, observables, of, how) if check else None
     parts = []
     for column in found.columns:
         effects = column.slopes * deviations
         deviation = np.sqrt(np.sum(effects**2, axis=-1))
         worst = np.sum(np.abs(column.slopes) * widths, axis=-1)
-        bent = None if aside is None else _bent(column.values, effects, aside[column.name])
+        bent = None if aside is None else _bent(column.values, effects, aside[column.name], steps / deviations)
         parts.append(Part(column, effects, deviation, worst, bent))
-    note = _judged(parts)
+    note = _judged(parts, found.diagnosis)
     return ToleranceBudget(tuple(numbers), tuple(parts), found, note)
 
 
-def _aside(build, numbers: list[Scattered], ts, observables, of, how) -> dict[str, np.ndarray]:
-    """What is observed at one deviation to either side of each number, the others at their middle.
+def _aside(build, numbers: list[Scattered], steps, ts, observables, of, how) -> dict[str, np.ndarray]:
+    """What is observed a step to either side of each number, the others at their middle.
 
     Returns:
         By name of the observable shape (2 p, n, components), upwards first; NaN of a run that failed.
     """
     p = len(numbers)
     rows = np.array([number.nominal for number in numbers])[:, None] + np.concatenate(
-        [sign * np.diag([number.deviation for number in numbers]) for sign in (1, -1)], axis=1
+        [sign * np.diag(steps) for sign in (1, -1)], axis=1
     )
     grid = zipped({number.name: rows[k] for k, number in enumerate(numbers)})
     record = {getattr(of, "__name__", "function"): of} if of is not None else observables
@@ -237,31 +239,39 @@ def _aside(build, numbers: list[Scattered], ts, observables, of, how) -> dict[st
     }
 
 
-def _bent(values, effects, aside) -> float:
-    """The part that derivatives miss, as a share of the largest deviation; NaN where a run failed."""
+def _bent(values, effects, aside, lengths) -> float:
+    """The part that derivatives miss, as a share of the largest deviation; NaN where a run failed.
+
+    Args:
+        values, effects, aside: of the middle, by derivatives, to either side.
+        lengths: of the steps aside, in deviations.
+    """
     reached = np.all(np.isfinite(values), axis=1) & np.all(np.isfinite(effects), axis=(1, 2))
     up, down = np.split(np.moveaxis(aside - values, 0, -1), 2, axis=-1)  # (n, c, p)
-    even, odd = (up + down) / 2, (up - down) / 2 - effects
+    even, odd = (up + down) / 2 / lengths, (up - down) / 2 / lengths - effects
     missed = np.sqrt(np.sum(np.maximum(np.abs(even), np.abs(odd)) ** 2, axis=(1, 2)))[reached]
     deviation = np.sqrt(np.sum(effects**2, axis=(1, 2)))[reached]
-    largest = deviation.max(initial=0.0)
-    return float(missed.max(initial=0.0) / largest) if largest > 0 else 0.0
+    # Where derivatives vanish and the motion bends all the same (a best point), the first order misses everything.
+    rounding = NOTHING * np.abs(values[reached]).max(initial=1e-300)
+    return float(missed.max(initial=0.0) / max(deviation.max(initial=0.0), rounding))
 
 
-def _judged(parts: list[Part]) -> str:
-    """What the check says, and a warning where it is bad."""
+def _judged(parts: list[Part], diagnosis: str) -> str:
+    """What the check says, and a warning where it is bad, or where the run at the middle stopped early."""
     made = {part.column.name: part.bent for part in parts if part.bent is not None}
-    if not made:
-        return "" if not parts else "That the first order suffices was not checked (check=False)."
     failed = [name for name, share in made.items() if not np.isfinite(share)]
     off = {name: share for name, share in made.items() if share > STRAIGHT}
-    if failed:
+    if diagnosis:
+        text = f"tolerance_budget: the run with all numbers at their middle stopped early: {diagnosis}"
+    elif not made:
+        return "That the first order suffices was not checked (check=False)."
+    elif failed:
         text = (
             f"tolerance_budget: runs at one deviation aside failed, so that nothing says whether the first order of "
             f"{', '.join(failed)} suffices; sj.monte_carlo tells which numbers fail"
         )
     elif off:
-        said = ", ".join(f"{name} by {100 * share:.0f} %" for name, share in off.items())
+        said = ", ".join(f"{name} by {f'{100 * s:.0f} %' if s < 10 else 'many times'}" for name, s in off.items())
         text = (
             f"tolerance_budget: at one deviation aside the first order is off, as a share of the largest deviation: "
             f"{said}. Take sj.sobol_indices or sj.monte_carlo, which assume no straight lines, or smaller tolerances"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from spherejax.foundations.forms import whole_number
 from spherejax.motion.runs.many import Build
 from spherejax.studies.sweep.grids import random_samples
 from spherejax.studies.sweep.records import Wanted
@@ -118,7 +119,7 @@ def monte_carlo(
 
     Other args:
         record: what is kept of each run, as in `sj.sweep`.
-        n: number of runs.
+        n: number of runs, at least two.
         seed: of the random numbers.
         options: of `sj.sweep`: rtol, atol, solver, max_steps, block, chunk, workers, executor, store, progress.
 
@@ -133,6 +134,7 @@ def monte_carlo(
         UncertaintyWarning: where runs failed and are left out.
     """
     scattered_numbers(spreads)
+    n = whole_number("n", n, "It counts the runs.", least=2)
     runs = along_time(sweep(build, random_samples(spreads, n, seed=seed), ts, record=record, **options))
     outputs = outputs_of(runs)
     good = usable(runs, outputs)
