@@ -16,7 +16,7 @@ import spherejax as sj
 from spherejax import runtime
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.fingerprints import program_fingerprint, value_fingerprint
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.jobs import integrated
 from spherejax.motion.runs.many import many, simulate_many
@@ -152,7 +152,7 @@ def test_every_cache_is_bounded():
         assert "maxsize=None" not in text, path
     for cached in (integrate, integrated, many, _program):
         assert cached.n_programs <= 24
-    assert program_for.cache_info().maxsize is not None
+    assert made_program.cache_info().maxsize is not None
 
 
 def test_fingerprints_tell_programs_and_values():

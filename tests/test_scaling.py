@@ -15,7 +15,7 @@ from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations import programs
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.paths import path_of
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import made_program, program_for
 from spherejax.motion.integration.integrate import initial_state
 from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.motion.start.start_now import start_now
@@ -131,9 +131,9 @@ def test_a_run_switches_by_itself_and_says_so(monkeypatch):
     asked = sj.simulate(scene, ts, scalar=True)
     monkeypatch.setattr(programs, "LARGEST_SCALAR_PROGRAM", 500)
     monkeypatch.setattr("spherejax.motion.equations.paths.LARGEST_SCALAR_PROGRAM", 500)
-    program_for.cache_clear()
+    made_program.cache_clear()
     run = sj.simulate(scene, ts)
-    program_for.cache_clear()
+    made_program.cache_clear()
     assert run.scalar is False
     assert "array code" in run.stats.explanation
     assert "500" in run.stats.explanation

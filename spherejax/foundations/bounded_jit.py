@@ -10,7 +10,7 @@ import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache, cached_property, partial, update_wrapper
 from types import MappingProxyType
 from typing import Any
@@ -26,6 +26,7 @@ from jax.extend import core as jex
 from spherejax import runtime
 from spherejax.foundations import kept_on_disk
 from spherejax.foundations.checks import exits_as_errors
+from spherejax.foundations.collecting import collecting_later
 from spherejax.foundations.terminals import waiting_for
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
@@ -71,7 +72,7 @@ class _Entry:
     @property
     def program(self) -> Any:
         """The program for numbers: loaded, or compiled and kept, at its first use."""
-        with self._lock:
+        with self._lock, collecting_later():
             if self._program is None:
                 self._program = self._loaded() or self._compiled()
         return self._program
@@ -82,7 +83,8 @@ class _Entry:
         program = self.program
         with self._lock:
             if self._program is self.jitted:
-                self._program = program.lower(*self._examples).compile()
+                with collecting_later():
+                    self._program = program.lower(*self._examples).compile()
             return self._program
 
     @property
@@ -228,11 +230,15 @@ class BoundedJit:
         """Evaluate; what has not been seen is traced and compiled."""
         entry, leaves = self._entry_for(arguments, named)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return entry.results(entry.jitted(*leaves))
+            with collecting_later():
+                return entry.results(entry.jitted(*leaves))
         if entry.has_been_called:
             return entry.results(entry.program(*leaves))
         with waiting_for(self._what, entry.name):
-            found = entry.program(*leaves)
+            program = entry.program
+            # JAX traces and compiles what is not kept at this call.
+            with collecting_later() if program is entry.jitted else nullcontext():
+                found = program(*leaves)
         entry.has_been_called = True
         return entry.results(found)
 

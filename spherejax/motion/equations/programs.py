@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations import kept_on_disk
+from spherejax.foundations.collecting import collecting_later
 from spherejax.foundations.scalar_graph import NotScalarizable, TooManyOperations
 from spherejax.foundations.scalarize import ScalarProgram, scalarize
 from spherejax.model.groups import stacks_from
@@ -112,7 +113,6 @@ class Program:
         return jax.jit(self)
 
 
-@lru_cache(maxsize=256)
 def program_for(
     function: SystemFunction,
     structure: Structure,
@@ -135,7 +135,14 @@ def program_for(
     Other args:
         is_quiet: say nothing where a law has no scalar program.
     """
-    return Program(function, structure, use_scalars, y_size, n_ahead, is_quiet)
+    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet)
+
+
+@lru_cache(maxsize=256)
+def made_program(*what) -> Program:
+    """Behind `program_for`: to `lru_cache` an argument that is left out and its default are two programs."""
+    with collecting_later():
+        return Program(*what)
 
 
 def _scalar_program(

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.collecting import collecting_later
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
@@ -149,7 +150,9 @@ def _remembered(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Call
         if key in found:
             found.move_to_end(key)
             return found[key]
-    made = make()  # without the lock: it may take seconds, and two threads that make the same do no harm
+    # Without the lock: it may take seconds, and two threads that make the same do no harm.
+    with collecting_later():
+        made = make()
     if not is_concrete(jnp.zeros(())):
         return made  # under `jax.jit` arrays belong to its trace, also those of known numbers
     with lock:

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations import kept_on_disk
 from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.collecting import collecting_later
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes.engine import run_in_lanes
 from spherejax.motion.integration.lanes.lane import Block, LaneOutcome, LaneProblem
@@ -85,8 +86,9 @@ def runs(
 def _made(*operands: Array, form: _Form) -> tuple[Array, ...]:
     ts, *shared = operands[: form.n_shared]
     parameters, y0, may_run, status = jax.tree.unflatten(form.own, operands[form.n_shared :])
-    problem = form.kind.problem(ts, jax.tree.unflatten(form.shared, shared))
-    return tuple(run_in_lanes(problem, parameters, y0, ts, may_run, status, form.block))
+    with collecting_later():  # JAX traces this while it lowers a caller's program
+        problem = form.kind.problem(ts, jax.tree.unflatten(form.shared, shared))
+        return tuple(run_in_lanes(problem, parameters, y0, ts, may_run, status, form.block))
 
 
 @bounded_jit(what="runs in lanes")
