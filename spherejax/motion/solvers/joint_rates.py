@@ -181,10 +181,10 @@ def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> Pres
         mobility = _mobility_with_rotation(system, motions, free, masses, joint)
         force = LOADS_IN_MOTION * _load(joint, motions, closed.rows[name], multipliers[name])
         fall = safe_norm(_relative_acceleration(joint, motions, falling))
-        looks = [_pressed(joint, motions, force, along, fall) for along in (force, _yielding(mobility, force))]
-        decays.append(jnp.stack([mobility @ look.damping for look in looks]))
-        squares.append(jnp.stack([mobility[:3, :3] @ look.stiffness for look in looks]))
-        times.append(looks[0].sinking_time)
+        looks = _pressed(joint, motions, force, jnp.stack([force, _yielding(mobility, force)]), fall)
+        decays.append(mobility @ looks.damping)
+        squares.append(mobility[:3, :3] @ looks.stiffness)
+        times.append(looks.sinking_time[0])
     return PressedActions(jnp.stack(decays), jnp.stack(squares), jnp.stack(times))
 
 
@@ -194,17 +194,19 @@ def _load(joint: PlacedSpherical, motions, rows: ConstraintRows, multipliers) ->
     return joint.across(joint.motion_of_centers(motions)._replace(eccentricity=force)).eccentricity
 
 
-class _Look(NamedTuple):
-    damping: Float[Array, "6 6"]
-    stiffness: Float[Array, "3 3"]
-    sinking_time: Scalar
+class _Looks(NamedTuple):
+    damping: Float[Array, "k 6 6"]
+    stiffness: Float[Array, "k 3 3"]
+    sinking_time: Float[Array, " k"]
 
 
-def _pressed(joint: PlacedSpherical, motions, force: Vector3, along: Vector3, fall: Scalar) -> _Look:
-    """Derivatives of a joint's answer for a ball that the size of `force` presses in along `along`."""
+def _pressed(joint: PlacedSpherical, motions, force: Vector3, alongs: Float[Array, "k 3"], fall: Scalar) -> _Looks:
+    """Derivatives of a joint's answer for a ball that the size of `force` presses in along some directions.
+
+    The law is traced twice, for all directions together: in the film, and in the contact.
+    """
     model: Any = joint.model
     load = safe_norm(force) + SMALLEST
-    n = along / (safe_norm(along) + SMALLEST)
     motion, clearance = joint.relative_motion(motions), model.clearance
     depth = model.normal.depth(load, stiffness_of(model.normal, model.surfaces))
     n_memory = len(model.memory)
@@ -219,18 +221,26 @@ def _pressed(joint: PlacedSpherical, motions, force: Vector3, along: Vector3, fa
         response = model.respond(moved, memory)
         return jnp.concatenate([response.force, response.ball_moment])
 
-    closing = jnp.concatenate([CREEP * n, jnp.zeros(3)])
+    def closing(n):
+        return jnp.concatenate([CREEP * n, jnp.zeros(3)])
 
-    def film(ratio):
+    def film(ratio, n):
         """Damping [N s/m] of the film by itself: without contact, the memory is that of flight."""
-        damping = jax.jacfwd(answer, 1)(ratio * clearance * n, closing, jnp.zeros(n_memory))
+        damping = jax.jacfwd(answer, 1)(ratio * clearance * n, closing(n), jnp.zeros(n_memory))
         return -n @ damping[:3, :3] @ n
 
-    arrival = jnp.sqrt(2 * fall * clearance) + SMALLEST
-    arrival = 1 / (1 / arrival + film(1.0) / load)
-    memory = model.memory_at_onset(arrival) if n_memory else jnp.zeros(0)
-    stiffness, damping = jax.jacfwd(answer, (0, 1))((clearance + depth) * n, closing, memory)
-    return _Look(-damping, -stiffness[:3], film(USUAL_ECCENTRICITY_RATIO) * clearance / load)
+    def contact(n, film_at_wall):
+        arrival = jnp.sqrt(2 * fall * clearance) + SMALLEST
+        arrival = 1 / (1 / arrival + film_at_wall / load)
+        memory = model.memory_at_onset(arrival) if n_memory else jnp.zeros(0)
+        return jax.jacfwd(answer, (0, 1))((clearance + depth) * n, closing(n), memory)
+
+    normals = jax.vmap(lambda along: along / (safe_norm(along) + SMALLEST))(alongs)
+    n = len(alongs)
+    ratios = jnp.array([1.0] * n + [USUAL_ECCENTRICITY_RATIO] * n)
+    films = jax.vmap(film)(ratios, jnp.concatenate([normals, normals]))
+    stiffness, damping = jax.vmap(contact)(normals, films[:n])
+    return _Looks(-damping, -stiffness[:, :3], films[n:] * clearance / load)
 
 
 def _yielding(mobility: Float[Array, "6 6"], force: Vector3) -> Vector3:
@@ -244,38 +254,44 @@ def _yielding(mobility: Float[Array, "6 6"], force: Vector3) -> Vector3:
 
 def _mobility_with_rotation(system: System, motions, constraints: ConstraintSet, masses, joint) -> Float[Array, "6 6"]:
     """Relative acceleration of ball and socket, linear and angular, for unit forces and moments between them."""
-    socket, ball = joint.centers(motions)
-    columns = []
-    for unit in jnp.eye(6):
-        loads = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
-        for body, center, sign in zip(joint.bodies, (socket, ball), (-1.0, 1.0), strict=True):
-            if body in loads:
-                loads[body] = sign * jnp.concatenate([unit[:3], unit[3:] + jnp.cross(center.arm, unit[:3])])
-        none = jnp.zeros_like(constraints.bias)
-        found = solve_augmented(constraints, masses, jnp.stack(list(loads.values())), none)
-        accelerations = by_body(system, found.accelerations)
+    centers = joint.centers(motions)
+
+    def answer(unit):
+        pushes = [
+            sign * jnp.concatenate([unit[:3], unit[3:] + jnp.cross(c.arm, unit[:3])]) for sign, c in _sides(centers)
+        ]
+        accelerations = _accelerations(system, constraints, masses, dict(zip(joint.bodies, pushes, strict=True)))
         turning = jnp.zeros(3)
         for body, sign in zip(joint.bodies, (-1.0, 1.0), strict=True):
             if body in accelerations:
                 turning = turning + sign * accelerations[body][3:]
-        columns.append(jnp.concatenate([_relative_acceleration(joint, motions, accelerations), turning]))
-    return jnp.stack(columns, 1)
+        return jnp.concatenate([_relative_acceleration(joint, motions, accelerations), turning])
+
+    return jax.vmap(answer, out_axes=1)(jnp.eye(6))
 
 
 def _mobility(system: System, motions, constraints, masses, joint: PlacedSpherical) -> Float[Array, "3 3"]:
     """Relative acceleration of ball and socket for unit forces along the axes [1/kg]."""
-    socket, ball = joint.centers(motions)
-    columns = []
-    for unit in jnp.eye(3):
-        loads = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
-        for body, center, force in zip(joint.bodies, (socket, ball), (-unit, unit), strict=True):
-            if body in loads:
-                loads[body] = jnp.concatenate([force, jnp.cross(center.arm, force)])
-        none = jnp.zeros_like(constraints.bias)
-        found = solve_augmented(constraints, masses, jnp.stack(list(loads.values())), none)
-        accelerations = by_body(system, found.accelerations)
-        columns.append(_relative_acceleration(joint, motions, accelerations))
-    return jnp.stack(columns, 1)
+    centers = joint.centers(motions)
+
+    def answer(unit):
+        pushes = [sign * jnp.concatenate([unit, jnp.cross(c.arm, unit)]) for sign, c in _sides(centers)]
+        accelerations = _accelerations(system, constraints, masses, dict(zip(joint.bodies, pushes, strict=True)))
+        return _relative_acceleration(joint, motions, accelerations)
+
+    return jax.vmap(answer, out_axes=1)(jnp.eye(3))
+
+
+def _sides(centers):
+    """Socket and ball, with the signs of what acts on them."""
+    return tuple(zip((-1.0, 1.0), centers, strict=True))
+
+
+def _accelerations(system: System, constraints, masses, pushes: dict) -> dict:
+    """Of the bodies, under the constraints, for loads on some of them."""
+    loads = jnp.stack([pushes.get(name, jnp.zeros(VELOCITY_SIZE)) for name in system.bodies])
+    found = solve_augmented(constraints, masses, loads, jnp.zeros_like(constraints.bias))
+    return by_body(system, found.accelerations)
 
 
 def _relative_acceleration(joint: PlacedSpherical, motions, accelerations) -> Float[Array, "3"]:
