@@ -21,6 +21,7 @@ from jax.extend import core as jex
 from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph, TooManyOperations
 from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, NotScalarizable, move_names
+from spherejax.foundations.straight_line import StraightLine, one_by_one
 
 
 class ScalarProgram:
@@ -43,18 +44,20 @@ class ScalarProgram:
         self.name = name
         self.operations: Counter = graph.count(self._flat_outputs)
         self.n_operations: int = self.operations.total()
+        self._n_leading = n_ahead
         self._ahead = graph.invariants(self._flat_outputs, range(n_ahead))
         self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
         self._compile()
 
     def _compile(self) -> None:
-        self._run = jax.jit(lambda *flat: self._emit(flat, {}))
-        self._run_ahead = jax.jit(self._emit_ahead)
-        self._run_inside = jax.jit(self._emit_inside)
+        numbers = [np.array(node) for node in self._ahead]
+        self._whole = StraightLine(self._graph, self._outputs, self._shapes, ())
+        self._first = StraightLine(self._graph, numbers, self._shapes[: self._n_leading], ())
+        self._rest = StraightLine(self._graph, self._outputs, self._shapes, self._ahead)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what JAX compiles; a tree of results stands for its structure."""
-        state = {name: value for name, value in vars(self).items() if name not in ("_run", "_run_ahead", "_run_inside")}
+        state = {name: value for name, value in vars(self).items() if name not in ("_whole", "_first", "_rest")}
         return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -63,7 +66,7 @@ class ScalarProgram:
 
     def __call__(self, *arguments) -> Any:
         """Evaluate; the arguments have the shapes of the example arguments."""
-        return self._run(*self._flat(arguments))
+        return self._tree_of(self._whole(*self._flat(arguments)))
 
     def reads(self, argument: int) -> bool:
         """Whether the outputs depend on an argument (counted in leaves)."""
@@ -101,11 +104,15 @@ class ScalarProgram:
 
     def ahead(self, *leading) -> tuple[Array, ...]:
         """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""
-        return self._run_ahead(*(jnp.asarray(leaf) for leaf in jax.tree.leaves(leading)))
+        leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(leading)]
+        return tuple(self._first(*leaves)) if self._ahead else ()
 
     def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
         """As a call, with what `ahead` has evaluated for the same leading arguments."""
-        return self._run_inside(ahead, *self._flat(arguments))
+        return self._tree_of(self._rest(*self._flat(arguments), *ahead))
+
+    def _tree_of(self, outputs) -> Any:
+        return jax.tree.unflatten(self._tree, outputs)
 
     def _flat(self, arguments) -> list[Array]:
         flat = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
@@ -113,42 +120,6 @@ class ScalarProgram:
         if shapes != self._shapes:
             raise ValueError(f"the scalar program {self.name} was made for shapes {self._shapes}, got {shapes}")
         return flat
-
-    def _emit_ahead(self, *leading):
-        values = self._graph.emit(self._ahead, _reader(leading))
-        return tuple(values[node] for node in self._ahead)
-
-    def _emit_inside(self, ahead, *flat):
-        return self._emit(flat, dict(zip(self._ahead, ahead, strict=True)))
-
-    def _emit(self, flat, given):
-        values = self._graph.emit(self._flat_outputs, _reader(flat), given)
-        return jax.tree.unflatten(self._tree, [self._assemble(output, values) for output in self._outputs])
-
-    def _assemble(self, output: np.ndarray, values: dict):
-        if output.size == 0:
-            return jnp.zeros(output.shape)
-        dtype = self._graph.dtypes[int(output.flat[0])]
-        parts = [jnp.asarray(values[int(node)], dtype) for node in output.ravel()]
-        return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
-
-
-def _reader(flat):
-    """A function that reads entries of flat arguments by position; an argument is taken apart once, when it is read.
-
-    By one operation for all its entries: in reverse mode their derivatives are then put together by one as well, and
-    not summed from as many arrays of its size.
-    """
-    entries: dict = {}
-
-    def read(position):
-        argument, index = position
-        if argument not in entries:
-            array = flat[argument].reshape(-1)
-            entries[argument] = jax.lax.split(array, [1] * array.size)
-        return entries[argument][index].reshape(())
-
-    return read
 
 
 def scalarize(
@@ -240,6 +211,8 @@ class _Interpreter:
         if inner is not None:
             closed = parameters[inner]
             return self.run(closed.jaxpr, closed.consts, inputs)
+        if name == "straight_line":  # a program within a program
+            return self.inlined(one_by_one(**parameters), equation, inputs)
         if name == "scan":
             return self.scan(parameters, inputs)
         if name == "cond":
@@ -255,6 +228,10 @@ class _Interpreter:
         if name in ELEMENTWISE:
             return [self.elementwise(equation.primitive, inputs, parameters, shapes[0], dtypes[0])]
         raise NotScalarizable(f"the operation {name!r} has no scalar rule")
+
+    def inlined(self, function, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        closed = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars))
+        return self.run(closed.jaxpr, closed.consts, inputs)
 
     def elementwise(self, primitive, inputs, parameters, shape, dtype) -> np.ndarray:
         frozen = tuple(sorted(parameters.items()))

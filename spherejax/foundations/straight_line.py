@@ -1,0 +1,349 @@
+"""A scalar program as one operation of JAX, written straight into the compiler's language.
+
+To JAX two thousand scalar operations are two thousand objects to trace, to batch and to lower, at a tenth of a
+millisecond each for every time that the program is used. As one operation (`straight_line`) they are none of this until
+the program is compiled: the lowering rule writes them as StableHLO, lanes and all. Derivatives are taken of the same
+operations one by one, as JAX takes them (`StraightLine.by_operations`).
+
+Mapped by `jax.vmap`, the operation gets axes of lanes. They stand last in the arguments that have them, in the order of
+the mappings; a set of axes is an integer with a bit for each.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial, reduce
+from operator import or_
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.extend.mlir import ir
+from jax.extend.mlir.dialects import stablehlo
+from jax.interpreters import ad, batching, mlir
+
+from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph
+
+Shape = tuple[int, ...]
+
+
+class StraightLine:
+    """Part of a graph, from arrays to arrays (static: it is told by its identity).
+
+    Attributes:
+        graph: the nodes.
+        outputs: names of the nodes that are returned, in arrays.
+        shapes: of the arguments whose entries are the graph's inputs.
+        given: nodes whose values are arguments too, numbers, behind the arrays.
+    """
+
+    def __init__(self, graph: Graph, outputs: Sequence[np.ndarray], shapes: Sequence[Shape], given: Sequence[int]):
+        self.graph, self.outputs, self.shapes, self.given = graph, tuple(outputs), tuple(shapes), tuple(given)
+        self._spread: dict = {}
+        self._jitted: dict = {}
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Evaluate; arrays first, then what is given."""
+        return _straight_line.bind(*arguments, line=self, lanes=(), axes=(0,) * len(arguments))
+
+    def __repr__(self) -> str:
+        """What it does, so that a printed program still says which operations it has."""
+        counts = self.graph.count(self._flat, self.given)
+        return f"StraightLine({', '.join(f'{name} {n}' for name, n in sorted(counts.items()))})"
+
+    def told_by(self) -> tuple:
+        """What it computes, for fingerprints of programs."""
+        graph, nodes = self.graph, self.nodes
+        place = {node: at for at, node in enumerate(nodes)}
+        given = {node: at for at, node in enumerate(self.given)}
+        lines = tuple(
+            (given[node],)
+            if node in given
+            else (
+                str(graph.operations[node]),
+                tuple(place[a] for a in graph.arguments[node]),
+                repr(graph.parameters[node]),
+                str(graph.dtypes[node]),
+            )
+            for node in nodes
+        )
+        return lines, tuple((o.shape, tuple(place[int(n)] for n in o.ravel())) for o in self.outputs), self.shapes
+
+    @cached_property
+    def _flat(self) -> list[int]:
+        return [int(node) for output in self.outputs for node in output.ravel()]
+
+    @cached_property
+    def nodes(self) -> list[int]:
+        """What is needed, in an order in which it can be evaluated."""
+        return self.graph.needed(self._flat, self.given)
+
+    def dtype(self, output: np.ndarray) -> np.dtype:
+        """Of the entries of an output."""
+        return self.graph.dtypes[int(output.flat[0])] if output.size else FLOAT
+
+    def spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
+        """The axes of all nodes, and of the outputs, for arguments with these axes."""
+        if axes not in self._spread:
+            self._spread[axes] = self._found_spread(axes)
+        return self._spread[axes]
+
+    def _found_spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
+        graph, given = self.graph, dict(zip(self.given, axes[len(self.shapes) :], strict=True))
+        found: dict[int, int] = {}
+        for node in self.nodes:
+            if node in given:
+                found[node] = given[node]
+            elif graph.operations[node] == "input":
+                found[node] = axes[graph.parameters[node][0]]
+            else:
+                found[node] = _joined(found[argument] for argument in graph.arguments[node])
+        return found, tuple(_joined(found[int(node)] for node in output.ravel()) for output in self.outputs)
+
+    @cached_property
+    def by_operations(self) -> Callable[..., list[Array]]:
+        """The same as operations of JAX, one by one: what derivatives are taken of."""
+
+        def evaluated(*arguments: Array) -> list[Array]:
+            arrays, given = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
+            values = self.graph.emit(self._flat, _reader(arrays), dict(zip(self.given, given, strict=True)))
+            return [self._assembled(output, values) for output in self.outputs]
+
+        return jax.jit(evaluated)
+
+    def _assembled(self, output: np.ndarray, values: dict) -> Array:
+        if output.size == 0:
+            return jnp.zeros(output.shape)
+        parts = [jnp.asarray(values[int(node)], self.dtype(output)) for node in output.ravel()]
+        return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
+
+
+def _reader(flat: Sequence[Array]) -> Callable:
+    """A function that reads entries of flat arguments by position; an argument is taken apart once, when it is read.
+
+    By one operation for all its entries: in reverse mode their derivatives are then put together by one as well, and
+    not summed from as many arrays of its size.
+    """
+    entries: dict = {}
+
+    def read(position):
+        argument, index = position
+        if argument not in entries:
+            array = flat[argument].reshape(-1)
+            entries[argument] = jax.lax.split(array, [1] * array.size)
+        return entries[argument][index].reshape(())
+
+    return read
+
+
+def _joined(sets: Iterable[int]) -> int:
+    return reduce(or_, sets, 0)
+
+
+def _sizes(lanes: Shape, axes: int) -> Shape:
+    """Sizes of a set of axes."""
+    return tuple(n for axis, n in enumerate(lanes) if axes >> axis & 1)
+
+
+# Rules ----------------------------------------------------------------------------------------------------------------
+
+
+def _shaped(*avals: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list[ShapedArray]:
+    del avals
+    _, spread = line.spread(axes)
+    return [
+        ShapedArray((*output.shape, *_sizes(lanes, over)), line.dtype(output))
+        for output, over in zip(line.outputs, spread, strict=True)
+    ]
+
+
+def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
+    """One more axis of lanes, behind those that are there."""
+    n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
+    last = 1 << len(lanes)
+    turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
+    now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
+    found = _straight_line.bind(*turned, line=line, lanes=(*lanes, n), axes=now)
+    _, spread = line.spread(now)
+    return found, [x.ndim - 1 if over & last else None for x, over in zip(found, spread, strict=True)]
+
+
+def one_by_one(line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> Callable[..., list[Array]]:
+    """`StraightLine.by_operations` with axes of lanes."""
+    function, (_, spread) = line.by_operations, line.spread(axes)
+    for axis in range(len(lanes)):  # the mapping that comes last is the outermost, and finds its axis last
+        inwards, outwards = ([-1 if over >> axis & 1 else None for over in each] for each in (axes, spread))
+        function = jax.vmap(function, tuple(inwards), outwards)
+    return function
+
+
+def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
+    """By JAX, of the operations one by one; what has no derivative is held fast."""
+    moves = [type(tangent) is not ad.Zero for tangent in tangents]
+    function = one_by_one(line, lanes, axes)
+
+    def of_moving(*moving):
+        moving = iter(moving)
+        return function(*(next(moving) if each else x for x, each in zip(primals, moves, strict=True)))
+
+    along = [x for x, each in zip(primals, moves, strict=True) if each]
+    values, slopes = jax.jvp(of_moving, along, [x for x, each in zip(tangents, moves, strict=True) if each])
+    _, follow = line.spread(tuple(map(int, moves)))  # which outputs depend on what moves: one axis, of the motion
+    has_slope = [each and line.dtype(output) == FLOAT for each, output in zip(follow, line.outputs, strict=True)]
+    return values, [
+        slope if has_it else ad.Zero(jax.typeof(value).to_tangent_aval())
+        for value, slope, has_it in zip(values, slopes, has_slope, strict=True)
+    ]
+
+
+class _Writer:
+    """Writes the operations of a line as StableHLO.
+
+    A node has the axes of what it depends on, and is spread over more where it meets a node that has them.
+    """
+
+    def __init__(self, context: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...], arguments: Sequence):
+        self.context, self.line, self.graph, self.lanes = context, line, line.graph, lanes
+        self.axes, (self.spread, self.outputs_spread) = axes, line.spread(axes)
+        self.elements = {
+            FLOAT: ir.F64Type.get(), BOOL: ir.IntegerType.get_signless(1), INT: ir.IntegerType.get_signless(64),
+        }  # fmt: skip
+        self.types: dict[tuple[np.dtype, int], Any] = {}
+        self.flat = [self._flat(i, x) for i, x in enumerate(arguments[: len(line.shapes)])]
+        self.values: dict[int, Any] = dict(zip(line.given, arguments[len(line.shapes) :], strict=True))
+        self.wide: dict[tuple[int, int], Any] = {}
+
+    def written(self) -> list:
+        """The outputs."""
+        for node in self.line.nodes:
+            if node not in self.values:
+                self.values[node] = self._node(node)
+        return [self._output(*each) for each in zip(self.line.outputs, self.outputs_spread, strict=True)]
+
+    def _node(self, node: int) -> Any:
+        graph, operation = self.graph, self.graph.operations[node]
+        if operation == "constant":
+            return mlir.ir_constant(np.asarray(graph.value(node), graph.dtypes[node]))
+        if operation == "input":
+            return self._entry(*graph.parameters[node])
+        arguments = [self._over(self.spread[node], a) for a in graph.arguments[node]]
+        name = operation if isinstance(operation, str) else operation.name
+        write = WRITE.get(name)
+        if write is not None and not (name in _OF_FLOATS and graph.dtypes[graph.arguments[node][0]] != FLOAT):
+            return write(*arguments)
+        return self._by_jax(node, operation, arguments)
+
+    def _by_jax(self, node: int, operation: Any, arguments: list) -> Any:
+        """An operation as JAX writes it."""
+        graph, shape = self.graph, _sizes(self.lanes, self.spread[node])
+        primitive = partial(operation.bind, **dict(graph.parameters[node]))
+        avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
+        context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])
+        (found,) = mlir.lower_fun(primitive, multiple_results=False)(context, *arguments)
+        return found
+
+    def _type(self, dtype: np.dtype, axes: int) -> Any:
+        if (dtype, axes) not in self.types:
+            self.types[dtype, axes] = ir.RankedTensorType.get(_sizes(self.lanes, axes), self.elements[dtype])
+        return self.types[dtype, axes]
+
+    def _over(self, axes: int, node: int) -> Any:
+        """The value of a node over a set of axes."""
+        own = self.spread[node]
+        if own == axes:
+            return self.values[node]
+        if (node, axes) not in self.wide:
+            among = [axis for axis in range(len(self.lanes)) if axes >> axis & 1]
+            dims = ir.DenseI64ArrayAttr.get([at for at, axis in enumerate(among) if own >> axis & 1])
+            kind = self._type(self.graph.dtypes[node], axes)
+            self.wide[node, axes] = stablehlo.broadcast_in_dim(kind, self.values[node], dims)
+        return self.wide[node, axes]
+
+    def _flat(self, argument: int, x: Any) -> Any:
+        shape = int(np.prod(self.line.shapes[argument])), *_sizes(self.lanes, self.axes[argument])
+        return stablehlo.reshape(ir.RankedTensorType.get(shape, self.elements[FLOAT]), x)
+
+    def _entry(self, argument: int, index: int) -> Any:
+        lanes = _sizes(self.lanes, self.axes[argument])
+        begin, end = [index, *(0 for _ in lanes)], [index + 1, *lanes]
+        attributes = [ir.DenseI64ArrayAttr.get(each) for each in (begin, end, [1] * len(begin))]
+        return stablehlo.reshape(
+            self._type(FLOAT, self.axes[argument]), stablehlo.slice(self.flat[argument], *attributes)
+        )
+
+    def _output(self, output: np.ndarray, axes: int) -> Any:
+        lanes, element = _sizes(self.lanes, axes), self.elements[self.line.dtype(output)]
+        if output.size == 0:
+            return mlir.ir_constant(np.zeros(output.shape))
+        one = ir.RankedTensorType.get((1, *lanes), element)
+        nodes = [int(node) for node in output.ravel()]
+        rows = {node: stablehlo.reshape(one, self._over(axes, node)) for node in dict.fromkeys(nodes)}
+        parts = [rows[node] for node in nodes]
+        whole = parts[0] if len(parts) == 1 else stablehlo.concatenate(parts, mlir.i64_attr(0))
+        return stablehlo.reshape(ir.RankedTensorType.get((*output.shape, *lanes), element), whole)
+
+
+def _compared(direction: str) -> Callable:
+    def write(a, b):
+        kind = stablehlo.ComparisonTypeAttr.get("FLOAT")
+        return stablehlo.compare(a, b, stablehlo.ComparisonDirectionAttr.get(direction), compare_type=kind)
+
+    return write
+
+
+def _root_guarded_at_zero(a: Any) -> Any:
+    # Its value is the root's; what is guarded is the derivative, which is not taken of what is written here.
+    return stablehlo.sqrt(a)
+
+
+WRITE: dict[str, Callable] = {
+    "add": stablehlo.add,
+    "sub": stablehlo.subtract,
+    "mul": stablehlo.multiply,
+    "div": stablehlo.divide,
+    "neg": stablehlo.negate,
+    "sqrt": stablehlo.sqrt,
+    "pow": stablehlo.power,
+    "root_guarded_at_zero": _root_guarded_at_zero,
+    "select": lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
+    "max": stablehlo.maximum,
+    "min": stablehlo.minimum,
+    "abs": stablehlo.abs,
+    "and": stablehlo.and_,
+    "or": stablehlo.or_,
+    "not": stablehlo.not_,
+    "lt": _compared("LT"),
+    "le": _compared("LE"),
+    "gt": _compared("GT"),
+    "ge": _compared("GE"),
+    "eq": _compared("EQ"),
+    "ne": _compared("NE"),
+}
+"""How the most frequent operations are written; JAX writes the others."""
+
+_OF_FLOATS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "max", "min", "abs"})
+"""Those that are written differently for integers and booleans."""
+
+
+def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
+    return _Writer(context, line, lanes, axes, arguments).written()
+
+
+def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
+    if jax.config.values["jax_disable_jit"]:  # then there is nobody to write for
+        return one_by_one(line, **how)(*arguments)
+    key = tuple(how.items())
+    if key not in line._jitted:
+        line._jitted[key] = jax.jit(partial(_straight_line.bind, line=line, **how))
+    return line._jitted[key](*arguments)
+
+
+_straight_line = Primitive("straight_line")
+_straight_line.multiple_results = True
+_straight_line.def_impl(_now)
+_straight_line.def_abstract_eval(_shaped)
+batching.primitive_batchers[_straight_line] = _batched
+ad.primitive_jvps[_straight_line] = _differentiated
+mlir.register_lowering(_straight_line, _lowered)

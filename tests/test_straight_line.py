@@ -1,0 +1,173 @@
+"""A scalar program as one operation: the same numbers as its operations one by one, under every transformation."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from spherejax.foundations.fingerprints import program_fingerprint
+from spherejax.foundations.scalarize import scalarize
+from spherejax.foundations.straight_line import one_by_one
+
+
+def everything(numbers, t, y):
+    """Operations written by ourselves and by JAX, selections, constants, entries twice, nothing, and what is known."""
+    bent = jnp.where(y > t, jnp.abs(y) ** 1.5 + numbers[0], jnp.maximum(y, -0.5) * numbers[1])
+    ahead = jnp.tanh(numbers) / (1 + numbers**2)
+    return {
+        "bent": bent,
+        "twice": jnp.stack([y, y[::-1]]) * ahead[0],
+        "one": jnp.exp(-t) + jnp.sum(jnp.sin(y) * jnp.arctan2(y, numbers[0])),
+        "known": jnp.array([1.0, 2.0]),
+        "nothing": jnp.zeros((0, 3)),
+        "ahead": ahead,
+        "signs": (y >= 0) & ~(y == 1.0) | (y != y),
+    }
+
+
+NUMBERS, T, Y = jnp.array([0.7, -0.3]), jnp.array(0.2), jnp.array([0.9, -1.1, 0.15])
+PROGRAM = scalarize(everything, NUMBERS, T, Y)
+FLOATS = ("bent", "twice", "one", "known", "ahead")
+
+
+def same(found, expected, **tolerance):
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, **{"rtol": 1e-14, "atol": 1e-15, **tolerance}), found, expected
+    )
+
+
+def inside(numbers, t, y):
+    return PROGRAM.inside(PROGRAM.ahead(numbers), numbers, t, y)
+
+
+@pytest.mark.parametrize("program", [PROGRAM, inside])
+def test_numbers(program):
+    same(program(NUMBERS, T, Y), everything(NUMBERS, T, Y))
+    same(jax.jit(program)(NUMBERS, T, Y), everything(NUMBERS, T, Y))
+    with jax.disable_jit():
+        same(program(NUMBERS, T, Y), everything(NUMBERS, T, Y))
+
+
+AXES = [axes for axes in itertools.product((None, 0, -1), (None, 0), (None, 0, -1)) if any(a is not None for a in axes)]
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_lanes(axes):
+    """On any axis of any argument, and what does not differ between lanes has none."""
+    spread = jnp.array([1.0, 0.4, -2.0, 1.3])
+    arguments = [
+        x if axis is None else jnp.moveaxis(jnp.multiply.outer(spread, x), 0, axis)
+        for x, axis in zip((NUMBERS, T, Y), axes, strict=True)
+    ]
+    same(jax.vmap(inside, axes)(*arguments), jax.vmap(everything, axes)(*arguments))
+    same(jax.vmap(PROGRAM, axes, -1)(*arguments), jax.vmap(everything, axes, -1)(*arguments))
+
+
+def test_lanes_within_lanes():
+    ys = jnp.stack([Y, 2 * Y])
+    numbers = jnp.stack([NUMBERS, -NUMBERS, 0.5 * NUMBERS])
+    for function in (PROGRAM, inside):
+        both = jax.vmap(jax.vmap(function, (None, None, 0)), (0, None, None))
+        crossed = jax.vmap(jax.vmap(function, (0, None, 0), -1), (None, 0, -1))
+        wants = [jax.vmap(jax.vmap(everything, (None, None, 0)), (0, None, None))(numbers, T, ys)]
+        wants.append(
+            jax.vmap(jax.vmap(everything, (0, None, 0), -1), (None, 0, -1))(
+                numbers, jnp.arange(3.0), jnp.zeros((3, 3, 3)) + Y
+            )
+        )
+        same(both(numbers, T, ys), wants[0])
+        same(crossed(numbers, jnp.arange(3.0), jnp.zeros((3, 3, 3)) + Y), wants[1])
+
+
+def floats(function):
+    return lambda *arguments: {name: function(*arguments)[name] for name in FLOATS}
+
+
+def total(function):
+    return lambda *arguments: sum(jnp.sum(x * x) for x in jax.tree.leaves(floats(function)(*arguments)))
+
+
+@pytest.mark.parametrize("program", [PROGRAM, inside])
+def test_derivatives(program):
+    along = (0.3 * NUMBERS, jnp.array(1.0), jnp.cos(Y))
+    same(jax.jvp(floats(program), (NUMBERS, T, Y), along), jax.jvp(floats(everything), (NUMBERS, T, Y), along))
+    for by in (0, 1, 2):
+        for mode in (jax.jacfwd, jax.jacrev):
+            same(mode(floats(program), by)(NUMBERS, T, Y), mode(floats(everything), by)(NUMBERS, T, Y))
+    same(jax.hessian(total(program), 2)(NUMBERS, T, Y), jax.hessian(total(everything), 2)(NUMBERS, T, Y), rtol=1e-12)
+
+
+def test_derivatives_of_lanes_and_lanes_of_derivatives():
+    ys = jnp.stack([Y, 2 * Y, -Y])
+
+    def of_lanes(function):
+        return jax.grad(lambda n, ys: jnp.sum(jax.vmap(lambda y: total(function)(n, T, y))(ys)), (0, 1))(NUMBERS, ys)
+
+    def lanes_of(function):
+        return jax.vmap(jax.grad(total(function), (0, 2)), (None, None, 0))(NUMBERS, T, ys)
+
+    for function in (PROGRAM, inside):
+        same(of_lanes(function), of_lanes(everything), rtol=1e-12)
+        same(lanes_of(function), lanes_of(everything), rtol=1e-12)
+
+
+def arithmetic(jaxpr) -> set[str]:
+    names = set()
+    for equation in jaxpr.eqns:
+        names.add(equation.primitive.name)
+        for value in equation.params.values():
+            if hasattr(value, "jaxpr"):
+                names |= arithmetic(value.jaxpr)
+    return names & {"mul", "add", "sub", "tanh", "sin", "neg", "div"}
+
+
+def test_what_does_not_move_has_no_derivative_in_the_program():
+    """As of an operation of JAX: nothing is computed for outputs that do not depend on what moves."""
+
+    def linear(name):
+        _, along = jax.linearize(lambda n: PROGRAM(n, T, Y)[name], NUMBERS)
+        return arithmetic(jax.make_jaxpr(along)(NUMBERS))
+
+    assert not linear("known")
+    assert linear("ahead")  # the check can fail
+
+
+def test_one_operation_in_the_program_and_its_words():
+    program = jax.make_jaxpr(jax.vmap(PROGRAM, (None, None, 0)))(NUMBERS, T, jnp.stack([Y, Y]))
+    assert [e.primitive.name for e in program.eqns].count("straight_line") == 1
+    assert not arithmetic(program.jaxpr)
+    assert "tanh 2" in str(program)
+
+
+def test_programs_in_programs():
+    outer = scalarize(lambda n, t, y: PROGRAM(n, t, 2 * y)["twice"], NUMBERS, T, Y)
+    same(outer(NUMBERS, T, Y), everything(NUMBERS, T, 2 * Y)["twice"])
+    mapped = scalarize(
+        lambda n, t, y: jax.vmap(PROGRAM, (None, 0, None))(n, jnp.stack([t, 2 * t]), y)["bent"], NUMBERS, T, Y
+    )
+    same(mapped(NUMBERS, T, Y), jax.vmap(everything, (None, 0, None))(NUMBERS, jnp.stack([T, 2 * T]), Y)["bent"])
+
+
+def test_fingerprints_tell_programs_apart():
+    def told(function):
+        made = scalarize(function, NUMBERS, T, Y)
+        return program_fingerprint(made, NUMBERS, T, Y).fingerprint
+
+    assert told(lambda n, t, y: y * n[0] + t) == told(lambda n, t, y: y * n[0] + t)
+    others = [
+        told(f) for f in (lambda n, t, y: y * n[1] + t, lambda n, t, y: y * n[0] - t, lambda n, t, y: 2 * y * n[0] + t)
+    ]
+    assert len({*others, told(lambda n, t, y: y * n[0] + t)}) == 4
+
+
+def test_one_by_one_is_what_it_says():
+    names = {
+        e.primitive.name
+        for e in jax.make_jaxpr(one_by_one(PROGRAM._whole, (), (0,) * 3))(NUMBERS, T, Y)
+        .jaxpr.eqns[0]
+        .params["jaxpr"]
+        .eqns
+    }
+    assert {"add", "mul", "tanh"} <= names
