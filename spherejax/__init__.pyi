@@ -29,10 +29,13 @@ from .output.citations import cite
 from .output.drawing import animate, draw, view
 from .output.report import report
 from .physics.bodies import Body
+from .physics.forces.actuators import Actuator, Extension, SampledActuator
 from .physics.forces.applied import AppliedWrench
 from .physics.forces.base import AbstractForce, Wrench
 from .physics.forces.bump_stop import BumpStop
+from .physics.forces.controllers import PID, SampledPID
 from .physics.forces.coupler import AbstractCoordinate, Coupler, Travel, Turn
+from .physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants, Sampling
 from .physics.forces.spring_damper import ShockAbsorber, SpringDamper
 from .physics.forces.torsional import TorsionalSpring
 from .physics.forces.tyre import Tyre
@@ -166,6 +169,7 @@ from .studies.uncertainty import (
 from .studies.wear import Wear, WearWarning, wear
 
 __all__ = [
+    "PID",
     "SOLVERS",
     "AbstractConformity",
     "AbstractCoordinate",
@@ -175,6 +179,7 @@ __all__ = [
     "AbstractFilm",
     "AbstractFilmBoundary",
     "AbstractForce",
+    "AbstractForceWithMemory",
     "AbstractFrictionLaw",
     "AbstractFunction",
     "AbstractHysteresisLaw",
@@ -184,6 +189,7 @@ __all__ = [
     "AbstractPressure",
     "AbstractSphericalModel",
     "AbstractStaticFriction",
+    "Actuator",
     "Ambrosio",
     "AppliedWrench",
     "ArrayPathWarning",
@@ -216,12 +222,14 @@ __all__ = [
     "Equilibrium",
     "EsduCylinder",
     "ExactRestitution",
+    "Extension",
     "FilmAction",
     "FilmGap",
     "FilmMotion",
     "Fit",
     "Fixed",
     "Flores",
+    "ForceAction",
     "FullFilm",
     "Gonthier",
     "Grid",
@@ -233,6 +241,7 @@ __all__ = [
     "HuntCrossleyDissipation",
     "Ideal",
     "ImplicitCurve",
+    "Instants",
     "JohnsonCylinder",
     "LankaraniNikravesh",
     "LevenbergMarquardt",
@@ -281,6 +290,9 @@ __all__ = [
     "Ros34PW2",
     "RotationDriver",
     "Runs",
+    "SampledActuator",
+    "SampledPID",
+    "Sampling",
     "ScalarProgram",
     "Scatter",
     "Scene",

@@ -222,12 +222,17 @@ class Trajectory(eqx.Module, Reported):
             raise SceneError(f"joint {joint!r} has no clearance: its model is {type(model).__name__}")
         return clearance
 
-    def memory(self, joint: str) -> dict[str, Float[Array, " n"]]:
-        """What a joint remembers, by name: `onset_rate` [m/s] of a contact, bristles [m], what its laws list."""
-        self._joint(joint)
+    def memory(self, name: str) -> dict[str, Float[Array, " n"]]:
+        """What a joint or a force element remembers, by name.
+
+        Of joints `onset_rate` [m/s] of a contact, bristles [m], what its laws list; of force elements what their
+        `memory` lists, and `samples`, the number of the coming sample, of those that sample.
+        """
+        if name not in self.system.forces:
+            self._joint(name)
         remembered = self.state.memory
-        slots = [slot for slot in self.system.memory_slots if slot.joint == joint]
-        return {name: remembered[:, slot.start + i] for slot in slots for i, name in enumerate(slot.names)}
+        slots = [slot for slot in self.system.all_slots if slot.joint == name]
+        return {entry: remembered[:, slot.start + i] for slot in slots for i, entry in enumerate(slot.names)}
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
         """A named contribution of a joint that resists, e.g. `"normal_force"`, `"film_force"` [N]."""

@@ -196,7 +196,7 @@ def _require_free(numbers: list[Number], held: np.ndarray) -> None:
 
 
 def _state_names(system: System, f: int, keep: np.ndarray) -> tuple[str, ...]:
-    memory = [f"{slot.joint}.{name}" for slot in system.memory_slots for name in slot.names]
+    memory = [f"{slot.joint}.{name}" for slot in system.all_slots for name in slot.names]
     names = [*(f"x{i + 1}" for i in range(f)), *(f"u{i + 1}" for i in range(f)), *memory]
     return tuple(name for name, kept in zip(names, keep, strict=True) if kept)
 

@@ -217,7 +217,9 @@ class _Queue:
         share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
         instant = jnp.where(bend != 0, t + share * (t_next - t), at)
         y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
-        return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
+        y = y if self.problem.correct is None else self.problem.correct(parameters, at, y)
+        # A sample within the rounding of an instant before it counts as behind it, as the step's end does.
+        return y if self.problem.samples is None else self.problem.samples.update(parameters, at, y)
 
     # A block -----------------------------------------------------------------------------------------------------
 
