@@ -1,4 +1,4 @@
-"""What a joint or a force remembers: entries of the state beside positions and velocities, with names, units, scales."""
+"""What joints and forces remember: entries of the state beside positions and velocities, with names, units, scales."""
 
 from typing import Literal, NamedTuple
 

@@ -108,7 +108,7 @@ def penetration_rate(motion: RelativeMotion) -> Scalar:
 
 
 def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
-    """The joints' memory at the start: flight, or, for a ball that starts beyond the surface, the onset that led there."""
+    """The joints' memory at the start: flight, or the onset that led a ball there which starts beyond the surface."""
     motions = relative_motions(system, y)
     parts = []
     for slot in system.memory_slots:

@@ -2,8 +2,8 @@
 
 At rest nothing limits a step of a stiff method but its error, which is nothing; it would pass over a bump in the road
 without ever looking there. Roads and drives that know where they begin, end and turn (`AbstractFunction.room`) are met
-there, however short they are, and so are the instants at which a force element samples; of a function of the user's own nothing is known, and a hundredth of the motion is the
-limit. Motion that follows from the state alone needs none.
+there, however short they are, and so are the instants at which a force element samples; of a function of the user's own
+nothing is known, and a hundredth of the motion is the limit. Motion that follows from the state alone needs none.
 """
 
 from collections.abc import Callable

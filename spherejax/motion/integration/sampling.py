@@ -92,10 +92,12 @@ def samples_of(structure: Structure, scalar: bool | None) -> Samples | None:
         theta, t, y = primals
         along = _SampleSlopes(sampled, rate, instants, blocks)
         is_due = due(theta, t, y) > 0
-        slope = jax.lax.cond(
-            jnp.any(is_due), lambda *given: along(*given), lambda is_due, primals, tangents: tangents[2], is_due, primals,
-            (tangents[0], jnp.zeros_like(t), tangents[2]),
-        )  # fmt: skip
+        still = (tangents[0], jnp.zeros_like(t), tangents[2])
+
+        def jumping(primals, tangents):
+            return along(is_due, primals, tangents)
+
+        slope = jax.lax.cond(jnp.any(is_due), jumping, lambda primals, tangents: tangents[2], primals, still)
         return sampled(*primals), slope
 
     return Samples(

@@ -223,16 +223,10 @@ class Trajectory(eqx.Module, Reported):
         return clearance
 
     def memory(self, name: str) -> dict[str, Float[Array, " n"]]:
-        """What a joint or a force element remembers, by name.
-
-        Of joints `onset_rate` [m/s] of a contact, bristles [m], what its laws list; of force elements what their
-        `memory` lists, and `samples`, the number of the coming sample, of those that sample.
-        """
-        if name not in self.system.forces:
-            self._joint(name)
-        remembered = self.state.memory
+        """What a joint or a force element remembers, e.g. `onset_rate` [m/s] of a contact, a controller's `integral`."""
+        _ = name in self.system.forces or self._joint(name)
         slots = [slot for slot in self.system.all_slots if slot.joint == name]
-        return {entry: remembered[:, slot.start + i] for slot in slots for i, entry in enumerate(slot.names)}
+        return {entry: self.state.memory[:, slot.start + i] for slot in slots for i, entry in enumerate(slot.names)}
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
         """A named contribution of a joint that resists, e.g. `"normal_force"`, `"film_force"` [N]."""
