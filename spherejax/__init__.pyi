@@ -39,7 +39,7 @@ from .physics.forces.remembering import AbstractForceWithMemory, ForceAction, In
 from .physics.forces.spring_damper import ShockAbsorber, SpringDamper
 from .physics.forces.torsional import TorsionalSpring
 from .physics.forces.tyre import Tyre
-from .physics.functions.base import AbstractFunction, UserFunction
+from .physics.functions.base import AbstractFunction, Network, UserFunction
 from .physics.functions.pieces import Piecewise, Sum
 from .physics.functions.shapes import (
     Bump,
@@ -259,6 +259,7 @@ __all__ = [
     "MemoryEntry",
     "Mode",
     "Modes",
+    "Network",
     "NoDriftControl",
     "NotScalarizable",
     "OutOfRangeWarning",

@@ -239,7 +239,7 @@ def _check_leaves(parts: dict[str, Any]) -> None:
             if isinstance(leaf, str) or callable(leaf):
                 raise SceneError(
                     f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
-                    "with equinox.field(static=True)"
+                    "with equinox.field(static=True), or wrap a network: sj.Network(module)"
                 )
 
 

@@ -223,7 +223,7 @@ class Trajectory(eqx.Module, Reported):
         return clearance
 
     def memory(self, name: str) -> dict[str, Float[Array, " n"]]:
-        """What a joint or a force element remembers, e.g. `onset_rate` [m/s] of a contact, a controller's `integral`."""
+        """What a joint or a force element remembers, e.g. a contact's `onset_rate` [m/s], a controller's `integral`."""
         _ = name in self.system.forces or self._joint(name)
         slots = [slot for slot in self.system.all_slots if slot.joint == name]
         return {entry: self.state.memory[:, slot.start + i] for slot in slots for i, entry in enumerate(slot.names)}

@@ -50,9 +50,9 @@ def linearize(
     """The linear system that small deviations from a state obey: x' = A x + B u, y = C x + D u.
 
     Any joint, force and driver; redundant constraints too. The coordinates are independent ones, found from the null
-    space of the constraints at the levels of positions and velocities, and the memory of joints and forces; every derivative is
-    exact (automatic), none a difference. About a motion (a run at a time, a start with velocities) the matrices are
-    those of that moment: coefficients that change, in coordinates that are carried along without turning.
+    space of the constraints at the levels of positions and velocities, and the memory of joints and forces; every
+    derivative is exact (automatic), none a difference. About a motion (a run at a time, a start with velocities) the
+    matrices are those of that moment: coefficients that change, in coordinates that are carried along without turning.
 
     Args:
         what: a scene, or a run.
