@@ -73,7 +73,7 @@ def sampled_answer(
 
 
 def continuous_answer(ts: np.ndarray, reference: tuple[float, float], inertia: float, speed: float) -> np.ndarray:
-    """Angle, speed, integral, filtered error and torque of a motor with `sj.PID` and a ramp for a reference."""
+    """Angle, speed, integral, filtered error and torque of a free rotor with `sj.PID` and a ramp for a reference."""
     offset, slope = reference
     kp, ki, kd, time = (GAINS[name] for name in ("proportional", "integral", "derivative", "filter_time"))
     unit = np.eye(6)  # angle, speed, integral, filtered error, 1, t
@@ -81,7 +81,7 @@ def continuous_answer(ts: np.ndarray, reference: tuple[float, float], inertia: f
     rate = (error - unit[3]) / time
     torque = kp * error + unit[2] + kd * rate
     A = np.zeros((6, 6))
-    A[0], A[1] = unit[1], (torque - STIFFNESS * unit[0] - DAMPING * unit[1]) / inertia
+    A[0], A[1] = unit[1], torque / inertia
     A[2], A[3], A[5] = ki * error, rate, unit[4]
     start = np.array([0.0, speed, 0.0, offset, 1.0, 0.0])
     states = np.array([expm(A * t) @ start for t in ts])

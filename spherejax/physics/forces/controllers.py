@@ -22,7 +22,7 @@ from spherejax.physics.forces.coupler import AbstractCoordinate, Motion, Turn
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction
 from spherejax.physics.functions.base import AbstractFunction, function_requirements
 from spherejax.physics.functions.shapes import finite
-from spherejax.physics.memory import MemoryEntry
+from spherejax.physics.memory import MemoryEntry, Scale
 
 
 class Measured(NamedTuple):
@@ -292,7 +292,8 @@ def filtered_error(controller: AbstractController) -> tuple[MemoryEntry, ...]:
     return (MemoryEntry("filtered", "m", "angle" if is_turn else "length"),)
 
 
-def effort_scale(coordinate: AbstractCoordinate):
+def effort_scale(coordinate: AbstractCoordinate) -> Scale:
+    """By what errors of an effort are judged."""
     return "moment" if isinstance(coordinate, Turn) else "force"
 
 

@@ -23,6 +23,7 @@ from spherejax.motion.integration.lanes.landing import Landing
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, StepLog
 from spherejax.motion.integration.lanes.stages import ExplicitStages, Trial, own_time, steps_of
 from spherejax.motion.integration.status import Status, status_of
+from spherejax.physics.forces.remembering import SAME_INSTANT
 
 
 def run_in_lanes(
@@ -217,9 +218,7 @@ class _Queue:
         share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
         instant = jnp.where(bend != 0, t + share * (t_next - t), at)
         y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
-        y = y if self.problem.correct is None else self.problem.correct(parameters, at, y)
-        # A sample within the rounding of an instant before it counts as behind it, as the step's end does.
-        return y if self.problem.samples is None else self.problem.samples.update(parameters, at, y)
+        return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
 
     # A block -----------------------------------------------------------------------------------------------------
 
@@ -321,6 +320,9 @@ class _Queue:
             at = self.ts[jnp.minimum(n_samples, n - 1)]
             # The end of a step is the state itself, with its events; within it there are none.
             is_end = at >= lanes.t
+            if self.problem.samples is not None:
+                # What is within rounding of the instant of a force's sample is behind it, as the step's end is.
+                is_end = at >= lanes.t - SAME_INSTANT * jnp.abs(lanes.t)
             if n > 2:
                 inside = in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at)
                 y = jnp.where(is_end, lanes.y, inside)
