@@ -401,9 +401,7 @@ def controllers() -> Figure:
         seen = sj.simulate(scene, ts).force("motor")
         angle.plot(ts, -np.degrees(seen["position"]), color=color, label=name)
         torque.plot(ts, -seen["effort"], color=color, linewidth=1.0)
-    angle.plot(
-        ts, -np.degrees(seen["reference"]), "--", color="0.5", label="reference"
-    )
+    angle.plot(ts, -np.degrees(seen["reference"]), "--", color="0.5", label="reference")
     angle.set_ylabel("angle of the arm [deg]")
     torque.set_ylabel("torque [N m]")
     torque.set_xlabel("t [s]")
