@@ -478,9 +478,10 @@ def test_controllers_in_files(tmp_path):
     path.write_text(FILE)
     scene = sj.load_scene(path)
     control: Any = scene.forces["motor"]
+    shaker: Any = scene.forces["shaker"]
     assert (control.period, control.proportional, control.tracking_time) == (0.01, 0.8, 0.1)
     np.testing.assert_array_equal(control.limits, [-2.0, 2.0])
-    np.testing.assert_array_equal(scene.forces["shaker"].values, [1000.0, 0.0])
+    np.testing.assert_array_equal(shaker.values, [1000.0, 0.0])
     pid = sj.PID(sj.Extension(("ground", "rotor")), sj.Sine(0.1, 2.0), 3.0, filter_time=0.1, derivative=1.0)
     whole = eqx.tree_at(lambda s: s.forces, scene, {**scene.forces, "push": pid})
     again = tmp_path / "again.toml"

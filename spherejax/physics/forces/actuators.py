@@ -224,8 +224,9 @@ class SampledActuator(AbstractForceWithMemory):
 
 def function_of_time(given: Number | Callable) -> AbstractFunction:
     """A function of time as given; a number as a constant."""
-    is_function = isinstance(given, AbstractFunction) or callable(given)
-    found = as_function(given) if is_function else Constant(given)
+    if not callable(given):
+        return Constant(given)
+    found = as_function(given)
     assert found is not None
     return found
 

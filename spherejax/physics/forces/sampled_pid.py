@@ -4,7 +4,7 @@ Units as of actuators: coordinates in m, efforts in N; with a `Turn` of the radi
 """
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -131,7 +131,8 @@ class SampledPID(AbstractController):
         if self.integral is not None:
             asked = asked + now["integral"]
         if self.derivative is not None:
-            difference = (seen.error - now["filtered"]) / (self.period + self.filter_time)
+            smoothing: Any = self.filter_time
+            difference = (seen.error - now["filtered"]) / (self.period + smoothing)
             asked = asked + self.derivative * difference
             now["filtered"] = now["filtered"] + self.period * difference
         effort = self._limited(asked)
