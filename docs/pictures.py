@@ -378,6 +378,39 @@ def rubber() -> Figure:
     return sj.plot.dynamic_stiffness(tables, "Rubber, and a spring with a damper")
 
 
+def controllers() -> Figure:
+    """An arm that a motor lifts, under control in continuous time and in samples."""
+    turn = sj.Turn(("ground", "arm"), axis=(0, 1, 0))
+    wanted = sj.SmoothStep(0.0, 0.4, 0.0, -np.pi / 2)
+    gains = dict(
+        proportional=60.0, integral=80.0, derivative=8.0, filter_time=5e-3, limits=(-20, 20), tracking_time=0.1
+    )  # fmt: skip
+    motors = {
+        "continuous": sj.PID(turn, wanted, **gains),
+        "every 20 ms": sj.SampledPID(turn, 0.02, wanted, **gains),
+        "every 50 ms": sj.SampledPID(turn, 0.05, wanted, **gains),
+    }
+    body = sj.Body(2.0, (0.05, 0.05, 0.01), position=(0.0, 0.0, -0.3))
+    hinge = sj.Revolute(("ground", "arm"), point=(0, 0, 0), axis=(0, 1, 0))
+    ts = jnp.linspace(0.0, 1.5, 1501)
+    figure, (angle, torque) = plt.subplots(
+        2, 1, figsize=(7, 5), sharex=True, layout="constrained"
+    )
+    for (name, motor), color in zip(motors.items(), LINES, strict=False):
+        scene = sj.Scene({"arm": body}, {"hinge": hinge}, {"motor": motor})
+        seen = sj.simulate(scene, ts).force("motor")
+        angle.plot(ts, -np.degrees(seen["position"]), color=color, label=name)
+        torque.plot(ts, -seen["effort"], color=color, linewidth=1.0)
+    angle.plot(ts, -np.degrees(seen["reference"]), "--", color="0.5", label="reference")
+    angle.set_ylabel("angle of the arm [deg]")
+    torque.set_ylabel("torque [N m]")
+    torque.set_xlabel("t [s]")
+    angle.legend(frameon=False)
+    for panel in (angle, torque):
+        panel.margins(x=0)
+    return figure
+
+
 def suspension() -> Figure:
     """The paper's second mechanism over its bump."""
     ts = jnp.linspace(2.9, 4.4, 1501)
@@ -475,6 +508,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,
+    "controllers": controllers,
     "modes": modes,
     "report": report,
     "suspension_over_bump": suspension,

@@ -29,14 +29,18 @@ from .output.citations import cite
 from .output.drawing import animate, draw, view
 from .output.report import report
 from .physics.bodies import Body
+from .physics.forces.actuators import Actuator, Extension, SampledActuator
 from .physics.forces.applied import AppliedWrench
 from .physics.forces.base import AbstractForce, Wrench
 from .physics.forces.bump_stop import BumpStop
+from .physics.forces.controllers import PID
 from .physics.forces.coupler import AbstractCoordinate, Coupler, Travel, Turn
+from .physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants, Sampling
+from .physics.forces.sampled_pid import SampledPID
 from .physics.forces.spring_damper import ShockAbsorber, SpringDamper
 from .physics.forces.torsional import TorsionalSpring
 from .physics.forces.tyre import Tyre
-from .physics.functions.base import AbstractFunction, UserFunction
+from .physics.functions.base import AbstractFunction, Network, UserFunction
 from .physics.functions.pieces import Piecewise, Sum
 from .physics.functions.shapes import (
     Bump,
@@ -166,6 +170,7 @@ from .studies.uncertainty import (
 from .studies.wear import Wear, WearWarning, wear
 
 __all__ = [
+    "PID",
     "SOLVERS",
     "AbstractConformity",
     "AbstractCoordinate",
@@ -175,6 +180,7 @@ __all__ = [
     "AbstractFilm",
     "AbstractFilmBoundary",
     "AbstractForce",
+    "AbstractForceWithMemory",
     "AbstractFrictionLaw",
     "AbstractFunction",
     "AbstractHysteresisLaw",
@@ -184,6 +190,7 @@ __all__ = [
     "AbstractPressure",
     "AbstractSphericalModel",
     "AbstractStaticFriction",
+    "Actuator",
     "Ambrosio",
     "AppliedWrench",
     "ArrayPathWarning",
@@ -216,12 +223,14 @@ __all__ = [
     "Equilibrium",
     "EsduCylinder",
     "ExactRestitution",
+    "Extension",
     "FilmAction",
     "FilmGap",
     "FilmMotion",
     "Fit",
     "Fixed",
     "Flores",
+    "ForceAction",
     "FullFilm",
     "Gonthier",
     "Grid",
@@ -233,6 +242,7 @@ __all__ = [
     "HuntCrossleyDissipation",
     "Ideal",
     "ImplicitCurve",
+    "Instants",
     "JohnsonCylinder",
     "LankaraniNikravesh",
     "LevenbergMarquardt",
@@ -250,6 +260,7 @@ __all__ = [
     "MemoryEntry",
     "Mode",
     "Modes",
+    "Network",
     "NoDriftControl",
     "NotScalarizable",
     "OutOfRangeWarning",
@@ -281,6 +292,9 @@ __all__ = [
     "Ros34PW2",
     "RotationDriver",
     "Runs",
+    "SampledActuator",
+    "SampledPID",
+    "Sampling",
     "ScalarProgram",
     "Scatter",
     "Scene",

@@ -86,6 +86,8 @@ ACTIVE: dict[str, sj.AbstractForce] = {
     "push by time": sj.AppliedWrench("second", lambda t: jnp.stack([jnp.sin(t), t, 0.0 * t]), in_body_axes=True),
     "push by state": sj.AppliedWrench("second", moment=lambda t, motions: -t * motions["first"].angular_velocity),
 }
+ACTIVE["actuator"] = sj.Actuator(sj.Extension(ENDS), sj.Sine(2.0, 1.0), offset=0.5)
+ACTIVE["actuator on an axis"] = sj.Actuator(sj.Turn(("first", "second"), UP, 0.3), 1.5)
 ELEMENTS = {**CONSERVATIVE, **DAMPED, **ACTIVE}
 TWO_BODIED = [name for name, force in ELEMENTS.items() if set(force.body_names) == {"first", "second"}]
 

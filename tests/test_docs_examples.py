@@ -15,6 +15,7 @@ SLOW = (
     "concepts/dynamics.md",
     "concepts/identification.md",
     "concepts/sensitivities.md",
+    "howto/controllers.md",
     "howto/fit.md",
     "howto/own_law.md",
     "howto/own_mechanism.md",

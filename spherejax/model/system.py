@@ -1,5 +1,6 @@
 """From a scene to a system: only what the scene calls for, in a form ready for the equations of motion."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import called, is_concrete
 from spherejax.foundations.errors import SceneError
@@ -17,6 +19,7 @@ from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.forces.remembering import ActingForce, is_sampled, memory_entries, recalling
 from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.memory import MemoryEntry
@@ -24,10 +27,10 @@ from spherejax.physics.state import Layout
 
 
 class MemorySlot(NamedTuple):
-    """Where one joint's memory is (static).
+    """Where the memory of one joint or force element is (static).
 
     Attributes:
-        joint: name of the joint.
+        joint: name of the joint, or of the force element.
         start: index of its first entry in the memory.
         contents: what the entries are.
     """
@@ -43,7 +46,7 @@ class MemorySlot(NamedTuple):
 
     @property
     def entries(self) -> slice:
-        """The joint's entries in the memory."""
+        """Its entries in the memory."""
         return slice(self.start, self.start + len(self.contents))
 
 
@@ -62,6 +65,7 @@ class System(eqx.Module):
             roads that move, bristles, parts of a user's own.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
         smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
+        force_slots: where the memory of force elements is, behind that of the joints; empty where none has one.
         stacks: the numbers of bodies and joints as `model.groups.Stacks`, where they have been stacked already (once,
             ahead of a loop); None otherwise.
     """
@@ -76,14 +80,32 @@ class System(eqx.Module):
     tracks_supply: bool = eqx.field(static=True, default=False)
     refines_constraints: bool = eqx.field(static=True, default=False)
     smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
+    force_slots: tuple[MemorySlot, ...] = eqx.field(static=True, default=())
     stacks: Any = None
 
     @property
     def layout(self) -> Layout:
         """Where things are in the flat state."""
-        n_memory = sum(len(slot.contents) for slot in self.memory_slots)
+        n_memory = sum(len(slot.contents) for slot in self.all_slots)
         n_work = (len(self.resisting_joints) if self.tracks_work else 0) + self.tracks_supply
         return Layout(len(self.bodies), n_memory, n_work)
+
+    @property
+    def all_slots(self) -> tuple[MemorySlot, ...]:
+        """Where the memory of joints is, then that of force elements."""
+        return (*self.memory_slots, *self.force_slots)
+
+    @property
+    def sampled_forces(self) -> tuple[str, ...]:
+        """Names of the force elements that sample: their memory jumps at instants of their own."""
+        return tuple(slot.joint for slot in self.force_slots if is_sampled(self.forces[slot.joint]))
+
+    def forces_with(self, memory: Float[Array, " n_memory"]) -> Mapping[str, ActingForce]:
+        """The force elements, those that remember with what they remember."""
+        if not self.force_slots:
+            return self.forces
+        known = {slot.joint: recalling(self.forces[slot.joint], memory[slot.entries]) for slot in self.force_slots}
+        return {name: known.get(name, force) for name, force in self.forces.items()}
 
     @property
     def force_joints(self) -> tuple[str, ...]:
@@ -141,6 +163,10 @@ class System(eqx.Module):
                 return slot.entries
         return slice(0, 0)
 
+    def memory_of_force(self, force: str) -> slice:
+        """The force element's entries in the memory; an empty slice without memory."""
+        return next((slot.entries for slot in self.force_slots if slot.joint == force), slice(0, 0))
+
 
 class Compiled(NamedTuple):
     """A compiled scene and the conditions that could not be judged yet.
@@ -176,21 +202,34 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     joints = {name: called(scene.joints[name], "placed", drawn, find) for name in sorted(scene.joints)}
     forces = {name: called(scene.forces[name], "placed", drawn, find) for name in sorted(scene.forces)}
     _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
-    slots, start = [], 0
-    for name, joint in joints.items():
-        contents = joint.memory
-        if contents:
-            slots.append(MemorySlot(name, start, contents))
-            start += len(contents)
+    slots = _slots({name: joint.memory for name, joint in joints.items()}, 0)
+    force_slots = _slots({name: memory_entries(force) for name, force in forces.items()}, _end_of(slots))
+    twice = {slot.joint for slot in slots} & {slot.joint for slot in force_slots}
+    if twice:
+        raise SceneError(f"a joint and a force element that both remember are named {min(twice)!r}; rename one of them")
     refines = _masses_are_far_apart(bodies)
     # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
     is_driven = any(joint.is_driven for joint in joints.values())
     smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
     gains = not all(part.never_adds_energy for part in (*joints.values(), *forces.values()))
     system = System(
-        bodies, joints, forces, scene.gravity, scene.drift, tuple(slots), track_work, gains, refines, smallest
+        bodies, joints, forces, scene.gravity, scene.drift, slots, track_work, gains, refines, smallest, force_slots
     )
     return Compiled(system, conditions)
+
+
+def _slots(entries: dict[str, tuple[MemoryEntry, ...]], start: int) -> tuple[MemorySlot, ...]:
+    """Where the memory of parts is, one after the other; none of a part without memory."""
+    slots = []
+    for name, contents in entries.items():
+        if contents:
+            slots.append(MemorySlot(name, start, contents))
+            start += len(contents)
+    return tuple(slots)
+
+
+def _end_of(slots: tuple[MemorySlot, ...]) -> int:
+    return slots[-1].entries.stop if slots else 0
 
 
 def _check_leaves(parts: dict[str, Any]) -> None:
@@ -200,7 +239,7 @@ def _check_leaves(parts: dict[str, Any]) -> None:
             if isinstance(leaf, str) or callable(leaf):
                 raise SceneError(
                     f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
-                    "with equinox.field(static=True)"
+                    "with equinox.field(static=True), or wrap a network: sj.Network(module)"
                 )
 
 

@@ -1,4 +1,4 @@
-"""What a joint remembers: entries of the state beside positions and velocities, with names, units and scales."""
+"""What joints and forces remember: entries of the state beside positions and velocities, with names, units, scales."""
 
 from typing import Literal, NamedTuple
 
@@ -7,20 +7,20 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.types import Scalar, Vector3
 
-Scale = Literal["length", "angle", "speed"]
+Scale = Literal["length", "angle", "speed", "angular_speed", "force", "moment"]
 
 SMALLEST_ONSET_RATE = 1e-12
 """Onset rates are at least this [m/s]: a contact that begins without velocity has begun all the same."""
 
 
 class MemoryEntry(NamedTuple):
-    """One number that a joint remembers (static).
+    """One number that a joint or a force element remembers (static).
 
     Attributes:
         name: in tables, files and tests.
         unit: SI unit.
-        scale: what its errors are judged against: lengths, angles or speeds of the mechanism, or a number in its unit;
-            see `component_tolerances`.
+        scale: what its errors are judged against: `"length"`, `"angle"`, `"speed"`, `"angular_speed"`, `"force"` or
+            `"moment"` of the mechanism, or a number in its unit; see `component_tolerances`.
         lasts: whether it goes on through onsets and releases; others take the values of `memory_at_onset` there.
     """
 

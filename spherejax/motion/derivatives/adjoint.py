@@ -44,6 +44,7 @@ from spherejax.motion.integration.integrate import (
     correction_for,
     parameters_from,
 )
+from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights, linearized
 from spherejax.motion.integration.status import Status
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
@@ -197,6 +198,7 @@ def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray)
 def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
     step, event = _step_of(plan, solver, rate), _event_of(plan, rate)
+    taken = samples_of(plan.structure, plan.scalar)
 
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
 
@@ -209,7 +211,8 @@ def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
 
         def end_of_leg(parameters, y):
             end = step(parameters, t, t_next, y)
-            return end if event is None else event(parameters, t_next, y, end, y_next, is_step)
+            end = end if event is None else event(parameters, t_next, y, end, y_next, is_step)
+            return end if taken is None else taken.update(parameters, t_next, end)
 
         _, transposed = jax.vjp(end_of_leg, parameters, y)
         more, before = transposed(jnp.where(is_step, by_state, by_ys[jnp.maximum(sample, 0)]))

@@ -37,6 +37,7 @@ from spherejax.motion.integration.integrate import (
     wrapped,
 )
 from spherejax.motion.integration.jobs import can_be_a_job, run_of, slopes_as_job
+from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import (
     Linearized,
     RowParameters,
@@ -321,20 +322,22 @@ def integrate_rows(
     contacts = contacts_of(plan.structure, plan.scalar)
     contacts = None if contacts is None else with_rows(contacts, rate)
     correct = correcting_rows(correction_for(plan))
+    taken = samples_of(plan.structure, plan.scalar)
+    taken = None if taken is None else taken.of_rows()
     t1 = jnp.where(began.may_run, ts[-1], ts[0])
-    saved = [samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True), *also_saved]
+    saved = [samples(jnp.minimum(ts, t1), correct, taken), diffrax.SubSaveAt(t1=True), *also_saved]
     solver = rows_with_fixed_matrix(options.solver, plan.structure, rate)
     judging = replace(options, controller=judging_rows(options.controller))
     solution = diffeqsolve(
         diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
-        wrapped(solver, correct, contacts, audit_of(plan).of_rows()),
+        wrapped(solver, correct, contacts, taken, audit_of(plan).of_rows()),
         t0=ts[0],
         t1=t1,
         dt0=None,
         y0=rows0,
         args=RowParameters(*parameters, audit_limits(plan, options, parameters.value.theta)),
         saveat=diffrax.SaveAt(subs=saved),
-        stepsize_controller=landing_controller(judging, solver, contacts, plan, ts, of_first_row(room_of(plan))),
+        stepsize_controller=landing_controller(judging, solver, contacts, taken, plan, ts, of_first_row(room_of(plan))),
         adjoint=options.adjoint,
         max_steps=options.max_steps,
         throw=False,

@@ -77,6 +77,8 @@ def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> 
             lasts = np.array([entry.lasts for entry in slot.contents])
             now = jnp.where(lasts, now, after) if lasts.any() else after
         parts.append(now)
+    if system.force_slots:
+        parts.append(memory_end[system.force_slots[0].start :])
     return jnp.concatenate(parts)
 
 
@@ -106,7 +108,7 @@ def penetration_rate(motion: RelativeMotion) -> Scalar:
 
 
 def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
-    """The memory at the start: flight, or, for a ball that starts beyond the surface, the onset that led there."""
+    """The joints' memory at the start: flight, or the onset that led a ball there which starts beyond the surface."""
     motions = relative_motions(system, y)
     parts = []
     for slot in system.memory_slots:

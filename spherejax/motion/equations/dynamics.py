@@ -12,7 +12,13 @@ from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import BodyMotions, body_motions
 from spherejax.motion.equations.constraints import ConstraintSet, Solution, constrained_accelerations, constraint_set
 from spherejax.motion.equations.joint_friction import FrictionGroup, JointFriction, resistances, solution_with_friction
-from spherejax.motion.equations.loads import JointLoads, applied_wrenches, joint_loads, supplied_power
+from spherejax.motion.equations.loads import (
+    JointLoads,
+    applied_wrenches,
+    force_memory_rates,
+    joint_loads,
+    supplied_power,
+)
 from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.state import State, unpack
 
@@ -42,7 +48,7 @@ def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> SolvedEquat
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     loads = joint_loads(system, motions, state.memory)
-    applied = applied_wrenches(system, t, motions, loads)
+    applied = applied_wrenches(system, t, motions, state.memory, loads)
     constraints = constraint_set(system, t, motions)
     if not system.friction_joints:
         solution = constrained_accelerations(system, motions, constraints, applied)
@@ -53,18 +59,33 @@ def evaluate(system: System, t: Scalar, y: Float[Array, " size"]) -> SolvedEquat
 
 def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " size"]:
     """Time derivative of the flat state: the right-hand side that is integrated."""
-    _, motions, loads, constraints, solution, friction = evaluate(system, t, y)
+    state, motions, loads, constraints, solution, friction = evaluate(system, t, y)
     groups = () if friction is None else friction.groups
     parts = [
         over_lanes(_position_rate, motions.moving, shared=(system.drift.norm_feedback,)).ravel(),
         solution.accelerations.ravel(),
-        memory_rates(system, loads, groups),
+        memory_rates(system, t, motions, state.memory, loads, groups),
     ]
-    return jnp.concatenate([*parts, *work_rates(system, t, motions, loads, groups, constraints, solution.flat)])
+    works = work_rates(system, t, motions, state.memory, loads, groups, constraints, solution.flat)
+    return jnp.concatenate([*parts, *works])
 
 
-def memory_rates(system: System, loads: JointLoads, friction: tuple[FrictionGroup, ...]) -> Float[Array, " n_memory"]:
-    """Rates of the joints' memory, in the order of the state."""
+def memory_rates(
+    system: System,
+    t: Scalar,
+    motions: BodyMotions,
+    memory: Float[Array, " n_memory"],
+    loads: JointLoads,
+    friction: tuple[FrictionGroup, ...],
+) -> Float[Array, " n_memory"]:
+    """Rates of the memory of joints, then of force elements, in the order of the state."""
+    of_joints = _joint_memory_rates(system, loads, friction)
+    if not system.force_slots:
+        return of_joints
+    return jnp.concatenate([of_joints, force_memory_rates(system, t, motions, memory)])
+
+
+def _joint_memory_rates(system: System, loads: JointLoads, friction: tuple[FrictionGroup, ...]) -> Array:
     if not friction:
         return loads.memory_rates
     rates = {name: load.response.memory_rate for name, load in loads.items()}
@@ -76,6 +97,7 @@ def work_rates(
     system: System,
     t: Scalar,
     motions: BodyMotions,
+    memory: Float[Array, " n_memory"],
     loads: JointLoads,
     friction: tuple[FrictionGroup, ...],
     constraints: ConstraintSet,
@@ -94,7 +116,7 @@ def work_rates(
         for name, each in resistances(friction).items():
             if not system.joints[name].never_adds_energy:
                 driving = driving - each.absorbed_power
-        rates.append(supplied_power(system, t, motions, loads, driving)[None])
+        rates.append(supplied_power(system, t, motions, memory, loads, driving)[None])
     return rates
 
 

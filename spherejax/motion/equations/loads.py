@@ -129,12 +129,14 @@ def joint_loads(system: System, motions: BodyMotions, memory: Float[Array, " n_m
     return JointLoads(system.force_joints, tuple(found))
 
 
-def applied_wrenches(system: System, t: Scalar, motions: BodyMotions, loads: JointLoads | None) -> BodyVectors:
+def applied_wrenches(
+    system: System, t: Scalar, motions: BodyMotions, memory: Float[Array, " n_memory"], loads: JointLoads | None
+) -> BodyVectors:
     """Sum of all that acts on each moving body: the vector g of Eq. 1, with the gyroscopic moment -w x (J w)."""
     own = over_lanes(_weight_and_gyroscopic, stacks_of(system).bodies, motions.moving, shared=(system.gravity,))
     number = {name: i for i, name in enumerate(system.bodies)}
     wrenches, targets = [], []
-    for force in system.forces.values():
+    for force in system.forces_with(memory).values():
         for name, wrench in force.wrenches(t, motions).items():
             if name in number:
                 wrenches.append(_wrench(wrench.force, wrench.moment)[None])
@@ -147,17 +149,32 @@ def applied_wrenches(system: System, t: Scalar, motions: BodyMotions, loads: Joi
     return own + sums_by_index(jnp.concatenate(wrenches), np.array(targets), len(number))
 
 
-def supplied_power(system: System, t: Scalar, motions: BodyMotions, loads: JointLoads, driving: Scalar) -> Scalar:
+def force_memory_rates(system: System, t: Scalar, motions: BodyMotions, memory: Float[Array, " n_memory"]) -> Array:
+    """Rates of the memory of force elements, in the order of the state."""
+    forces: Any = system.forces_with(memory)
+    rates = (forces[slot.joint].memory_rate(t, motions) for slot in system.force_slots)
+    return jnp.concatenate([jnp.zeros(0), *rates])
+
+
+def supplied_power(
+    system: System,
+    t: Scalar,
+    motions: BodyMotions,
+    memory: Float[Array, " n_memory"],
+    loads: JointLoads,
+    driving: Scalar,
+) -> Scalar:
     """Power that all parts that may add energy put into the mechanism [W].
 
     Args:
         system: the system.
         t: time [s].
         motions: motion of each body.
+        memory: of joints and force elements.
         loads: joints that answer with a force.
         driving: power of the drivers [W].
     """
-    for force in system.forces.values():
+    for force in system.forces_with(memory).values():
         if not force.never_adds_energy:
             driving = driving + power_on_bodies(force.wrenches(t, motions), motions)
     for name in loads:

@@ -16,7 +16,8 @@ from spherejax.motion.equations.dynamics import SolvedEquations, evaluate
 from spherejax.motion.equations.joint_friction import constraint_reaction, resistances
 from spherejax.motion.equations.loads import memory_of_each
 from spherejax.physics.bodies import Body
-from spherejax.physics.forces.base import AbstractForce, power_on_bodies
+from spherejax.physics.forces.base import power_on_bodies
+from spherejax.physics.forces.remembering import ActingForce
 from spherejax.physics.joints.base import Reaction
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import BodyMotion, RelativeMotion
@@ -68,6 +69,7 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
     relative = _relative_motions(system, evaluation)
     position_violation, velocity_violation = _violations(evaluation)
     driven = [name for name, joint in system.joints.items() if joint.is_driven]
+    forces = system.forces_with(evaluation.state.memory)
     return Observation(
         acceleration=accelerations[:, :3],
         angular_acceleration=accelerations[:, 3:],
@@ -79,8 +81,8 @@ def observe(system: System, t: Scalar, y: Float[Array, " size"]) -> Observation:
         parts=_parts(evaluation),
         elastic_energy=_elastic_energies(system, evaluation),
         kinetic_energy=kinetic_energy(system, evaluation.motions),
-        forces={name: _force_results(force, t, evaluation) for name, force in system.forces.items()},
-        potential_energy=potential_energy(system, t, evaluation.motions),
+        forces={name: _force_results(force, t, evaluation) for name, force in forces.items()},
+        potential_energy=potential_energy(system, t, evaluation.motions, evaluation.state.memory),
         constraint_violation=position_violation,
         velocity_violation=velocity_violation,
     )
@@ -169,25 +171,28 @@ def _kinetic_energy(body: Body, motion: BodyMotion) -> Scalar:
     return (body.mass * (motion.velocity @ motion.velocity) + rotational) / 2
 
 
-def _force_results(force: AbstractForce, t: Scalar, evaluation: SolvedEquations) -> dict[str, Array]:
+def _force_results(force: ActingForce, t: Scalar, evaluation: SolvedEquations) -> dict[str, Array]:
     motions = evaluation.motions
     power = power_on_bodies(force.wrenches(t, motions), motions)
     return {**force.parts(t, motions), "power": power, "potential_energy": force.potential_energy(t, motions)}
 
 
-def potential_energy(system: System, t: Scalar, motions: BodyMotions, *, of_all: bool = True) -> Scalar:
+def potential_energy(
+    system: System, t: Scalar, motions: BodyMotions, memory: Float[Array, " n_memory"], *, of_all: bool = True
+) -> Scalar:
     """Potential energy of weight and force elements [J].
 
     Args:
         system: the system.
         t: time [s].
         motions: motion of each body.
+        memory: of joints and force elements.
 
     Other args:
         of_all: False leaves out elements that may add energy.
     """
     total = jnp.sum(over_lanes(_weight_energy, stacks_of(system).bodies, motions.moving, shared=(system.gravity,)))
-    for force in system.forces.values():
+    for force in system.forces_with(memory).values():
         if of_all or force.never_adds_energy:
             total = total + force.potential_energy(t, motions)
     return total

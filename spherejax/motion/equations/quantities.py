@@ -21,7 +21,6 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.observables import Observation, looked_up, observe
-from spherejax.physics.forces.base import UNITS
 from spherejax.physics.joints.base import PART_UNITS
 from spherejax.physics.state import unpack
 
@@ -177,7 +176,7 @@ def _result(element: str, part: str, system: System) -> "Quantity | str":
     dims = {(): (), (3,): AXIS}.get(shapes[part])
     if dims is None:
         return f"'{element}.{part}' has the shape {shapes[part]}; numbers and vectors of three can be asked for by name"
-    unit = (UNITS if of_element else PART_UNITS).get(part, "")
+    unit = (system.forces[element].part_units if of_element else PART_UNITS).get(part, "")
     return Quantity(part, element, dims, unit, of_element=of_element, of_answer=not of_element)
 
 

@@ -202,7 +202,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     if system.friction_passes:
         friction = friction_share(*friction_found(system, t, y))
     return Vitals(
-        potential_energy(system, t, motions, of_all=False) - put_in,
+        potential_energy(system, t, motions, state.memory, of_all=False) - put_in,
         kinetic_energy(system, motions) + stored,
         jnp.max(jnp.stack(outside)),
         jnp.max(residual),

@@ -14,16 +14,18 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.types import Flag, Scalar
+from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step, onset_slopes
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_of
+from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
 from spherejax.motion.integration.auditing import AuditingSolver, of_audited, watch_of
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
+from spherejax.motion.integration.sampling import Samples, SamplingSolver, samples_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, status_of
 from spherejax.motion.solvers.correcting import CorrectingSolver
@@ -146,19 +148,20 @@ def integrate(
     rate = program_for(state_rate, plan.structure, plan.scalar)
     contacts = contacts_of(plan.structure, plan.scalar)
     correct = correction_for(plan)
+    taken = samples_of(plan.structure, plan.scalar)
     solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
     solution = diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
-        wrapped(solver, correct, contacts, audit_of(plan)),
+        wrapped(solver, correct, contacts, taken, audit_of(plan)),
         t0=ts[0],
         t1=t1,
         dt0=None,
         y0=y0,
         args=Parameters(theta, rate.ahead(theta), audit_limits(plan, options, theta)),
         saveat=diffrax.SaveAt(
-            subs=[samples(jnp.minimum(ts, t1), correct), diffrax.SubSaveAt(t1=True)], solver_state=True
+            subs=[samples(jnp.minimum(ts, t1), correct, taken), diffrax.SubSaveAt(t1=True)], solver_state=True
         ),
-        stepsize_controller=landing_controller(options, solver, contacts, plan, ts, room_of(plan)),
+        stepsize_controller=landing_controller(options, solver, contacts, taken, plan, ts, room_of(plan)),
         adjoint=options.adjoint,
         max_steps=options.max_steps,
         throw=False,
@@ -177,6 +180,7 @@ def landing_controller(
     options: Options,
     solver: diffrax.AbstractSolver,
     contacts: Contacts | None,
+    taken: Samples | None,
     plan: Plan,
     ts: Float[Array, " n"],
     room: Callable | None,
@@ -187,7 +191,8 @@ def landing_controller(
     controller: Any = options.controller
     if options.budget is not None:
         controller = StepBudget(controller, options.budget)  # pyright: ignore[reportCallIssue]
-    return LandingController(controller, contacts, interpolation, longest, room)  # pyright: ignore[reportCallIssue]
+    were_taken = None if taken is None else taken.were_taken
+    return LandingController(controller, contacts, interpolation, longest, room, were_taken)  # pyright: ignore[reportCallIssue]
 
 
 def room_of(plan: Plan) -> Callable | None:
@@ -215,19 +220,29 @@ def correction_for(plan: Plan) -> Callable | None:
 
 
 def wrapped(
-    solver: diffrax.AbstractSolver, correct: Callable | None, contacts: Contacts | None, audit: Audit
+    solver: diffrax.AbstractSolver,
+    correct: Callable | None,
+    contacts: Contacts | None,
+    taken: Samples | None,
+    audit: Audit,
 ) -> AuditingSolver:
-    """The solver with what happens at the end of each step: correction of drift, contact events, the audit."""
+    """The solver with what happens at the end of each step: correction of drift, contact events, samples, the audit."""
     solver = solver if correct is None else CorrectingSolver(solver, correct)
     solver = solver if contacts is None else MemorySolver(solver, contacts)
+    solver = solver if taken is None else SamplingSolver(solver, taken)
     return AuditingSolver(solver, audit)
 
 
-def samples(ts: Float[Array, " n"], correct: Callable | None) -> diffrax.SubSaveAt:
-    """The states at the sample times; they lie within steps, and are corrected like their ends."""
-    if correct is None:
+def samples(ts: Float[Array, " n"], correct: Callable | None, taken: Samples | None) -> diffrax.SubSaveAt:
+    """The states at the sample times; they lie within steps, and are corrected, and sampled, like their ends."""
+    if correct is None and taken is None:
         return diffrax.SubSaveAt(ts=ts)
-    return diffrax.SubSaveAt(ts=ts, fn=lambda t, y, args: correct(args, t, y))
+
+    def at_end(t, y, args):
+        y = y if correct is None else correct(args, t, y)
+        return y if taken is None else taken.update(args, t, y)
+
+    return diffrax.SubSaveAt(ts=ts, fn=at_end)
 
 
 def beginning(
@@ -236,7 +251,7 @@ def beginning(
     """The consistent start at time t [s], assembled unless it is given, and the flat state there."""
     system = plan.structure.system(theta)
     assembly = assemble(*flatten_system(as_ideal(system)), t) if start is None else start
-    return assembly, initial_state(system, assembly)
+    return assembly, initial_state(system, assembly, t)
 
 
 @lru_cache(maxsize=64)
@@ -282,11 +297,13 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
     return Contacts(crossing_at, updated, updated_lanes, entries)
 
 
-def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
-    """The flat state at the start: the assembled motion, the contacts' memory, and no work."""
+def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[Array, " size"]:
+    """The flat state at the start: the assembled motion, the memory of contacts and forces at t [s], and no work."""
     layout = system.layout
     without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
     memory = initial_memory(system, without_memory)
+    if system.force_slots:
+        memory = jnp.concatenate([memory, initial_force_memory(system, t, without_memory)])
     return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])
 
 

@@ -40,6 +40,7 @@ from spherejax.motion.integration.integrate import (
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.lanes.operation import runs
 from spherejax.motion.integration.longest_step import longest_step
+from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import (
     correcting_rows,
     judging_rows,
@@ -150,6 +151,7 @@ class JobKind:
             audit_of(plan),
             room_of(plan),
             example_of(self.structure).layout.work_start,
+            samples_of(self.structure, self.scalar),
         )
         return self._of_rows(problem, rate) if self.with_rows else problem
 
@@ -165,6 +167,7 @@ class JobKind:
             watch=None if watch is None else lambda t, rows, numbers: watch(t, rows[0], numbers),
             audit=None if problem.audit is None else problem.audit.of_rows(),
             room=of_first_row(problem.room),
+            samples=None if problem.samples is None else problem.samples.of_rows(),
         )
 
 

@@ -2,12 +2,13 @@
 
 At rest nothing limits a step of a stiff method but its error, which is nothing; it would pass over a bump in the road
 without ever looking there. Roads and drives that know where they begin, end and turn (`AbstractFunction.room`) are met
-there, however short they are; of a function of the user's own nothing is known, and a hundredth of the motion is the
-limit. Motion that follows from the state alone needs none.
+there, however short they are, and so are the instants at which a force element samples; of a function of the user's own
+nothing is known, and a hundredth of the motion is the limit. Motion that follows from the state alone needs none.
 """
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,10 +48,13 @@ def longest_step(
 
 def room(system: System, t: Scalar, y: Float[Array, " size"]) -> Scalar | None:
     """How soon [s] something comes that a longer step could pass over; None if nothing is known."""
-    motions = body_motions(system, unpack(system.layout, y))
+    state = unpack(system.layout, y)
+    motions = body_motions(system, state)
     functions = [function for joint in system.joints.values() for function in joint.functions_of_time]
     rooms = [function.room(t, True) for function in functions]
-    return least_room([*rooms, *(force.room(t, motions) for force in system.forces.values())])
+    forces: Any = system.forces_with(state.memory)
+    samples = [forces[name].next_sample() - t for name in system.sampled_forces]
+    return least_room([*rooms, *(force.room(t, motions) for force in forces.values()), *samples])
 
 
 @lru_cache(maxsize=64)

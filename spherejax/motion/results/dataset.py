@@ -1,6 +1,7 @@
 """A run as an `xarray.Dataset`: every quantity labelled, with its unit."""
 
 import importlib.metadata
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -149,7 +150,7 @@ def _of_joints(run: Any) -> dict[str, Column]:
         )  # fmt: skip
     for name in seen.parts:
         own = {part: values for part, values in run.parts(name).items() if part not in columns}
-        columns |= _named_parts(name, own, "joint")
+        columns |= _named_parts(name, own, "joint", PART_UNITS | UNITS)
     if seen.elastic_energy:
         columns["elastic_energy"] = (
             ("time", "force_joint"), _stack(seen.elastic_energy[name] for name in system.resisting_joints), "J",
@@ -165,10 +166,10 @@ def _of_joints(run: Any) -> dict[str, Column]:
         )
         dissipated = _stack(run.dissipated_energy(name) for name in system.resisting_joints)
         columns["dissipated_energy"] = (dims, dissipated, "J", "energy that the joint has dissipated")
-    if run.system.layout.n_memory:
+    if n_memory := sum(len(slot.contents) for slot in run.system.memory_slots):
         columns["joint_memory"] = (
             ("time", "memory"),
-            run.state.memory,
+            run.state.memory[..., :n_memory],
             "m/s or m",
             "what contact and friction laws remember",
         )
@@ -178,7 +179,11 @@ def _of_joints(run: Any) -> dict[str, Column]:
 def _of_forces(run: Any) -> dict[str, Column]:
     columns: dict[str, Column] = {}
     for name in run.system.forces:
-        columns |= _named_parts(name, run.force(name), "force element")
+        columns |= _named_parts(name, run.force(name), "force element", run.system.forces[name].part_units)
+    for slot in run.system.force_slots:
+        for entry, values in zip(slot.contents, run.memory(slot.joint).values(), strict=True):
+            what = f"{entry.name} that force element {slot.joint} remembers"
+            columns.setdefault(f"{slot.joint}.{entry.name}", (("time",), values, entry.unit, what))
     return columns
 
 
@@ -193,9 +198,8 @@ def table_of(columns: dict[str, Any], joint: str) -> "xarray.Dataset":
     return xarray.Dataset(found, {"contact": np.arange(n), "axis": list(AXES)}, {"joint": joint})
 
 
-def _named_parts(name: str, parts: dict[str, Any], what: str) -> dict[str, Column]:
+def _named_parts(name: str, parts: dict[str, Any], what: str, units: Mapping[str, str]) -> dict[str, Column]:
     """Numbers and vectors over time, as `name.part`."""
-    units = PART_UNITS | UNITS
     columns: dict[str, Column] = {}
     for part, values in parts.items():
         vector = np.ndim(values) == 2 and np.shape(values)[1] == len(AXES)

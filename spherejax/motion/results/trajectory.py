@@ -222,12 +222,11 @@ class Trajectory(eqx.Module, Reported):
             raise SceneError(f"joint {joint!r} has no clearance: its model is {type(model).__name__}")
         return clearance
 
-    def memory(self, joint: str) -> dict[str, Float[Array, " n"]]:
-        """What a joint remembers, by name: `onset_rate` [m/s] of a contact, bristles [m], what its laws list."""
-        self._joint(joint)
-        remembered = self.state.memory
-        slots = [slot for slot in self.system.memory_slots if slot.joint == joint]
-        return {name: remembered[:, slot.start + i] for slot in slots for i, name in enumerate(slot.names)}
+    def memory(self, name: str) -> dict[str, Float[Array, " n"]]:
+        """What a joint or a force element remembers, e.g. a contact's `onset_rate` [m/s], a controller's `integral`."""
+        _ = name in self.system.forces or self._joint(name)
+        slots = [slot for slot in self.system.all_slots if slot.joint == name]
+        return {entry: self.state.memory[:, slot.start + i] for slot in slots for i, entry in enumerate(slot.names)}
 
     def part(self, joint: str, name: str) -> Float[Array, "n ..."]:
         """A named contribution of a joint that resists, e.g. `"normal_force"`, `"film_force"` [N]."""

@@ -97,6 +97,11 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
     by_forces = _choice_by_forces(system, known_rtol)
     if not isinstance(by_forces.solver, diffrax.Dopri8):
         return by_forces
+    if system.force_slots:
+        by_memory = _choice_by_memory(system, known_rtol)
+        if not isinstance(by_memory.solver, diffrax.Dopri8):
+            return by_memory
+        by_forces = Choice(by_forces.solver, f"{by_forces.reason}; {by_memory.reason}")
     return Choice(by_joints.solver, f"{by_joints.reason}; {by_forces.reason}")
 
 
@@ -136,6 +141,19 @@ def _choice_by_forces(system: System, rtol: float) -> Choice:
     if rate > limit:
         rate = force_rates(system, structure, np.asarray(theta)).fastest
     what = f"force elements act at about {rate:.1e} per second or slower"
+    if rate > limit:
+        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
+    return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
+
+
+def _choice_by_memory(system: System, rtol: float) -> Choice:
+    """Rodas5P where states of force elements are too fast for Dopri8, such as a controller's filter."""
+    structure, theta = flatten_system(system)
+    if not is_concrete(theta):
+        return Choice(diffrax.Dopri8(), "nor what they remember")
+    limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
+    rate = friction_rates(system, structure, np.asarray(theta)).fastest
+    what = f"what force elements remember changes at about {rate:.1e} per second"
     if rate > limit:
         return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
     return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")

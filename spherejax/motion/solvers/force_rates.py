@@ -137,9 +137,10 @@ def _load_changes(system: System, t: Scalar, point: Point):
     further = jnp.concatenate([*moved, jnp.zeros(layout.n_velocity), rest])
 
     def loads(y):
-        motions = body_motions(system, unpack(layout, y))
+        state = unpack(layout, y)
+        motions = body_motions(system, state)
         total = {name: jnp.zeros(VELOCITY_SIZE) for name in system.bodies}
-        for force in system.forces.values():
+        for force in system.forces_with(state.memory).values():
             for name, wrench in force.wrenches(t, motions).items():
                 if name in total:
                     total[name] = total[name] + jnp.concatenate([wrench.force, wrench.moment])

@@ -1,8 +1,8 @@
-"""How fast friction in ideal joints acts on the bodies: what an explicit method's steps must follow.
+"""How fast friction in ideal joints, and forces with states of their own, act: what an explicit method must follow.
 
-With the velocities v and the bristles z, a small change of both decays or vibrates with the eigenvalues of the
-derivative of (v_dot, z_dot) by (v, z). It is looked at twice: at rest, where friction by the velocity is as steep as it
-gets, and at the mechanism's usual speeds, where bristles forget within micrometers of sliding.
+With the velocities v and the bristles and other states z, a small change of both decays or vibrates with the
+eigenvalues of the derivative of (v_dot, z_dot) by (v, z). It is looked at twice: at rest, where friction by the
+velocity is as steep as it gets, and at the mechanism's usual speeds, where bristles forget within micrometers.
 """
 
 from functools import lru_cache

@@ -104,7 +104,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> JointA
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
-    weights = applied_wrenches(system, t, motions, None)
+    weights = applied_wrenches(system, t, motions, state.memory, None)
     falling = by_body(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
     decays, squares, forgetting = [], [], []
     for name in system.force_joints:
@@ -167,7 +167,7 @@ def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> Pres
     motions = body_motions(system, state)
     free, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     closed = assembly_set(system, t, motions)
-    weights = applied_wrenches(system, t, motions, None)
+    weights = applied_wrenches(system, t, motions, state.memory, None)
     falling = by_body(system, solve_augmented(free, masses, weights, free.bias).accelerations)
     multipliers = solve_augmented(closed, masses, weights, closed.bias).multipliers
     decays, squares, times = [], [], []

@@ -160,6 +160,8 @@ class LandingController(AbstractForwardingController):
         interpolation: the solver's `interpolation_cls`.
         longest: the longest step [s], whatever the wrapped controller says, or None; see `motion.longest_step`.
         room: how soon [s] something comes that no step may pass over, a function of (parameters, t, y), or None.
+        were_taken: whether samples were taken at the end of a step, a function of the states at its start and its end,
+            or None; the state jumps there.
     """
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
@@ -167,6 +169,7 @@ class LandingController(AbstractForwardingController):
     interpolation: Callable = eqx.field(static=True)
     longest: Float[Array, ""] | None = None
     room: Callable | None = eqx.field(static=True, default=None)
+    were_taken: Callable | None = eqx.field(static=True, default=None)
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""
@@ -201,6 +204,8 @@ class LandingController(AbstractForwardingController):
             controller_state.inner,
         )
         next_t1 = self._limited(next_t0, next_t1, args, jnp.where(keep, y1_candidate, y0))
+        jumps = jnp.array(False) if self.were_taken is None else self.were_taken(y0, y1_candidate)
+        made_jump = made_jump if self.were_taken is None else made_jump | (keep & jumps)
         size, shortest = t1 - t0, shortest_step(t0, t1)
         # A step that the rounding of time has made nothing has no error either, and would be kept for ever.
         has_stalled = (~keep & (jnp.abs(size) <= shortest)) | (size == 0)
@@ -237,7 +242,7 @@ class LandingController(AbstractForwardingController):
             is_first=has_landed | (state.is_first & ~records),
             is_landing=jnp.asarray(must_land),
             start=jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
-            acceleration=jnp.where(keep, jnp.where(has_landed, -1.0, acceleration), state.acceleration),
+            acceleration=jnp.where(keep, jnp.where(has_landed | jumps, -1.0, acceleration), state.acceleration),
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
 

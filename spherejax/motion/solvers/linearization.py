@@ -81,7 +81,7 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
     motions = _moved(system, state, direction[:n_v], x_change[:n_v])
     memory = state.memory + x_change[n_v : n_v + system.layout.n_memory]
     loads = joint_loads(system, motions, memory)
-    applied = applied_wrenches(system, t, motions, loads)
+    applied = applied_wrenches(system, t, motions, memory, loads)
     constraints = constraint_set(system, t, motions)
     by_body = accelerations.reshape(-1, VELOCITY_SIZE)
     friction = friction_under(system, motions, memory, constraints, multipliers) if system.friction_joints else ()
@@ -89,8 +89,8 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
         applied = applied + wrenches_of(system, friction)
     balance = _masses_times(system, motions, by_body) + constraints.transposed_times(multipliers) - applied
     violation = constraints.times(by_body) - desired_accelerations(system, motions, constraints)
-    powers = work_rates(system, t, motions, loads, friction, constraints, multipliers)
-    remembered = memory_rates(system, loads, friction)
+    powers = work_rates(system, t, motions, memory, loads, friction, constraints, multipliers)
+    remembered = memory_rates(system, t, motions, memory, loads, friction)
     return jnp.concatenate([balance.ravel(), -remembered, *(-power for power in powers), violation])
 
 

@@ -71,8 +71,8 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
         The scene with its bodies at rest in equilibrium, and what remains.
 
     Raises:
-        SceneError: for a joint with a clearance, in which a ball has no place of its own; where no rest position is
-            found near the start.
+        SceneError: for a joint with a clearance, in which a ball has no place of its own; for a force with states of
+            its own; where no rest position is found near the start.
     """
     system = compile_scene(scene).system
     loose = [name for name in system.force_joints if system.spherical(name).model.has_surfaces]
@@ -80,6 +80,11 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
         raise SceneError(
             f"joint {loose[0]!r} has a clearance, in which the ball has no place of its own at rest. Take Ideal() for "
             "the joint, find the equilibrium, and start the motion there"
+        )
+    if system.force_slots:
+        raise SceneError(
+            f"force {system.force_slots[0].joint!r} has states of its own, whose rest is not looked for here. Replace "
+            "it by what it exerts at rest, or let a damped motion come to rest first"
         )
     y, residual = _found(system, t)
     if is_concrete(residual) and not float(residual) < LARGEST_RESIDUAL:

@@ -64,7 +64,7 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
         quaternions  rtol, 1e-2 rtol
         velocities   rtol, 1e-2 rtol V;  angular velocities  rtol, 1e-2 rtol V / L
         memory       as velocities; deflections that a bushing remembers as positions, rotations as quaternions;
-                     what has a scale of its own by that
+                     forces by m V^2 / L, moments by m V^2; what has a scale of its own by that
         work         rtol, 1e-2 rtol m V^2
 
     A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
@@ -76,7 +76,15 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
     energy = sum(masses) * speed * speed
     relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
-    memory = _memory_scales(system, xp, {"length": fine * length, "angle": 1.0, "speed": speed})
+    usual = {
+        "length": fine * length,
+        "angle": 1.0,
+        "speed": speed,
+        "angular_speed": speed / length,
+        "force": energy / length,
+        "moment": energy,
+    }
+    memory = _memory_scales(system, xp, usual)
     scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, memory, energy)
     text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"
     if is_concrete(rtol) and rtol > asked:
@@ -137,7 +145,7 @@ def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocit
 
 def _memory_scales(system: System, xp, scales: dict[Any, Any]) -> Any:
     """What counts as one for each memory entry."""
-    entries = [entry for slot in system.memory_slots for entry in slot.contents]
+    entries = [entry for slot in system.all_slots for entry in slot.contents]
     if not entries:
         return scales["speed"]
     return xp.stack([xp.asarray(scales.get(entry.scale, entry.scale)) for entry in entries])

@@ -13,6 +13,7 @@ from spherejax.output.plot.shapes import body_strokes, triad_strokes
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, arrow_outline, ground_marks
 from spherejax.output.plot.symbols import joint_strokes
 from spherejax.physics.bodies import GROUND
+from spherejax.physics.forces.remembering import recalling
 from spherejax.physics.forces.torsional import TorsionalSpring
 from spherejax.physics.forces.tyre import Tyre
 from spherejax.physics.kinematics import BodyMotion
@@ -28,7 +29,7 @@ def force_strokes(name: str, mechanism: Mechanism, pose: Pose, camera: Camera, s
     elif len(places := force_places(force)) == 2:
         strokes = _line_element(name, places, pose, camera, s)
     else:
-        strokes = [_arrow(at, force_at, camera, 5 * s) for at, force_at in forces_on_bodies(force, pose)]
+        strokes = [_arrow(at, pull, camera, 5 * s) for at, pull in forces_on_bodies(name, force, pose)]
     return [replace(stroke, name=stroke.name or f"force:{name}") for stroke in strokes]
 
 
@@ -68,8 +69,15 @@ def _spiral(force: TorsionalSpring, mechanism: Mechanism, pose: Pose, camera: Ca
     return [Stroke(camera.project(at) + spiral, camera.depth(at), FORCE_COLOR, 1.0)]
 
 
-def forces_on_bodies(force: Any, pose: Pose) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The forces of an element, as (point of its line of action nearest to the center of mass [m], force [N])."""
+def forces_on_bodies(name: str, force: Any, pose: Pose) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The forces of an element, as (point of its line of action nearest to the center of mass [m], force [N]).
+
+    None of one that remembers where there is no run that says what.
+    """
+    if force.memory:
+        if name not in pose.memory:
+            return []
+        force = recalling(force, pose.memory[name])
     by_body: Any = (pose.positions, pose.quaternions, pose.rotations, pose.velocities, pose.angular_velocities)
     motions: Any = {body: BodyMotion(*(values[body] for values in by_body)) for body in pose.positions}
     found = []

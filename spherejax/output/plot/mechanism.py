@@ -6,7 +6,7 @@ the samples are; at a sample they are the sample.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -66,6 +66,7 @@ class Pose:
         quaternions: the same as quaternions.
         velocities: of the centers of mass, world axes [m/s].
         angular_velocities: world axes [rad/s].
+        memory: of each force element that remembers, as the last sample of a run has it; empty without a run.
     """
 
     t: float
@@ -74,6 +75,7 @@ class Pose:
     quaternions: Mapping[str, np.ndarray]
     velocities: Mapping[str, np.ndarray]
     angular_velocities: Mapping[str, np.ndarray]
+    memory: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def point(self, body: str, place: np.ndarray) -> np.ndarray:
         """Points of a body, from body axes to world axes [m]; shape (..., 3)."""
@@ -145,7 +147,15 @@ class Mechanism:
             named(quaternion, np.array([1.0, 0.0, 0.0, 0.0])),
             named(velocity, zero),
             named(spin, zero),
+            self._memory_at(int(ends[1] if share >= 1 else ends[0])),
         )
+
+    def _memory_at(self, sample: int) -> dict[str, np.ndarray]:
+        """What force elements remember: what is held between samples must not be drawn in between."""
+        if self.run is None:
+            return {}
+        memory, slots = self.run.state.memory, self.run.system.force_slots
+        return {slot.joint: np.asarray(memory[sample, slot.entries]) for slot in slots}
 
     def require_time(self, t: float) -> None:
         """Raise `SceneError` for a time outside of the samples that were reached."""

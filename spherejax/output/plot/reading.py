@@ -110,6 +110,7 @@ def _places(joints, forces: Mapping[str, Any], scene: Scene | None) -> dict[str,
 
 def force_places(force: Any) -> list[tuple[str, np.ndarray]]:
     """Where a force element meets its bodies, as (body, place in body axes [m]); empty where it does not say."""
+    force = getattr(force, "coordinate", force)
     force = getattr(force, "attachment", None) or force
     bodies = tuple(getattr(force, "bodies", None) or getattr(force, "body_names", ()))
     places = getattr(force, "places", None)

@@ -300,11 +300,11 @@ def tracks_of(mechanism: Mechanism, ts: np.ndarray, s: float) -> list[Shape]:
     found: list[Shape] = []
     times = np.linspace(ts[0], ts[-1], min(len(ts), MOST_TRACK_INSTANTS))
     poses = [mechanism.pose(float(t)) for t in times]
-    for force in mechanism.forces.values():
+    for name, force in mechanism.forces.items():
         if isinstance(force, Tyre):
             found.append({"edge": to_hex(GROUND_COLOR), "width": 1.6, "points": _road(force, poses)})
         elif not isinstance(force, TorsionalSpring) and len(force_places(force)) != 2:
-            arrows = [[_arrow(at, pull, 5 * s) for at, pull in forces_on_bodies(force, pose)] for pose in poses]
+            arrows = [[_arrow(at, pull, 5 * s) for at, pull in forces_on_bodies(name, force, pose)] for pose in poses]
             for one in zip(*arrows, strict=True):
                 look = {"edge": to_hex(FORCE_COLOR), "width": 1.6, "arrow": True}
                 found.append({**look, "points": np.array(one)})

@@ -13,7 +13,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import OWN, Named, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
-from spherejax.physics.functions.base import Given
+from spherejax.physics.functions.base import AbstractFunction, Given, least_room
 from spherejax.physics.kinematics import PointMotion, point_motion
 
 
@@ -74,6 +74,12 @@ class AppliedWrench(AbstractForce):
         """The wrench about the center of mass."""
         force, moment, point = self._applied(t, motions)
         return {body_of(self.body): Wrench(force, moment + jnp.cross(point.arm, force))}
+
+    def room(self, t, motions):
+        """To where functions of one's own begin, end or turn, if they are `AbstractFunction`s and say so."""
+        del motions
+        given = [value.callable for value in (self.force, self.moment) if isinstance(value, Given)]
+        return least_room(one.room(t, True) for one in given if isinstance(one, AbstractFunction))
 
     def parts(self, t, motions) -> dict[str, Array]:
         """`force` [N] and `moment` [N m], world axes, shape (3,)."""

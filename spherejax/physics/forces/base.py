@@ -13,6 +13,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Numeric, Scalar, Vector3
 from spherejax.physics.bodies import Body
 from spherejax.physics.kinematics import BodyMotion
+from spherejax.physics.memory import MemoryEntry
 
 Motions = Mapping[str, BodyMotion]
 """The motion of every body by name, the ground included."""
@@ -21,6 +22,8 @@ FindPlace = Callable[[str], tuple[str, Numeric]]
 """Resolves `"body.point"` to the body's name and the point in body axes [m]."""
 
 UNITS = {
+    "effort": "N",
+    "position": "m",
     "length": "m",
     "rate": "m/s",
     "force": "N",
@@ -114,6 +117,11 @@ class AbstractForce(eqx.Module):
         return False
 
     @property
+    def memory(self) -> tuple[MemoryEntry, ...]:
+        """What the element remembers (static); one that does is an `AbstractForceWithMemory`."""
+        return ()
+
+    @property
     def n_touches(self) -> int:
         """Number of surfaces that the element presses on from one side (static)."""
         return 0
@@ -135,6 +143,11 @@ class AbstractForce(eqx.Module):
         """Named results for inspection, e.g. `length` [m], `force` [N]; see `Trajectory.force`."""
         del t, motions
         return {}
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """Units of these results by name, for tables and files (static)."""
+        return UNITS
 
     def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
         """The same element with named points and directions at the start resolved into body axes.

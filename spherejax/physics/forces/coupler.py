@@ -123,7 +123,7 @@ class Turn(AbstractCoordinate):
 
     def _twist(self, motions: Motions) -> Twist:
         first, second = (motions[body] for body in self.bodies)
-        return _known(self.attachment).twist(first, second)
+        return known_geometry(self.attachment).twist(first, second)
 
     def requirements(self):
         """Two bodies, an axis, a radius."""
@@ -163,12 +163,12 @@ class Travel(AbstractCoordinate):
 
     def motion(self, motions):
         """The distance along the direction, less that of the start."""
-        stretch = _known(self.attachment).stretch(motions)
-        return Motion(stretch.length - _known(self.start), stretch.rate)
+        stretch = known_geometry(self.attachment).stretch(motions)
+        return Motion(stretch.length - known_geometry(self.start), stretch.rate)
 
     def wrenches(self, motions, force):
         """A force along the direction and its opposite, both at the second point."""
-        attachment = _known(self.attachment)
+        attachment = known_geometry(self.attachment)
         return attachment.wrenches(motions, -force * attachment.stretch(motions).direction)
 
     def placed(self, bodies, find):
@@ -176,7 +176,7 @@ class Travel(AbstractCoordinate):
         first, second = self.body_names
         places = place_of(self.ends[0], find), place_of(self.ends[1], find)
         direction = concretely(direction_on, self.direction, start_quaternion(bodies, first))
-        poses = [_pose(bodies, name) for name in (first, second)]
+        poses = [pose_at_start(bodies, name) for name in (first, second)]
         start = concretely(_distance, self.direction, *poses[0], places[0], *poses[1], places[1])
         return eqx.tree_at(
             lambda travel: (travel.attachment, travel.start),
@@ -296,13 +296,15 @@ class Coupler(AbstractForce):
         return tuple(dict.fromkeys((*self.first.body_names, *self.second.body_names)))
 
 
-def _known(part):
+def known_geometry(part):
+    """A part that is there once the scene is compiled."""
     if part is None:
-        raise SceneError("the coupler is not in a scene yet: its geometry is known once the scene is compiled")
+        raise SceneError("the element is not in a scene yet: its geometry is known once the scene is compiled")
     return part
 
 
-def _pose(bodies: Mapping[str, Body], name: str):
+def pose_at_start(bodies: Mapping[str, Body], name: str) -> tuple[Numeric, Numeric]:
+    """Position [m] and orientation of a body, the ground included, as the scene describes it."""
     if name == GROUND:
         return numbers((0.0, 0.0, 0.0)), numbers((1.0, 0.0, 0.0, 0.0))
     return bodies[name].position, bodies[name].quaternion

@@ -81,6 +81,45 @@ def _derivative(function: Callable, x: Number) -> Scalar:
     return jax.jvp(function, (x,), (jnp.ones_like(x),))[1]
 
 
+class Network(eqx.Module):
+    """A module whose arrays are numbers of the scene, and whose functions are structure: e.g. an `equinox.nn.MLP`.
+
+    A network holds its activation among its arrays; a scene asks that its leaves are numbers. Called, it is the
+    module:
+
+        law = sj.Network(eqx.nn.MLP(2, "scalar", 8, 2, activation=jnp.tanh, key=key))
+        sj.SpringDamper(ends, law=law)    # law(length, rate, t) has three arguments: MLP(3, ...) of jnp.stack([...])
+
+    Attributes:
+        numbers: its arrays.
+        structure: all else of it (static).
+
+    Limits: `tanh`, `sin`, `jax.nn.sigmoid` and `swish` keep the scalar program; `relu`, `softplus` and others with
+    derivative rules of their own run on array code, with a warning. Arrays of a floating type alone are numbers.
+    """
+
+    numbers: tuple[Any, ...]
+    structure: Any = eqx.field(static=True)
+
+    def __init__(self, module: Any):
+        leaves, tree = jax.tree.flatten(module)
+        is_number = tuple(eqx.is_inexact_array_like(leaf) for leaf in leaves)
+        self.numbers = tuple(leaf for leaf, number in zip(leaves, is_number, strict=True) if number)
+        others = tuple(leaf for leaf, number in zip(leaves, is_number, strict=True) if not number)
+        self.structure = (tree, is_number, others)
+
+    @property
+    def module(self) -> Any:
+        """The module, with the numbers of now."""
+        tree, is_number, others = self.structure
+        numbers, rest = iter(self.numbers), iter(others)
+        return jax.tree.unflatten(tree, [next(numbers) if number else next(rest) for number in is_number])
+
+    def __call__(self, *arguments) -> Any:
+        """The module's value."""
+        return self.module(*arguments)
+
+
 class Given(eqx.Module):
     """A callable that a user gave, as a pytree.
 
@@ -95,7 +134,9 @@ class Given(eqx.Module):
 
     def __init__(self, given: Callable):
         is_module = isinstance(given, eqx.Module)
-        self.module = given if is_module else None
+        # A network holds functions among its numbers.
+        holds_functions = is_module and any(callable(leaf) for leaf in jax.tree.leaves(given))
+        self.module = Network(given) if holds_functions else given if is_module else None
         self.function = None if is_module else given
 
     @property

@@ -128,7 +128,7 @@ def _assembled(point: Point, number: Number) -> Float[np.ndarray, " size"]:
 
     def start(value):
         system = _system_of(point, number.changed(point.whole, value))
-        return initial_state(system, assemble(*flatten_system(as_ideal(system)), point.t))
+        return initial_state(system, assemble(*flatten_system(as_ideal(system)), point.t), point.t)
 
     def slope(value):
         return jax.jvp(start, (value,), (jnp.ones_like(value),))[1]

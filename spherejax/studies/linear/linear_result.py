@@ -28,8 +28,8 @@ class Linearization:
     """x' = A x + B u, y = C x + D u about a state; prints what it is.
 
     The states are f coordinates x1, x2, ... [sqrt(kg) m] along the free directions P of the mechanism, orthonormal in
-    its mass matrix, their speeds u1, u2, ... [sqrt(kg) m/s], and what joints remember. At rest x' = u, and the lower
-    left part of A is minus the stiffness over the mass. `basis` says what a state is in the world.
+    its mass matrix, their speeds u1, u2, ... [sqrt(kg) m/s], and what joints and forces remember. At rest x' = u, and
+    the lower left part of A is minus the stiffness over the mass. `basis` says what a state is in the world.
 
     Attributes:
         A: [1/s], shape (n_x, n_x).
@@ -184,7 +184,7 @@ class Linearization:
 
     def __str__(self) -> str:
         f, m = self.degrees_of_freedom, len(self.states) - 2 * self.degrees_of_freedom
-        remembered = f" and {m} that joints remember" if m else ""
+        remembered = f" and {m} that are remembered" if m else ""
         lines = [
             f"Linearization {self.point.words}: {f} degrees of freedom, {len(self.states)} states{remembered}",
             f"inputs: {', '.join(self.inputs) or 'none'}",

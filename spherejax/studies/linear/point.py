@@ -85,7 +85,7 @@ def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
     structure, theta = flatten_system(system)
     assembly = start_now(system, np.array([t]), stacklevel=4)
     assert assembly is not None
-    y = np.asarray(initial_state(system, jax.tree.map(jnp.asarray, assembly)))
+    y = np.asarray(initial_state(system, jax.tree.map(jnp.asarray, assembly), t))
     words = "at rest" if at == "rest" else "about the start"
     return Point(what, system, structure, np.asarray(theta), t, y, words, str(at))
 

@@ -50,9 +50,9 @@ def linearize(
     """The linear system that small deviations from a state obey: x' = A x + B u, y = C x + D u.
 
     Any joint, force and driver; redundant constraints too. The coordinates are independent ones, found from the null
-    space of the constraints at the levels of positions and velocities, and the memory of joints; every derivative is
-    exact (automatic), none a difference. About a motion (a run at a time, a start with velocities) the matrices are
-    those of that moment: coefficients that change, in coordinates that are carried along without turning.
+    space of the constraints at the levels of positions and velocities, and the memory of joints and forces; every
+    derivative is exact (automatic), none a difference. About a motion (a run at a time, a start with velocities) the
+    matrices are those of that moment: coefficients that change, in coordinates that are carried along without turning.
 
     Args:
         what: a scene, or a run.
@@ -75,12 +75,14 @@ def linearize(
         SceneError: for a request that makes no sense, an input that moves a constraint, or a singular configuration.
 
     Warns:
-        LinearizationWarning: where the rates have a kink, so that a derivative is right to one side only.
+        LinearizationWarning: where the rates have a kink, so that a derivative is right to one side only; for a force
+            element that samples, which holds its effort here.
     """
     moment, axes = _finite("t", t, ()), _finite("turning", turning, (3,))
     whole, system = asked_of(what, at)
     numbers = _inputs(whole, inputs)
     outputs_asked = _outputs(system, outputs)
+    _warn_of_samples(system)
     with waiting_for("a linearization", program="a linearization"):
         point = point_of(what, at, float(moment))
         return _linearized(point, numbers, outputs_asked, axes)
@@ -96,9 +98,12 @@ def _linearized(point: Point, numbers: list[Number], outputs: Outputs, axes: np.
     basis, inverse = coordinates.basis, coordinates.inverse
     rates, values = equations.rates_along(axes, basis), equations.values_along(names, basis)
     _require_finite(rates, point)
-    # Entries of memory that nothing changes (a rate that is remembered while a contact lasts) are no states.
+    # Entries of memory that nothing changes (a rate that is remembered while a contact lasts), or that change nothing
+    # (how far a controlled motor has turned, which only says in which turn it is), are no states.
     n_v = 2 * coordinates.degrees_of_freedom
-    keep = np.concatenate([np.ones(n_v, bool), np.any(rates[2 * layout.n_velocity :] != 0, axis=1)])
+    changes = np.any(rates[2 * layout.n_velocity :] != 0, axis=1)
+    acts = np.any(rates[:, n_v:] != 0, axis=0) | np.any(values[:, n_v:] != 0, axis=0)
+    keep = np.concatenate([np.ones(n_v, bool), changes & acts])
     basis_rate = coordinates.turned(found, equations.geometry_rate, axes)
     A, C = (inverse @ (rates - basis_rate))[np.ix_(keep, keep)], values[:, keep]
     B, D = np.zeros((len(A), 0)), np.zeros((len(C), 0))
@@ -129,6 +134,18 @@ def _linearized(point: Point, numbers: list[Number], outputs: Outputs, axes: np.
     )
     _warn_of_kinks(result, nearby)
     return result
+
+
+def _warn_of_samples(system: System) -> None:
+    """Say that controllers that sample are no part of a linear system in continuous time."""
+    if system.sampled_forces:
+        names = " and ".join(map(repr, system.sampled_forces))
+        warnings.warn(
+            f"linearize: force element {names} samples: what it holds between samples is held here, so that A is the "
+            "mechanism's with constant efforts, without the controller. Take its twin in continuous time for the loop",
+            LinearizationWarning,
+            stacklevel=3,
+        )
 
 
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -196,7 +213,7 @@ def _require_free(numbers: list[Number], held: np.ndarray) -> None:
 
 
 def _state_names(system: System, f: int, keep: np.ndarray) -> tuple[str, ...]:
-    memory = [f"{slot.joint}.{name}" for slot in system.memory_slots for name in slot.names]
+    memory = [f"{slot.joint}.{name}" for slot in system.all_slots for name in slot.names]
     names = [*(f"x{i + 1}" for i in range(f)), *(f"u{i + 1}" for i in range(f)), *memory]
     return tuple(name for name, kept in zip(names, keep, strict=True) if kept)
 

@@ -126,7 +126,7 @@ def _rates(system: System, t: Scalar, y, change: Change) -> Float[Array, " n_z"]
     layout = system.layout
     found = evaluate(system, t, moved(layout, y, change))
     groups = () if found.friction is None else found.friction.groups
-    remembered = memory_rates(system, found.loads, groups)
+    remembered = memory_rates(system, t, found.motions, found.state.memory, found.loads, groups)
     spins = found.motions.moving.angular_velocity - unpack(layout, y).angular_velocity
     speeds = found.motions.moving.velocity - unpack(layout, y).velocity
     steps = change[: layout.n_velocity].reshape(-1, VELOCITY_SIZE)

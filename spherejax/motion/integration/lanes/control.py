@@ -66,8 +66,14 @@ class Repeating:
     def _controller(self, parameters) -> LandingController:
         problem = self.problem
         interpolation = problem.solver.interpolation_cls
+        were_taken = None if problem.samples is None else problem.samples.were_taken
         return LandingController(
-            problem.controller_of(parameters), problem.contacts, interpolation, problem.longest_step, problem.room
+            problem.controller_of(parameters),
+            problem.contacts,
+            interpolation,
+            problem.longest_step,
+            problem.room,
+            were_taken,
         )  # pyright: ignore[reportCallIssue]
 
     def init(self, term, t0, t_end, y0, parameters):
@@ -92,6 +98,8 @@ class Repeating:
             y = contacts.update(step.parameters, step.t1, step.y0, y)
             began = ~contacts.is_touching(step.y0) & contacts.is_touching(y)
             error = ErrorAndInside(error, step.dense_info)
+        if self.problem.samples is not None:
+            y = self.problem.samples.update(step.parameters, step.t1, y)
         keep, t, t_next, made_jump, state, verdict = self._controller(step.parameters).adapt_step_size(
             step.t0, step.t1, step.y0, y, step.parameters, error, self.order, state
         )

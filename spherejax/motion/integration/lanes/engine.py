@@ -23,6 +23,7 @@ from spherejax.motion.integration.lanes.landing import Landing
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, StepLog
 from spherejax.motion.integration.lanes.stages import ExplicitStages, Trial, own_time, steps_of
 from spherejax.motion.integration.status import Status, status_of
+from spherejax.physics.forces.remembering import SAME_INSTANT
 
 
 def run_in_lanes(
@@ -319,6 +320,9 @@ class _Queue:
             at = self.ts[jnp.minimum(n_samples, n - 1)]
             # The end of a step is the state itself, with its events; within it there are none.
             is_end = at >= lanes.t
+            if self.problem.samples is not None:
+                # What is within rounding of the instant of a force's sample is behind it, as the step's end is.
+                is_end = at >= lanes.t - SAME_INSTANT * jnp.abs(lanes.t)
             if n > 2:
                 inside = in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at)
                 y = jnp.where(is_end, lanes.y, inside)

@@ -27,6 +27,7 @@ from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.control import Judgment, Step
 from spherejax.motion.integration.lanes.first_step import Looks, first_look, first_size, looked_along
 from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
+from spherejax.motion.integration.sampling import Samples
 from spherejax.motion.solvers.crossing_search import Found, crossing_fraction, first_event
 from spherejax.motion.solvers.landing import LANDING_WINDOW, Contacts, longest_ball_step, shortest_step
 from spherejax.physics.joints.base import Crossing
@@ -96,6 +97,7 @@ class Landing:
         self.inside, self.instants, self.stray = steps.inside, steps.instants, steps.stray
         self.contacts: Contacts | None = problem.contacts
         self.correct: Callable | None = problem.correct
+        self.samples: Samples | None = problem.samples
 
     def init(self, term, t0, t_end, y0, parameters):
         """The end of the first step [s], and the control's state, of one lane."""
@@ -167,12 +169,24 @@ class Landing:
         keep = judgment.keep
         has_stalled = (~keep & (size <= shortest)) | (size == 0)
         t, y = jnp.where(keep, judgment.t, step.t0), jnp.where(keep, judgment.y, step.y0)
+        made_jump = jnp.where(keep, judgment.made_jump, was_jump)
+        if self.samples is not None:
+            y, made_jump, judgment = self._with_samples(self.samples, step.parameters, t, y, made_jump, judgment)
         return judgment._replace(
             t=t,
             t_next=t + self._limited(judgment.t_next, self._room(step.parameters, t, y), shortest),
-            made_jump=jnp.where(keep, judgment.made_jump, was_jump),
+            made_jump=made_jump,
             verdict=in_lanes(_verdict)(has_stalled),
         )
+
+    def _with_samples(self, samples: Samples, parameters, t, y, made_jump, judgment: Judgment):
+        """The states behind the samples that are due; what accelerations were says nothing of those behind them."""
+        after = samples.update_lanes(parameters, t, y)
+        were_taken = judgment.keep & samples.were_taken(y, after)
+        y = jnp.where(judgment.keep, after, y)
+        state: Pace = judgment.state
+        state = state._replace(acceleration=jnp.where(were_taken, -1.0, state.acceleration))
+        return y, made_jump | were_taken, judgment._replace(y=jnp.where(judgment.keep, y, judgment.y), state=state)
 
     def _with_contacts(self, contacts: Contacts, step: Step, state: Pace, error, longer, shortest) -> Judgment:
         """The judgment, with the coming step's size [s] in place of its end."""

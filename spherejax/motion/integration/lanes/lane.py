@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from spherejax.motion.integration.audit import Audit, Watch
+from spherejax.motion.integration.sampling import Samples
 from spherejax.motion.solvers.landing import Contacts
 
 
@@ -38,6 +39,7 @@ class LaneProblem(NamedTuple):
         audit: what is looked at, at the end of each step, or None.
         room: how soon [s] something comes that no step may pass over (parameters, t, y), or None.
         n_judged: entries of the state whose errors are judged, the first ones; None for all.
+        samples: of force elements that sample, or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -51,6 +53,7 @@ class LaneProblem(NamedTuple):
     audit: Audit | None = None
     room: Callable | None = None
     n_judged: int | None = None
+    samples: Samples | None = None
 
 
 class StepLog(NamedTuple):

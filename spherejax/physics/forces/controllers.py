@@ -1,0 +1,320 @@
+"""A PID controller in continuous time, and what it shares with a digital one (`sampled_pid`).
+
+Units as of actuators: coordinates in m, efforts in N; with a `Turn` of the radius 1 rad and N m. A `Turn` may go round
+any number of times here: the controller remembers how far it has turned.
+"""
+
+import abc
+from collections.abc import Callable, Mapping
+from typing import Annotated, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import numeric, positive
+from spherejax.foundations.types import Function, Listed, Number, Numeric, Scalar, Unit
+from spherejax.physics.bodies import Body, numbers
+from spherejax.physics.forces.actuators import coordinate_requirements, function_of_time, with_placed_coordinate
+from spherejax.physics.forces.base import UNITS, FindPlace, Motions
+from spherejax.physics.forces.coupler import AbstractCoordinate, Motion, Turn
+from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction
+from spherejax.physics.functions.base import AbstractFunction, function_requirements
+from spherejax.physics.functions.shapes import finite
+from spherejax.physics.memory import MemoryEntry, Scale
+
+
+class Measured(NamedTuple):
+    """What a controller sees at one instant.
+
+    Attributes:
+        motion: of the coordinate, through any number of turns.
+        value: what is controlled: its position [m] or its rate [m/s].
+        reference: what that should be.
+        error: reference less value.
+        error_rate: the error's time derivative, of a position [m/s]; of a rate nobody measures it.
+    """
+
+    motion: Motion
+    value: Scalar
+    reference: Scalar
+    error: Scalar
+    error_rate: Scalar | None
+
+
+class AbstractController(AbstractForceWithMemory):
+    """What controllers share: a coordinate, a reference, gains, limits of the effort."""
+
+    coordinate: eqx.AbstractVar[AbstractCoordinate]
+    reference: eqx.AbstractVar[AbstractFunction]
+    proportional: eqx.AbstractVar[Number]
+    integral: eqx.AbstractVar[Number | None]
+    derivative: eqx.AbstractVar[Number | None]
+    filter_time: eqx.AbstractVar[Number | None]
+    limits: eqx.AbstractVar[Numeric | None]
+    tracking_time: eqx.AbstractVar[Number | None]
+    offset: eqx.AbstractVar[Number]
+    of_rate: eqx.AbstractVar[bool]
+    smooth_limits: eqx.AbstractVar[bool]
+
+    @property
+    def memory(self):
+        """Turns of the coordinate, where it has some, then what the controller computes with."""
+        turned = (MemoryEntry("turned", "rad", "angle"),) if self._counts_turns else ()
+        return (*turned, *self._states)
+
+    @property
+    @abc.abstractmethod
+    def _states(self) -> tuple[MemoryEntry, ...]:
+        """What the controller computes with."""
+
+    @property
+    def _counts_turns(self) -> bool:
+        return isinstance(self.coordinate, Turn) and not self.of_rate
+
+    def _own(self, memory):
+        """The controller's own entries of the memory."""
+        return memory[1:] if self._counts_turns else memory
+
+    def _entries(self, memory) -> dict[str, Scalar]:
+        return {entry.name: memory[i] for i, entry in enumerate(self.memory)}
+
+    def _measured(self, t: Scalar, motions: Motions, memory) -> Measured:
+        motion = self.coordinate.motion(motions)
+        if self._counts_turns:
+            motion = motion._replace(value=_unwrapped(self.coordinate, motion.value, memory[0]))
+        reference = self.reference(t)
+        value = motion.rate if self.of_rate else motion.value
+        rate = None if self.of_rate else self.reference.derivative(t) - motion.rate
+        return Measured(motion, value, reference, reference - value, rate)
+
+    def _turning(self, motion: Motion) -> list[Scalar]:
+        """Rate of the turns that are counted."""
+        return [motion.rate / _radius(self.coordinate)] if self._counts_turns else []
+
+    def _limited(self, effort: Scalar) -> Scalar:
+        if self.limits is None:
+            return effort
+        low, high = self.limits[0], self.limits[1]
+        if not self.smooth_limits:
+            return jnp.clip(effort, low, high)
+        middle, half = (low + high) / 2, (high - low) / 2
+        return middle + half * jnp.tanh((effort - middle) / half)
+
+    def _unwinding(self, asked: Scalar, effort: Scalar) -> Scalar | float:
+        """What limits take from the integral, by time [N/s]."""
+        if self.limits is None or self.tracking_time is None:
+            return 0.0
+        return (effort - asked) / self.tracking_time
+
+    def _parts(self, seen: Measured, effort: Scalar) -> dict[str, Scalar]:
+        return {
+            "effort": effort,
+            "position": seen.motion.value,
+            "rate": seen.motion.rate,
+            "reference": seen.reference,
+            "error": seen.error,
+        }
+
+    def room(self, t, motions):
+        """To where the reference begins, ends or turns."""
+        del motions
+        return self.reference.room(t, True)
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """References and errors are positions or rates."""
+        unit = "m/s" if self.of_rate else "m"
+        return {**UNITS, "reference": unit, "error": unit}
+
+    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
+        """The coordinate in body axes."""
+        return with_placed_coordinate(self, bodies, find)
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """The bodies of the coordinate."""
+        return self.coordinate.body_names
+
+    def requirements(self) -> list[Requirement]:
+        """A coordinate, a reference, finite gains, limits in order, positive times."""
+        rows = [
+            *coordinate_requirements(self.coordinate),
+            *function_requirements("reference", self.reference),
+            finite("proportional", self.proportional),
+            finite("offset", self.offset),
+        ]
+        rows += [finite(name, gain) for name, gain in self._optional_gains() if gain is not None]
+        if self.limits is not None:
+            rows.append(_limits_requirement(self.limits))
+        if self.tracking_time is not None:
+            rows += [positive("tracking_time", self.tracking_time, "s"), self._tracks_something()]
+        return rows
+
+    def _optional_gains(self):
+        return ("integral", self.integral), ("derivative", self.derivative)
+
+    def _tracks_something(self) -> Requirement:
+        has_both = self.limits is not None and self.integral is not None
+        remedy = "Give limits and an integral gain, or leave tracking_time out."
+        return Requirement(
+            "tracking_time", self.tracking_time, has_both, "have limits and an integral to act on", remedy
+        )
+
+
+class PID(AbstractController):
+    """A PID controller in continuous time: a motor's torque or a cylinder's force along a coordinate.
+
+        e = reference(t) - x    (x the coordinate, or its rate with `of_rate`)
+        f = limited(k_p e + i + k_d e_rate + offset)
+        i' = k_i e + (f - unlimited f) / tracking_time
+        with a filter:  e_rate = (e - z) / filter_time,  z' = e_rate
+
+    positive where it makes the coordinate grow.
+
+        sj.PID(sj.Turn(("ground", "rotor"), axis=(0, 0, 1)), reference=sj.SmoothStep(0.0, 0.2, 0.0, 6.0),
+               proportional=20.0, integral=40.0, derivative=2.0, filter_time=1e-3, limits=(-5, 5), tracking_time=0.1)
+
+    Attributes:
+        coordinate: a `Turn`, a `Travel` or an `Extension`.
+        reference: by time [s]: of the coordinate [m] (with `of_rate` of its rate [m/s]); a number, or any function.
+        proportional: k_p [N/m].
+        integral: k_i [N/(m s)]; None, the default, has no integral.
+        derivative: k_d [N s/m]; None has no derivative.
+        filter_time: time constant of the derivative's filter [s]; None, the default, takes the rate as it is.
+        limits: least and largest effort [N], shape (2,); None for an effort without.
+        tracking_time: time constant with which limits unwind the integral [s]; None lets it wind up.
+        offset: added to the effort [N]: weight that is known, an input for `sj.linearize`.
+        of_rate: whether the coordinate's rate is controlled; gains are then [N s/m] and so on.
+        smooth_limits: whether the effort comes to its limits as a hyperbolic tangent; else it is clipped.
+
+    It remembers `integral` i [N], `filtered` z, and of a `Turn` how far that has `turned` [rad].
+
+    Limits: at a jump of the reference the derivative is that of the parts beside it, without the jump; with a filter it
+    is the filter's answer. A controlled rate needs the filter for a derivative. The motion begins with i = 0, z = e.
+
+    Source: Astrom and Hagglund (2006), Advanced PID Control, sections 2.3, 3.5: back-calculation.
+    """
+
+    coordinate: AbstractCoordinate
+    reference: AbstractFunction
+    proportional: Number
+    integral: Number | None
+    derivative: Number | None
+    filter_time: Number | None
+    limits: Numeric | None
+    tracking_time: Number | None
+    offset: Number
+    of_rate: bool = eqx.field(static=True)
+    smooth_limits: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        coordinate: AbstractCoordinate,
+        reference: Annotated[Number | Callable, Unit("m"), Function("s", "m")] = 0.0,
+        proportional: Annotated[Number, Unit("N/m")] = 0.0,
+        integral: Annotated[Number | None, Unit("N/(m s)")] = None,
+        derivative: Annotated[Number | None, Unit("N s/m")] = None,
+        *,
+        filter_time: Annotated[Number | None, Unit("s")] = None,
+        limits: Annotated[Listed | None, Unit("N")] = None,
+        tracking_time: Annotated[Number | None, Unit("s")] = None,
+        offset: Annotated[Number, Unit("N")] = 0.0,
+        of_rate: bool = False,
+        smooth_limits: bool = False,
+    ):
+        self.coordinate = coordinate
+        self.reference = function_of_time(reference)
+        self.proportional = proportional
+        self.integral = integral
+        self.derivative = derivative
+        self.filter_time = filter_time
+        self.limits = None if limits is None else numbers(limits)
+        self.tracking_time = tracking_time
+        self.offset = offset
+        self.of_rate = of_rate
+        self.smooth_limits = smooth_limits
+
+    @property
+    def _states(self):
+        integral = MemoryEntry("integral", "N", effort_scale(self.coordinate))
+        return (*((integral,) if self.integral is not None else ()), *(filtered_error(self) if self._filters else ()))
+
+    @property
+    def _filters(self) -> bool:
+        return self.derivative is not None and self.filter_time is not None
+
+    def memory_at_start(self, t, motions):
+        """Nothing integrated, and a filter that has settled."""
+        seen = self._measured(t, motions, jnp.zeros(len(self.memory)))
+        return jnp.stack([seen.error if entry.name == "filtered" else jnp.zeros(()) for entry in self.memory])
+
+    def action(self, t, motions, memory):
+        """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""
+        kept, seen = self._entries(memory), self._measured(t, motions, memory)
+        asked = self.proportional * seen.error + self.offset
+        rates = self._turning(seen.motion)
+        if self.integral is not None:
+            asked = asked + kept["integral"]
+        rate = self._error_rate(seen, kept)
+        if self.derivative is not None:
+            asked = asked + self.derivative * rate
+        effort = self._limited(asked)
+        if self.integral is not None:
+            rates.append(self.integral * seen.error + self._unwinding(asked, effort))
+        if self._filters:
+            rates.append(rate)
+        wrenches = self.coordinate.wrenches(motions, effort)
+        return ForceAction(wrenches, jnp.stack([jnp.zeros(()), *rates])[1:], parts=self._parts(seen, effort))
+
+    def _error_rate(self, seen: Measured, kept):
+        if self._filters:
+            return (seen.error - kept["filtered"]) / self.filter_time
+        return jnp.zeros(()) if seen.error_rate is None else seen.error_rate
+
+    def requirements(self):
+        """A coordinate, a reference, finite gains, limits in order, positive times."""
+        rows = super().requirements()
+        if self.filter_time is not None:
+            rows.append(positive("filter_time", self.filter_time, "s"))
+        if self.of_rate and self.derivative is not None:
+            remedy = "Give a filter_time: nobody measures the rate of a rate."
+            rows.append(Requirement("filter_time", self.filter_time, self._filters, "be there", remedy))
+        return rows
+
+
+def filtered_error(controller: AbstractController) -> tuple[MemoryEntry, ...]:
+    """The filtered error."""
+    is_turn = isinstance(controller.coordinate, Turn)
+    if controller.of_rate:
+        return (MemoryEntry("filtered", "m/s", "angular_speed" if is_turn else "speed"),)
+    return (MemoryEntry("filtered", "m", "angle" if is_turn else "length"),)
+
+
+def effort_scale(coordinate: AbstractCoordinate) -> Scale:
+    """By what errors of an effort are judged."""
+    return "moment" if isinstance(coordinate, Turn) else "force"
+
+
+def _radius(coordinate: AbstractCoordinate) -> Number:
+    assert isinstance(coordinate, Turn), type(coordinate).__name__
+    return coordinate.radius
+
+
+def _unwrapped(coordinate: AbstractCoordinate, arc: Scalar, turned: Scalar) -> Scalar:
+    """The arc through any number of turns, from the one within a turn and how far the body has turned by its rate.
+
+    The second says in which turn the first is: so the arc is as exact as the orientation is.
+    """
+    radius = _radius(coordinate)
+    whole = 4 * np.pi
+    return arc + radius * whole * jnp.round((turned - arc / radius) / whole)
+
+
+def _limits_requirement(limits) -> Requirement:
+    values = numeric(limits)
+    if values.shape != (2,):
+        return Requirement("limits", limits, False, "be two numbers", "Give the least and the largest effort [N].")
+    fits = (values[0] < values[1]) & (abs(values) < np.inf).all()
+    return Requirement("limits", limits, fits, "increase and be finite", "Give the least effort first [N].")
