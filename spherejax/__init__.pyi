@@ -27,6 +27,7 @@ from .motion.start.redundancy import ConstraintReport, constraint_report
 from .motion.start.start_now import StartWarning
 from .output.citations import cite
 from .output.drawing import animate, draw, view
+from .output.fmu import export_fmu
 from .output.report import report
 from .physics.bodies import Body
 from .physics.forces.applied import AppliedWrench
@@ -345,6 +346,7 @@ __all__ = [
     "equilibrium",
     "exact_hysteresis_factor",
     "film_force",
+    "export_fmu",
     "fit",
     "fit_stiffness",
     "full_sphere_load",

@@ -283,8 +283,13 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
 
 
 def initial_state(system: System, assembly: Assembly) -> Float[Array, " size"]:
-    """The flat state at the start: the assembled motion, the contacts' memory, and no work."""
+    """The flat state at the start: the assembled motion, the contacts' memory, and no work.
+
+    A motion that goes on, whose state has memory and work already, begins with these.
+    """
     layout = system.layout
+    if assembly.y.shape[0] == layout.size:
+        return jnp.asarray(assembly.y)
     without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
     memory = initial_memory(system, without_memory)
     return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])

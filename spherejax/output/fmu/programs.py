@@ -4,6 +4,7 @@ All other numbers are constants of the programs, so that what they make zero or 
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -78,7 +79,7 @@ def written(scene: Scene, ports: Ports) -> Written:
         "crossing": of(_crossing, size),
         "after": of(memory_after_step if n_contacts else _nothing, 2 * size + n_contacts),
         "correction": of(corrected if system.drift.n_corrections else _nothing, size),
-        "outputs": of(_outputs(ports.quantities), size),
+        "outputs": of(outputs_of(ports.quantities), size),
         "vitals": of(_vitals, size),
         "room": of(_room if knows_room else _nothing, size),
     }
@@ -146,7 +147,10 @@ def _crossing(system: System, t, y) -> Any:
     return jnp.concatenate([found.value, found.rate, jnp.where(jnp.stack(touching), 1.0, 0.0)])
 
 
-def _outputs(names: tuple[str, ...]) -> Callable:
+@lru_cache(maxsize=64)
+def outputs_of(names: tuple[str, ...]) -> Callable:
+    """The function of (system, time, state) that gives quantities one after the other; one for the same names."""
+
     def outputs(system: System, t, y):
         return jnp.concatenate([jnp.ravel(value_at(system, t, y, name)) for name in names])
 
