@@ -28,6 +28,7 @@ from .motion.start.start_now import StartWarning
 from .output.citations import cite
 from .output.drawing import animate, draw, view
 from .output.fmu import export_fmu
+from .output.io import load, save
 from .output.report import report
 from .physics.bodies import Body
 from .physics.forces.applied import AppliedWrench
@@ -345,8 +346,8 @@ __all__ = [
     "effects",
     "equilibrium",
     "exact_hysteresis_factor",
-    "film_force",
     "export_fmu",
+    "film_force",
     "fit",
     "fit_stiffness",
     "full_sphere_load",
@@ -355,6 +356,7 @@ __all__ = [
     "half_sphere_load",
     "hybrid_weight",
     "linearize",
+    "load",
     "load_scene",
     "load_urdf",
     "maximum_penetration",
@@ -372,6 +374,7 @@ __all__ = [
     "realized_restitution",
     "report",
     "runtime",
+    "save",
     "save_scene",
     "scalarize",
     "sensitivity",

@@ -130,7 +130,9 @@ def _written(graph: Graph, node: int, operation: Any) -> str:
         return f"!{arguments[0]}" if graph.dtypes[node] == BOOL else f"~{arguments[0]}"
     if word == "round":
         # 0 is away from zero, 1 to the nearest even.
-        return f"{'round' if int(dict(graph.parameters[node])['rounding_method']) == 0 else 'nearbyint'}({arguments[0]})"
+        return (
+            f"{'round' if int(dict(graph.parameters[node])['rounding_method']) == 0 else 'nearbyint'}({arguments[0]})"
+        )
     if word not in C or any(graph.dtypes[a] not in (FLOAT, BOOL) for a in graph.arguments[node]):
         raise NotScalarizable(f"the operation {word!r} is not written in C")
     return C[word](*arguments)

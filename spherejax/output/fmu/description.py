@@ -67,7 +67,7 @@ def description(
         instantiationToken=token,
         description=words,
         generationTool=f"spherejax {importlib.metadata.version('spherejax')}",
-        generationDateAndTime=datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        generationDateAndTime=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         variableNamingConvention="flat",
     )
     able = {

@@ -7,6 +7,7 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spherejax.files.reading import load_scene
 from spherejax.files.writing import save_scene
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
@@ -49,6 +50,7 @@ def write_python(
         folder = Path(name)
         try:
             save_scene(scene, folder / "scene.toml", title=words)
+            load_scene(folder / "scene.toml")  # refuses what would need code
         except SceneError as error:
             raise SceneError(
                 f"export_fmu: an FMU in Python holds the scene as a scene file, and no code: {error}. Describe it by "

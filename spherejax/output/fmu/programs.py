@@ -166,5 +166,3 @@ def _vitals(system: System, t, y) -> Any:
 def n_crossings(program: ScalarProgram) -> int:
     """How many contacts and touches there are."""
     return program.n_outputs // 3
-
-

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pythonfmu3 import CoSimulation, Fmi3Causality, Fmi3SlaveBase, Fmi3Status, Fmi3StepResult, Float64
+from pythonfmu3 import CoSimulation, Float64, Fmi3Causality, Fmi3SlaveBase, Fmi3Status, Fmi3StepResult
 
 from spherejax.files.reading import load_scene
 from spherejax.foundations.errors import SceneError
