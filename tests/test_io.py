@@ -198,7 +198,8 @@ def test_a_sweep_as_a_table_has_a_row_for_each_run_and_sample(tmp_path):
     with sj.save(grid(), tmp_path / "sweep.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
-        "clearance [m]", "mu", "time [s]", "position.rocker x [m]", "position.rocker z [m]", "status [1]", "is_sound []",
+        "clearance [m]", "mu", "time [s]", "position.rocker x [m]", "position.rocker z [m]", "status [1]",
+        "is_sound []",
     ]  # fmt: skip
     assert len(rows) == 12
     for row in rows:

@@ -76,8 +76,8 @@ def load(path: str | os.PathLike) -> "xarray.Dataset":
     kind = SUFFIXES.get(path.suffix, "")
     if path.suffix == ".csv" or not kind:
         raise SceneError(
-            f"load reads netCDF files (.nc), Zarr stores (.zarr) and HDF5 (.h5, .hdf5), and {str(path)!r} is none; read "
-            "a CSV file with any table reader"
+            f"load reads netCDF files (.nc), Zarr stores (.zarr) and HDF5 (.h5, .hdf5), and {str(path)!r} is none; "
+            "read a CSV file with any table reader"
         )
     try:
         if path.suffix == ".nc":

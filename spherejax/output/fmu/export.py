@@ -112,8 +112,8 @@ def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver
     found = prepared(scene, False, None)
     if solver is not None and (kind == "python" or not isinstance(solver, diffrax.AbstractERK)):
         raise SceneError(
-            f"export_fmu: solver = {type(solver).__name__}() cannot be taken along: in C steps are those of an explicit "
-            "Runge-Kutta method, e.g. diffrax.Dopri8(), and in Python the scene chooses; leave it out"
+            f"export_fmu: solver = {type(solver).__name__}() cannot be taken along: in C steps are those of an "
+            "explicit Runge-Kutta method, e.g. diffrax.Dopri8(), and in Python the scene chooses; leave it out"
         )
     choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
     found.start(np.zeros(1))
