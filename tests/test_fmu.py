@@ -20,6 +20,7 @@ from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 import spherejax as sj
+from spherejax import cli
 from spherejax.foundations.scalar_c import PRELUDE
 from spherejax.foundations.scalarize import scalarize
 from spherejax.motion.runs.pieces import Pieces
@@ -448,3 +449,34 @@ def test_python_fmu_reproduces_simulate_and_says_why_it_stops(tmp_path):
     opened.slave.setFloat64([opened.ref[PUSH]], [0.0])
     assert opened.slave.getFloat64([opened.ref[f"position.rod.{axis}"] for axis in "xyz"]) == before
     opened.slave.freeInstance()
+
+
+def test_the_command_writes_one(tmp_path, capsys, monkeypatch):
+    """What it asks for; the FMU itself is that of the functions."""
+    asked = {}
+
+    def export(scene, path, **more):
+        asked.update(more, scene=scene)
+        return path
+
+    monkeypatch.setattr(sj.runtime, "is_command", lambda: False)
+    monkeypatch.setitem(vars(sj), "export_fmu", export)
+    words = [
+        "--parameter",
+        "clearance",
+        "--parameter",
+        "rocker.mass",
+        "--input",
+        "gravity.z",
+        "--output",
+        "position.rocker",
+    ]
+    path = str(tmp_path / "a.fmu")
+    assert cli.main(["export", "four-bar", "--joint", "dry", "--fmu", path, *words, "--step", "2 ms"]) == 0
+    assert asked["parameters"] == ["joints.coupler_rocker.model.clearance", "bodies.rocker.mass"]
+    assert asked["inputs"] == ["gravity.z"]
+    assert (asked["outputs"], asked["step_size"], asked["kind"]) == (["position.rocker"], 2e-3, "c")
+    assert f"wrote {path}" in capsys.readouterr().out
+    assert cli.main(["export", "four-bar", "--fmu", path, "--output", "x", "--parameter", "rocker.mas"]) == 2
+    assert "--parameter" in (told := capsys.readouterr().err)
+    assert "mass" in told

@@ -109,8 +109,8 @@ def refuse_moving_inputs(scene: Scene, ports: Ports) -> None:
         if moves:
             raise SceneError(
                 f"export_fmu: input {port.name!r} moves a constraint, and a jump of it would tear the joint apart. "
-                "Take a force or a number of a law, give it to parameters=, or let what a driver prescribes act through a "
-                "stiff bushing or spring"
+                "Take a force or a number of a law, give it to parameters=, or let what a driver prescribes act "
+                "through a stiff bushing or spring"
             )
 
 
