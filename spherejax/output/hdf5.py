@@ -20,7 +20,8 @@ def write_hdf5(dataset: "xarray.Dataset", path: Path) -> None:
     """Write a data set."""
     import h5py
 
-    with h5py.File(path, "w") as file:
+    with h5py.File(path, "w") as opened:
+        file: Any = opened
         file.attrs.update({str(name): _attribute(value) for name, value in dataset.attrs.items()})
         for name, variable in dataset.variables.items():
             made = file.create_dataset(str(name), data=_values(np.asarray(variable)))

@@ -16,7 +16,6 @@ from spherejax.motion.equations.paths import path_of
 from spherejax.motion.integration.integrate import Options, Plan, initial_state
 from spherejax.motion.integration.jobs import run_of
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
@@ -105,10 +104,9 @@ class Pieces:
         if not t_end > t:
             raise SceneError(f"a piece from t = {t:.9g} s to t = {t_end:.9g} s does not go on")
         theta, legal = self.theta_at(values)
-        unknown = theta[np.array(self.plan.unknown, int)] if self.plan.unknown else np.zeros(0)
         ts = jnp.asarray([t, t_end])
         here = _closed(y, self.plan.structure.system(theta).layout.n_bodies)
-        outcome = run_of(self.plan, self._options, unknown, theta, ts, here, legal)
+        outcome = run_of(self.plan, self._options, np.zeros(0), theta, ts, here, legal)
         run = Trajectory(
             ts=ts,
             ys=outcome.ys,
@@ -132,7 +130,9 @@ class Pieces:
         compiled = compile_scene(self.scene_of(values))
         structure, theta = flatten_system(compiled.system)
         if plan is not None:
-            plan.append(Plan(structure, split(compiled.system)[1], path_of(structure).scalar))
+            # All numbers are known when a piece begins: it goes the road of a single run. The structure was found with
+            # some of them traced, so that none of those is folded into the program.
+            plan.append(Plan(structure, (), path_of(structure).scalar))
         legal = jnp.all(jnp.stack(compiled.conditions)) if compiled.conditions else jnp.array(True)
         return jnp.asarray(theta), legal
 

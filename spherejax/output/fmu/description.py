@@ -149,7 +149,7 @@ def _units(root, ports: Sequence[Port]) -> None:
         # The schema knows whole powers only: N/m^1.5, of Hertz, is a name without a dimension there.
         if all(power == int(power) for power in powers.values()):
             scale = {} if factor == 1 else {"factor": repr(factor)}
-            ElementTree.SubElement(unit, "BaseUnit", {base: str(int(p)) for base, p in powers.items()}, **scale)
+            ElementTree.SubElement(unit, "BaseUnit", {**scale, **{base: str(int(p)) for base, p in powers.items()}})
 
 
 def _is_unit(unit: str) -> bool:

@@ -5,7 +5,7 @@ import shutil
 import tempfile
 import uuid
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from spherejax.files.reading import load_scene
 from spherejax.files.writing import save_scene
@@ -13,9 +13,6 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.output.fmu.description import Experiment, Kinds, description
 from spherejax.output.fmu.ports import Ports
-
-if TYPE_CHECKING:
-    import pythonfmu3
 
 MODULE = '''\
 """The model of this FMU: the mechanism in scene.toml, run by spherejax."""
@@ -70,7 +67,7 @@ def write_python(
         draft.replace(path)
 
 
-def _library() -> "pythonfmu3":  # pyright: ignore[reportGeneralTypeIssues]
+def _library() -> Any:
     try:
         import pythonfmu3
     except ImportError as error:

@@ -63,7 +63,7 @@ def write_native(
     tableau = tableau_of(choice.solver)
     indicators = _indicators(programs.system)
     body = model_source(programs, ports, tableau, experiment)
-    instance = resources.files(__package__).joinpath("instance.c").read_text(encoding="utf-8")
+    instance = resources.files("spherejax.output.fmu").joinpath("instance.c").read_text(encoding="utf-8")
     token = str(uuid.UUID(hashlib.sha256((identifier + body + instance).encode()).hexdigest()[:32]))
     source = f'#define TOKEN "{token}"\n{body}#include "instance.c"\n'
     states = state_ports(programs.system)

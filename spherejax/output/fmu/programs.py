@@ -159,8 +159,7 @@ def outputs_of(names: tuple[str, ...]) -> Callable:
 
 def _vitals(system: System, t, y) -> Any:
     found = vitals(system, t, y)
-    found = found._replace(friction=jnp.zeros(()) if found.friction is None else found.friction)
-    return jnp.stack(list(found))
+    return jnp.stack([jnp.zeros(()) if each is None else jnp.asarray(each) for each in found])
 
 
 def n_crossings(program: ScalarProgram) -> int:
