@@ -27,6 +27,8 @@ from .motion.start.redundancy import ConstraintReport, constraint_report
 from .motion.start.start_now import StartWarning
 from .output.citations import cite
 from .output.drawing import animate, draw, view
+from .output.fmu import export_fmu
+from .output.io import load, save
 from .output.report import report
 from .physics.bodies import Body
 from .physics.forces.actuators import Actuator, Extension, SampledActuator
@@ -358,6 +360,7 @@ __all__ = [
     "effects",
     "equilibrium",
     "exact_hysteresis_factor",
+    "export_fmu",
     "film_force",
     "fit",
     "fit_stiffness",
@@ -367,6 +370,7 @@ __all__ = [
     "half_sphere_load",
     "hybrid_weight",
     "linearize",
+    "load",
     "load_scene",
     "load_urdf",
     "maximum_penetration",
@@ -384,6 +388,7 @@ __all__ = [
     "realized_restitution",
     "report",
     "runtime",
+    "save",
     "save_scene",
     "scalarize",
     "sensitivity",

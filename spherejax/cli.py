@@ -1,4 +1,4 @@
-"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|write|list`."""
+"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|tolerances|modes|...`."""
 
 import argparse
 import difflib
@@ -90,11 +90,13 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.compare import add_compare
     from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
+    from spherejax.command_line.export import add_export
     from spherejax.command_line.fit import add_fit
     from spherejax.command_line.modes import add_modes
     from spherejax.command_line.run import add_run
     from spherejax.command_line.sensitivity import add_sensitivity
     from spherejax.command_line.sweep import add_sweep
+    from spherejax.command_line.tolerances import add_tolerances
     from spherejax.command_line.write import add_write
 
     formatter = argparse.RawDescriptionHelpFormatter
@@ -109,8 +111,10 @@ def parser() -> argparse.ArgumentParser:
         add_sweep,
         add_fit,
         add_sensitivity,
+        add_tolerances,
         add_modes,
         add_write,
+        add_export,
         add_list,
     ):
         add(commands)

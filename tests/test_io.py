@@ -1,6 +1,7 @@
 """Files: what is written reads back, labelled and with units; nothing is replaced in silence."""
 
 import csv
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -116,7 +117,7 @@ def test_a_file_is_replaced_only_on_request(ideal, tmp_path):
 
 
 def test_an_unknown_format_is_refused(ideal, tmp_path):
-    with pytest.raises(sj.SceneError, match=r"'\.xlsx' names no format; use \.nc or \.csv"):
+    with pytest.raises(sj.SceneError, match=r"'\.xlsx' names no format; there are: \.nc, \.zarr"):
         save(ideal, tmp_path / "run.xlsx")
 
 
@@ -131,9 +132,117 @@ def test_load_refuses_what_is_no_netcdf(tmp_path):
         load(tmp_path / "absent.nc")
     broken = tmp_path / "broken.nc"
     broken.write_text("this is text")
-    with pytest.raises(sj.SceneError, match="no readable netCDF file"):
+    with pytest.raises(sj.SceneError, match=r"no readable file of this kind \(netCDF 4\)"):
         load(broken)
     table = tmp_path / "table.csv"
     table.write_text("a,b")
-    with pytest.raises(sj.SceneError, match="reads netCDF"):
+    with pytest.raises(sj.SceneError, match="load reads netCDF"):
         load(table)
+
+
+def grid():
+    """A data set as sweeps make them, with texts, truth values and lists of texts."""
+    positions = np.arange(24.0).reshape(2, 2, 3, 2) / 7
+    return xarray.Dataset(
+        {
+            "position.rocker": (("clearance", "mu", "time", "axis"), positions, {"units": "m", "long_name": "place"}),
+            "status": (("clearance", "mu"), np.array([[0, 1], [2, 3]]), {"units": "1"}),
+            "is_sound": (("clearance", "mu"), np.array([[True, False], [False, True]])),
+            "method": ((), "Dopri8"),
+        },
+        {
+            "clearance": ("clearance", [1e-4, 2e-4], {"units": "m"}),
+            "mu": [0.1, 0.2],
+            "time": ("time", [0.0, 0.5, 1.0], {"units": "s"}),
+            "axis": ["x", "z"],
+        },
+        {"record": ["final", "peak"], "seconds": [0.5, 0.25], "note": "von Größe ⌀"},
+    )
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr", ".h5", ".hdf5"])
+def test_formats_give_everything_back(dry, tmp_path, suffix):
+    run = sj.load(sj.save(dry, tmp_path / f"run{suffix}"))
+    xarray.testing.assert_identical(run, to_dataset(dry))
+    sweep = sj.load(sj.save(grid(), tmp_path / f"sweep{suffix}"))
+    xarray.testing.assert_equal(sweep, grid())
+    assert list(sweep.attrs["record"]) == ["final", "peak"]
+    assert sweep["position.rocker"].attrs == grid()["position.rocker"].attrs
+    assert sweep.attrs["note"] == "von Größe ⌀"
+    with pytest.raises(sj.SceneError, match="exists"):
+        sj.save(dry, tmp_path / f"run{suffix}")
+    assert "mechanical_energy" not in sj.load(sj.save(grid(), tmp_path / f"run{suffix}", overwrite=True))
+
+
+def test_hdf5_is_read_by_those_who_know_nothing_of_us(dry, tmp_path):
+    import h5py
+
+    with h5py.File(sj.save(dry, tmp_path / "run.h5")) as file:
+        position = file["position"]
+        assert position.attrs["units"] == "m"
+        assert [dim.label for dim in position.dims] == ["time", "body", "axis"]
+        np.testing.assert_array_equal(position.dims[0][0], TS)
+        body = [name.decode() for name in position.dims[1][0][()]].index("rocker")
+        np.testing.assert_array_equal(position[:, body], dry.position("rocker"))
+
+
+def test_zarr_is_read_by_those_who_know_nothing_of_us(dry, tmp_path):
+    import zarr
+
+    store = zarr.open_group(sj.save(dry, tmp_path / "run.zarr"), mode="r")
+    assert store["position"].attrs["units"] == "m"
+    np.testing.assert_array_equal(store["time"][:], TS)
+
+
+def test_a_sweep_as_a_table_has_a_row_for_each_run_and_sample(tmp_path):
+    with sj.save(grid(), tmp_path / "sweep.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [
+        "clearance [m]", "mu", "time [s]", "position.rocker x [m]", "position.rocker z [m]", "status [1]",
+        "is_sound []",
+    ]  # fmt: skip
+    assert len(rows) == 12
+    for row in rows:
+        at = grid().sel(clearance=float(row["clearance [m]"]), mu=float(row["mu"]))
+        assert float(row["position.rocker z [m]"]) == at["position.rocker"].sel(time=float(row["time [s]"]), axis="z")
+        assert (int(row["status [1]"]), row["is_sound []"]) == (int(at["status"]), str(bool(at["is_sound"])))
+
+
+def test_draws_as_a_table_have_their_numbers_beside_them(tmp_path):
+    draws = xarray.Dataset(
+        {"peak": ("run", [1.0, 2.0], {"units": "N"}), "response": ("run", [1 + 2j, 3 - 1j], {"units": "m/N"})},
+        {"clearance": ("run", [1e-4, 2e-4])},
+    )
+    lines = sj.save(draws, tmp_path / "draws.csv").read_text().splitlines()
+    assert lines[0] == "run,clearance,peak [N],Re response [m/N],Im response [m/N]"
+    assert lines[2] == "1,0.0002,2.0,3.0,-1.0"
+    names = xarray.Dataset({"estimate": ("parameter", [1.0, 2.0])}, {"parameter": ["k", "c"]})
+    assert sj.save(names, tmp_path / "names.csv").read_text().splitlines() == [
+        "parameter,estimate []",
+        "k,1.0",
+        "c,2.0",
+    ]
+    with pytest.raises(sj.SceneError, match="no table"):
+        sj.save(xarray.Dataset({"a": 1.0}), tmp_path / "a.csv")
+
+
+def test_results_of_studies_are_saved_and_others_refused(tmp_path):
+    study = SimpleNamespace(to_xarray=grid)
+    xarray.testing.assert_equal(sj.load(sj.save(study, tmp_path / "study.h5")), grid())
+    response = SimpleNamespace(to_xarray=lambda: grid()["position.rocker"])
+    assert "position.rocker" in sj.load(sj.save(response, tmp_path / "response.nc"))
+    with pytest.raises(sj.SceneError, match="a dict is no run"):
+        sj.save({}, tmp_path / "a.nc")
+
+
+def test_only_stores_of_ours_are_replaced(tmp_path):
+    (tmp_path / "mine.zarr").mkdir()
+    (tmp_path / "mine.zarr" / "letters.txt").write_text("dear")
+    with pytest.raises(sj.SceneError, match="no Zarr store"):
+        sj.save(grid(), tmp_path / "mine.zarr", overwrite=True)
+    assert (tmp_path / "mine.zarr" / "letters.txt").read_text() == "dear"
+    import zarr
+
+    zarr.open_group(tmp_path / "sweep.zarr", mode="w").attrs["identity"] = "{}"
+    with pytest.raises(sj.SceneError, match="store of a sweep"):
+        sj.save(grid(), tmp_path / "sweep.zarr", overwrite=True)

@@ -11,7 +11,6 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
-from spherejax.command_line.scene_numbers import unit_at
 from spherejax.command_line.scenes import add_scene, chosen
 
 if TYPE_CHECKING:
@@ -74,6 +73,7 @@ def add_modes(commands) -> None:
 
 def find_modes(options: argparse.Namespace) -> int:
     """Linearize, print, write."""
+    from spherejax.files.number_units import unit_at
     from spherejax.output.io import require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()

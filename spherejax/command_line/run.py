@@ -69,8 +69,12 @@ def add_run(commands) -> None:
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
     files = parser.add_argument_group("files")
-    files.add_argument("--out", metavar="FILE", help="write the motion: .nc (netCDF, everything) or .csv (a table)")
-    files.add_argument("--impacts", metavar="FILE", help="write each contact of the studied joint: .csv or .nc")
+    files.add_argument(
+        "--out", metavar="FILE", help="write the motion: .nc (netCDF), .zarr, .h5 (everything), or .csv (a table)"
+    )
+    files.add_argument(
+        "--impacts", metavar="FILE", help="write each contact of the studied joint: .csv, .nc, .zarr or .h5"
+    )
     add_report(files, "the motion")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.set_defaults(action=run_scene)

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import spherejax as sj
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
-
-if TYPE_CHECKING:
-    from spherejax.files.fields import Context
 
 
 def number_at(scene: sj.Scene, path: str, studied: str | None = None) -> Any:
@@ -51,6 +46,7 @@ def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scen
     Raises:
         SceneError: for a path that leads nowhere, a value that is no number, or one of another dimension or shape.
     """
+    from spherejax.files.number_units import unit_at
     from spherejax.model.numbers import place_at
 
     path, equals, given = text.partition("=")
@@ -79,34 +75,3 @@ def _in_unit(text: str, entry: str, unit: str | None) -> float:
             return in_si(entry, unit)
         except UnitError as error:
             raise sj.SceneError(f"--set {text}: {error}") from None
-
-
-def unit_at(scene: sj.Scene, steps: tuple[str, ...]) -> str | None:
-    """The SI unit of what is there; None where it is not known."""
-    from spherejax.files.fields import Context
-    from spherejax.model.numbers import part_at
-
-    unit, context = None, Context(Path(), {}, {}, build=unit_at, describe=unit_at)
-    for i, step in enumerate(steps):
-        unit, context = _unit_of(part_at(scene, steps[:i]), step, unit, context)
-    return unit
-
-
-def _unit_of(part: Any, name: str, unit: str | None, context: Context) -> tuple[str | None, Context]:
-    """The unit of what a part calls `name`, and what the units in it refer to."""
-    from spherejax.files.kinds import fields_of
-    from spherejax.files.objects import numbers_in_units
-    from spherejax.files.parts import Part
-    from spherejax.files.quantities import Points
-
-    if isinstance(part, sj.Scene):
-        return {"gravity": "m/s^2", "ground_points": "m"}.get(name), context
-    if isinstance(part, (Mapping, tuple, list)):
-        return unit, context
-    field = fields_of(type(part)).get(name)
-    if field is None:
-        return None, context
-    if isinstance(field, Points):
-        return "m", context
-    inside = context._replace(words={**context.words, **numbers_in_units(part)})
-    return field.unit(inside), field.inside(context) if isinstance(field, Part) else context

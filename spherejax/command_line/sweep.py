@@ -73,21 +73,25 @@ def add_sweep(commands) -> None:
     how.add_argument("--chunk", type=whole, metavar="N", help="runs that are handed out, and stored, at a time")
     how.add_argument("--workers", type=whole, metavar="N", help="chunks at the same time (default: all cores)")
     files = parser.add_argument_group("files")
-    files.add_argument("--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc)")
+    files.add_argument(
+        "--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc, .h5, .csv)"
+    )
     add_report(files, "the sweep")
-    files.add_argument("--overwrite", action="store_true", help="replace an existing .nc or .html file")
+    files.add_argument("--overwrite", action="store_true", help="replace an existing file; not a store")
     files.add_argument("--no-pictures", action="store_true", help="write no pictures")
     parser.set_defaults(action=sweep_scene)
 
 
 def sweep_scene(options: argparse.Namespace) -> int:
     """Run the sweep, print a summary, write everything."""
-    from spherejax.output.io import writable
+    from spherejax.output.io import SUFFIXES, writable
 
     path = Path(options.out).expanduser()
-    if path.suffix not in (".zarr", ".nc"):
-        raise sj.SceneError(f"--out {options.out}: the suffix {path.suffix!r} names no format; use .zarr or .nc")
-    if path.suffix == ".nc":
+    if path.suffix not in SUFFIXES:
+        raise sj.SceneError(
+            f"--out {options.out}: the suffix {path.suffix!r} names no format; {one_of(SUFFIXES, path.suffix)}"
+        )
+    if path.suffix != ".zarr":
         writable(path, overwrite=options.overwrite)
     check_report(options)
     names, grid = grid_of(options)
@@ -108,7 +112,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         store=path if path.suffix == ".zarr" else None,
     )
     seconds = time.perf_counter() - begin
-    if path.suffix == ".nc":
+    if path.suffix != ".zarr":
         from spherejax.output.io import save
 
         save(result, path, overwrite=options.overwrite)

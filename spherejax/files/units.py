@@ -268,3 +268,15 @@ def _measured(in_base_units) -> str:
         return measured(PURE)
     known = (unit for unit in NAMES if _dimension(_one(unit)) == dimension)
     return measured(next(known, f"{in_base_units.units:~}"))
+
+
+def si_exponents(unit: str) -> tuple[float, dict[str, float]]:
+    """A unit as a factor times powers of kg, m, s, A, K, mol, cd and rad; no powers for a pure number."""
+    one = _one(unit)
+    return float(one.magnitude), {_BASE[name]: power for name, power in _dimension(one).items()}
+
+
+_BASE = {
+    "kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K", "mole": "mol", "candela": "cd",
+    "radian": "rad",
+}  # fmt: skip

@@ -19,6 +19,7 @@ from jax import Array
 from jax.extend import core as jex
 
 from spherejax.foundations.checks import exits_as_errors
+from spherejax.foundations.scalar_c import c_functions
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph, TooManyOperations
 from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, NotScalarizable, move_names
 from spherejax.foundations.straight_line import StraightLine, one_by_one
@@ -68,6 +69,11 @@ class ScalarProgram:
         """Evaluate; the arguments have the shapes of the example arguments."""
         return self._tree_of(self._whole(*self._flat(arguments)))
 
+    @property
+    def n_outputs(self) -> int:
+        """How many numbers it returns."""
+        return len(self._flat_outputs)
+
     def reads(self, argument: int) -> bool:
         """Whether the outputs depend on an argument (counted in leaves)."""
         graph = self._graph
@@ -113,6 +119,14 @@ class ScalarProgram:
 
     def _tree_of(self, outputs) -> Any:
         return jax.tree.unflatten(self._tree, outputs)
+
+    def c_source(self, name: str) -> str:
+        """The program as functions of C; see `scalar_c.c_functions`.
+
+        Raises:
+            NotScalarizable: for an operation that C does not have.
+        """
+        return c_functions(self._graph, self._flat_outputs, self._ahead, len(self._shapes), name)
 
     def _flat(self, arguments) -> list[Array]:
         flat = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]

@@ -176,7 +176,8 @@ def _in_full(whole: Scene | System, words: list[str], studied: str | None) -> li
     wrong = f"there is no body {words[0]!r}" + (
         f", and nothing of that name in the model of {studied}" if known else ""
     )
-    raise SceneError(f"{'.'.join(words)}: {wrong}; {one_of([*tops, *whole.bodies, *known], words[0])}")
+    names = dict.fromkeys([*tops, *whole.bodies, *known, *inside])
+    raise SceneError(f"{'.'.join(words)}: {wrong}; {one_of(names, words[0])}")
 
 
 def _index(path: str, where: str, value: Any, words: list[str]) -> tuple[int, ...]:

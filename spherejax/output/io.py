@@ -1,32 +1,39 @@
-"""Files: netCDF and CSV of data sets, read back by any tool that knows these formats."""
+"""Files: netCDF, Zarr, HDF5 and CSV of data sets, read back by any tool that knows these formats."""
 
-import csv
 import os
+import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from spherejax.foundations.errors import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.motion.results.dataset import to_dataset
 from spherejax.motion.results.trajectory import Trajectory
+from spherejax.output.hdf5 import read_hdf5, write_hdf5
+from spherejax.output.tables import write_csv
 
 if TYPE_CHECKING:
     import xarray
 
-SUFFIXES = (".nc", ".csv")
-"""What can be written: netCDF 4 (everything, with attributes) and CSV (what depends on time)."""
+SUFFIXES = {
+    ".nc": "netCDF 4",
+    ".zarr": "a Zarr store",
+    ".h5": "plain HDF5",
+    ".hdf5": "plain HDF5",
+    ".csv": "a table, with units in its head",
+}
+"""What can be written: everything, with attributes, but for the table, which holds what has rows."""
 
 
-def save(result: "Trajectory | xarray.Dataset", path: str | os.PathLike, *, overwrite: bool = False) -> Path:
-    """Write a run or a data set; the suffix of the path decides the format.
+def save(result: "Trajectory | xarray.Dataset | Any", path: str | os.PathLike, *, overwrite: bool = False) -> Path:
+    """Write a run, a data set, or the result of a study; the suffix of the path decides the format.
 
-    `.nc` is netCDF 4 with all attributes. `.csv` is a table with one row for each sample (of `run.impacts`, each
-    contact) and one column for each number, named with its unit, e.g. `position rocker z [m]`. Missing folders are
-    made.
+    `.nc` is netCDF 4, `.zarr` a Zarr store (a folder), `.h5` or `.hdf5` plain HDF5 with names and units as attributes
+    and dimensions as scales; each has everything. `.csv` is a table with one row for each sample (of `run.impacts`,
+    each contact; of a sweep, each run, or each run's samples) and one column for each number, named with its unit, e.g.
+    `position rocker z [m]`; what has no rows, such as names of methods, is not in it. Missing folders are made.
 
     Args:
-        result: a run, or a data set.
+        result: a run, a data set, or what has a `to_xarray()`: a fit, sensitivities, a linearization, a budget.
         path: where to write.
         overwrite: replace an existing file.
 
@@ -38,38 +45,72 @@ def save(result: "Trajectory | xarray.Dataset", path: str | os.PathLike, *, over
         written.
     """
     path = writable(path, overwrite=overwrite)
-    dataset = to_dataset(result) if isinstance(result, Trajectory) else result
+    dataset = _dataset(result)
     try:
         if path.suffix == ".nc":
             dataset.to_netcdf(path, engine="h5netcdf")
+        elif path.suffix == ".zarr":
+            _write_zarr(dataset, path)
+        elif path.suffix == ".csv":
+            write_csv(dataset, path)
         else:
-            _write_csv(dataset, path)
+            write_hdf5(dataset, path)
     except ImportError as error:
-        raise SceneError(f"cannot write netCDF: {error}; or write a table (.csv)") from error
+        raise SceneError(f"cannot write {path.suffix}: {error}; or write a table (.csv)") from error
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     return path
 
 
 def load(path: str | os.PathLike) -> "xarray.Dataset":
-    """Read a netCDF file that `save` wrote, into memory.
+    """Read a netCDF file, a Zarr store or an HDF5 file that `save` wrote, into memory.
 
     Raises:
-        SceneError: for a file that does not exist or is no netCDF file.
+        SceneError: for a file that does not exist or is none of these.
     """
     import xarray
 
     path = Path(path)
-    if not path.is_file():
+    if not path.exists() or (path.is_dir() and path.suffix != ".zarr"):
         raise SceneError(f"there is no file {str(path)!r}")
-    if path.suffix != ".nc":
+    kind = SUFFIXES.get(path.suffix, "")
+    if path.suffix == ".csv" or not kind:
         raise SceneError(
-            f"load reads netCDF files (.nc), and {str(path)!r} is none; read a CSV file with any table reader"
+            f"load reads netCDF files (.nc), Zarr stores (.zarr) and HDF5 (.h5, .hdf5), and {str(path)!r} is none; "
+            "read a CSV file with any table reader"
         )
     try:
-        return xarray.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{str(path)!r} is no readable netCDF file: {error}") from error
+        if path.suffix == ".nc":
+            return xarray.load_dataset(path, engine="h5netcdf")
+        return xarray.load_dataset(path, engine="zarr") if path.suffix == ".zarr" else read_hdf5(path)
+    except (OSError, ValueError, KeyError) as error:
+        raise SceneError(f"{str(path)!r} is no readable file of this kind ({kind}): {error}") from error
+
+
+def _dataset(result: Any) -> "xarray.Dataset":
+    import xarray
+
+    if isinstance(result, xarray.Dataset):
+        return result
+    if isinstance(result, Trajectory):
+        return to_dataset(result)
+    if not callable(getattr(result, "to_xarray", None)):
+        raise SceneError(f"save: a {type(result).__name__} is no run, no data set, and has no to_xarray()")
+    found = result.to_xarray()
+    return found.to_dataset(name=found.name or "values") if isinstance(found, xarray.DataArray) else found
+
+
+def _write_zarr(dataset: "xarray.Dataset", path: Path) -> None:
+    import zarr
+
+    if path.exists():
+        if path.is_file() or not any((path / name).exists() for name in ("zarr.json", ".zgroup")):
+            raise SceneError(f"{str(path)!r} exists and is no Zarr store; it is not replaced. Choose another name")
+        if (path / "zarr.json").exists() and "identity" in zarr.open_group(path, mode="r").attrs:
+            raise SceneError(f"{str(path)!r} is the store of a sweep; it is not replaced. Choose another name")
+        shutil.rmtree(path)
+    # Version 2 is what every reader knows; in version 3 texts have no specification yet.
+    dataset.to_zarr(path, mode="w", zarr_format=2)
 
 
 def writable(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
@@ -82,7 +123,7 @@ def writable(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
     """
     path = Path(path).expanduser()
     if path.suffix not in SUFFIXES:
-        raise SceneError(f"{str(path)!r}: the suffix {path.suffix!r} names no format; use {' or '.join(SUFFIXES)}")
+        raise SceneError(f"{str(path)!r}: the suffix {path.suffix!r} names no format; {one_of(SUFFIXES, path.suffix)}")
     require_free(path, overwrite=overwrite)
     make_folder(path.parent)
     return path
@@ -106,23 +147,3 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SceneError(f"cannot make the folder {str(folder)!r}: {error.strerror or error}") from error
-
-
-def _write_csv(dataset: "xarray.Dataset", path: Path) -> None:
-    along = "time" if "time" in dataset.dims else str(next(iter(dataset.dims)))
-    names, columns = ["time [s]" if along == "time" else along], [np.asarray(dataset[along])]
-    for name, variable in dataset.data_vars.items():
-        if not variable.dims or variable.dims[0] != along:
-            continue
-        labels = [[str(label) for label in np.asarray(dataset[dim])] for dim in variable.dims[1:]]
-        flat = np.asarray(variable).reshape(variable.shape[0], -1)
-        for column, index in enumerate(np.ndindex(*variable.shape[1:])):
-            words = [str(name), *(labels[axis][i] for axis, i in enumerate(index))]
-            names.append(f"{' '.join(words)} [{variable.attrs.get('units', '')}]")
-            columns.append(flat[:, column])
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        # repr of a float64 is the shortest text that reads back as the same number.
-        texts = [[repr(value.item()) for value in column] for column in columns]
-        writer.writerows(zip(*texts, strict=True))

@@ -298,8 +298,13 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
 
 
 def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[Array, " size"]:
-    """The flat state at the start: the assembled motion, the memory of contacts and forces at t [s], and no work."""
+    """The flat state at the start: the assembled motion, the memory of contacts and forces at t [s], and no work.
+
+    A motion that goes on, whose state has memory and work already, begins with these.
+    """
     layout = system.layout
+    if assembly.y.shape[0] == layout.size:
+        return jnp.asarray(assembly.y)
     without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
     memory = initial_memory(system, without_memory)
     if system.force_slots:

@@ -43,7 +43,7 @@ class Assembly(NamedTuple):
     """A consistent start and how it was reached.
 
     Attributes:
-        y: flat state without memory and work: positions, then velocities.
+        y: flat state without memory and work: positions, then velocities; with them where a motion goes on.
         residual_before: largest constraint residual of the start as described [m or 1].
         residual_after: largest constraint residual of the assembled start; where drivers contradict each other or the
             joints, the share of their velocities or accelerations that they do not get.

@@ -1,0 +1,246 @@
+"""An FMU in C: the scalar programs of a scene with `instance.c` around them, compiled here and shipped with its source.
+
+It needs neither Python nor this package where it runs.
+"""
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import uuid
+import zipfile
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import diffrax
+import numpy as np
+
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.scalar_c import PRELUDE
+from spherejax.foundations.scalar_graph import NotScalarizable
+from spherejax.model.scene import Scene
+from spherejax.model.system import System
+from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
+from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS
+from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances
+from spherejax.output.fmu.description import Experiment, Kinds, description
+from spherejax.output.fmu.ports import Port, Ports
+from spherejax.output.fmu.programs import Written, n_crossings, written
+
+OPTIONS = ("-std=c11", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wno-unused-function")
+"""No -ffast-math: the order of the arithmetic is that of the scalar program."""
+
+LANDING_WINDOW = 1e-9
+"""Steps end within this of a contact's surface, in its crossing function, as in `motion/solvers/landing.py`."""
+
+HYSTERESIS = 1e-7
+"""Of event indicators, in the crossing function, whose scale is the clearance: a tenth of what the audit allows. Root
+finders of importers are a few hundred roundings of time off: at an impact of 1 m/s in a clearance of 0.1 mm (10,000/s)
+4e-10 for t = 2 s."""
+
+MAX_STEPS = 5_000_000
+"""Of one communication step."""
+
+STEPS_AT_LEAST = 100
+"""Steps over the experiment, at least, where something depends on time; as in `motion/integration/longest_step.py`."""
+
+
+def write_native(
+    scene: Scene, path: Path, identifier: str, words: str, ports: Ports, choice: Choice, experiment: Experiment
+) -> None:
+    """Write the FMU.
+
+    Raises:
+        SceneError: where there is no C compiler, or the scene cannot be written in C.
+    """
+    compiler = compiler_of()
+    programs = written(scene, ports)
+    tableau = tableau_of(choice.solver)
+    indicators = _indicators(programs.system)
+    body = model_source(programs, ports, tableau, experiment)
+    instance = resources.files("spherejax.output.fmu").joinpath("instance.c").read_text(encoding="utf-8")
+    token = str(uuid.UUID(hashlib.sha256((identifier + body + instance).encode()).hexdigest()[:32]))
+    source = f'#define TOKEN "{token}"\n{body}#include "instance.c"\n'
+    states = state_ports(programs.system)
+    kinds = Kinds(True, tableau is not None)
+    xml = description(identifier, token, words, kinds, experiment, ports, states, indicators)
+    with tempfile.TemporaryDirectory(prefix="spherejax_fmu_") as folder:
+        library = _compiled(compiler, Path(folder), source, instance)
+        draft = path.with_name(path.name + ".part")
+        with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as file:
+            file.writestr("modelDescription.xml", xml)
+            file.writestr("sources/model.c", source)
+            file.writestr("sources/instance.c", instance)
+            file.writestr("sources/buildDescription.xml", _build_description(identifier))
+            file.write(library, f"binaries/{platform_name()}/{identifier}{_suffix()}")
+        draft.replace(path)
+
+
+def compiler_of() -> str:
+    """The C compiler: that of the variable CC, or cc, gcc or clang.
+
+    Raises:
+        SceneError: where there is none.
+    """
+    names = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        raise SceneError(
+            f"export_fmu: no C compiler ({', '.join(names)}) is on the PATH; install one (on Debian: apt install gcc), "
+            'or export with kind="python"'
+        )
+    return found
+
+
+def tableau_of(solver: diffrax.AbstractSolver) -> Any:
+    """The tableau of an explicit method; None of others."""
+    return getattr(solver, "tableau", None) if isinstance(solver, diffrax.AbstractERK) else None
+
+
+def model_source(programs: Written, ports: Ports, tableau: Any, experiment: Experiment) -> str:
+    """What is specific to a scene, in C."""
+    system = programs.system
+    layout = system.layout
+    tolerances = component_tolerances(system, experiment.rtol)
+    relative, absolute = (np.broadcast_to(np.asarray(x), (layout.size,)) for x in (tolerances.rtol, tolerances.atol))
+    limits = limits_of(system, experiment.rtol, diffrax.Dopri8())
+    shown = diffrax.Dopri8().tableau if tableau is None else tableau
+    order = diffrax.Dopri8().order(_TERM) if tableau is None else int(tableau.b_sol.size and _order(tableau))
+    sizes = {
+        "N_VALUES": len(ports.values),
+        "N_INPUTS": len(ports.inputs),
+        "N_STATES": layout.size,
+        "N_CONTINUOUS": layout.work_start,
+        "N_START": layout.memory_start,
+        "N_MEMORY": layout.n_memory,
+        "N_OUTPUTS": len(ports.outputs),
+        "N_CONTACTS": len(system.contact_joints),
+        "N_CROSSINGS": n_crossings(programs.programs["crossing"]),
+        "N_CORRECTIONS": system.drift.n_corrections,
+        "HAS_ROOM": int(programs.has_room),
+        "READS_TIME": int(programs.reads_time),
+        "HAS_CO_SIMULATION": int(tableau is not None),
+        "N_STAGES": len(shown.b_sol),
+        "N_NEWTON_STEPS": N_NEWTON_STEPS,
+        "MAX_STEPS": MAX_STEPS,
+    }
+    levels = {
+        "ORDER": order,
+        "CLOSING_TOLERANCE": CLOSING_TOLERANCE,
+        "LANDING_WINDOW": LANDING_WINDOW,
+        "HYSTERESIS": HYSTERESIS,
+        "LONGEST_STEP": experiment.stop_time / STEPS_AT_LEAST,
+        "LARGEST_VIOLATION": limits.violation,
+        "LARGEST_NORM": NORM,
+        "LARGEST_OUTSIDE": OUTSIDE,
+        "ENERGY_SHARE": limits.energy,
+        "LEAST_ENERGY": limits.least,
+        "DRIFT_SHARE": CONSTRAINT_SHARE,
+    }
+    names = ", ".join(f'"{port.name}"' for port in ports.values) or '""'
+    lines = [
+        "/* Written by spherejax: the equations of one mechanism as straight-line programs. */",
+        PRELUDE,
+        *(f"#define {name} {value}" for name, value in sizes.items()),
+        *(f"#define {name} {_number(value)}" for name, value in levels.items()),
+        f"static const char *value_names[] = {{{names}}};",
+        _array("start_values", [port.start for port in ports.values]),
+        _array("relative", relative),
+        _array("absolute", absolute),
+        _array("nominal", absolute / (ABSOLUTE_SHARE * experiment.rtol)),
+        _array("stage_times", [0.0, *np.asarray(shown.c)]),
+        _array("stage_weights", np.concatenate([np.asarray(row) for row in shown.a_lower])),
+        _array("weights", shown.b_sol),
+        _array("error_weights", shown.b_error),
+    ]
+    try:
+        lines += [program.c_source(name) for name, program in programs.programs.items()]
+    except NotScalarizable as reason:
+        raise SceneError(f'export_fmu: {reason}; export with kind="python"') from None
+    return "\n".join(lines) + "\n"
+
+
+def state_ports(system: System) -> list[Port]:
+    """Names and units of the entries of the flat state."""
+    bodies, layout = list(system.bodies), system.layout
+    found = []
+    for body in bodies:
+        found += [Port(f"states.position.{body}.{letter}", "m") for letter in "xyz"]
+        found += [Port(f"states.quaternion.{body}.{letter}", "1") for letter in "wxyz"]
+    for body in bodies:
+        found += [Port(f"states.velocity.{body}.{letter}", "m/s") for letter in "xyz"]
+        found += [Port(f"states.angular_velocity.{body}.{letter}", "rad/s") for letter in "xyz"]
+    found += [Port(f"states.{slot.joint}.{name}", "") for slot in system.memory_slots for name in slot.names]
+    found += [Port(f"states.work.{i}", "J") for i in range(layout.n_work)]
+    return found
+
+
+def platform_name() -> str:
+    """The folder of binaries after FMI 3.0, e.g. `x86_64-linux`."""
+    machine = {"amd64": "x86_64", "arm64": "aarch64", "i686": "x86"}.get(
+        platform.machine().lower(), platform.machine().lower()
+    )
+    kind = {"linux": "linux", "darwin": "darwin", "win32": "windows"}.get(sys.platform, sys.platform)
+    return f"{machine}-{kind}"
+
+
+def _suffix() -> str:
+    return {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+
+
+def _indicators(system: System) -> list[str]:
+    touches = [
+        f"{name}.{i}" if system.forces[name].n_touches > 1 else name
+        for name in system.touching_forces
+        for i in range(system.forces[name].n_touches)
+    ]
+    return [f"events.{name}" for name in [*system.contact_joints, *touches]]
+
+
+def _compiled(compiler: str, folder: Path, source: str, instance: str) -> Path:
+    (folder / "model.c").write_text(source, encoding="utf-8")
+    (folder / "instance.c").write_text(instance, encoding="utf-8")
+    library = folder / "model.so"
+    command = [compiler, *OPTIONS, "-o", str(library), str(folder / "model.c"), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SceneError(f"export_fmu: {' '.join(command[:1])} failed:\n{done.stderr[:2000]}")
+    return library
+
+
+def _build_description(identifier: str) -> str:
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
+        f'  <BuildConfiguration modelIdentifier="{identifier}">\n    <SourceFileSet language="C99">\n'
+        '      <SourceFile name="model.c"/>\n    </SourceFileSet>\n    <Library name="m"/>\n'
+        "  </BuildConfiguration>\n</fmiBuildDescription>\n"
+    )
+
+
+_TERM = diffrax.ODETerm(lambda t, y, args: y)
+
+
+def _order(tableau: Any) -> int:
+    """The order of the method that a tableau belongs to."""
+    for solver in _EXPLICIT:
+        if solver.tableau is tableau:
+            return int(solver.order(_TERM))
+    raise SceneError("export_fmu: the order of this explicit method is not known; leave solver= out")
+
+
+_EXPLICIT: tuple[Any, ...] = (diffrax.Dopri8(), diffrax.Dopri5(), diffrax.Tsit5(), diffrax.Bosh3(), diffrax.Heun())
+
+
+def _array(name: str, values: Any) -> str:
+    flat = [_number(value) for value in np.ravel(np.asarray(values, np.float64))]
+    return f"static const double {name}[] = {{{', '.join(flat) or '0'}}};"
+
+
+def _number(value: Any) -> str:
+    number = float(np.asarray(value))
+    return "INFINITY" if np.isinf(number) else number.hex()
