@@ -9,7 +9,7 @@ import numpy as np
 
 from spherejax.files.mjcf_joints import check_stacks, followed, loops_of, put_together
 from spherejax.files.mjcf_left_out import FINDERS, check_left_out
-from spherejax.files.mjcf_model import Compiled, compiled, robot_of, start_of
+from spherejax.files.mjcf_model import Compiled, compiled, library, robot_of, start_of
 from spherejax.files.robot import Pose, Robot, poses, undotted, with_fixed, with_followers
 from spherejax.files.robot_bodies import Groups, groups_of
 from spherejax.files.robot_joints import Ways
@@ -125,8 +125,7 @@ def _free(robot: Robot, held: Collection[str], given: Mapping[str, Any]) -> Robo
 
 
 def _add_sites(file: Compiled, groups: Groups) -> None:
-    import mujoco
-
+    mujoco = library()
     model = file.model
     for site in range(model.nsite):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, site)

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
-from spherejax.files.mjcf_model import WORLD, Compiled
+from spherejax.files.mjcf_model import WORLD, Compiled, library
 from spherejax.files.robot import SLIDING, TURNING, Edge, Pose, Robot, undotted
 from spherejax.files.robot_bodies import Groups
 from spherejax.files.robot_joints import Ways
@@ -53,8 +53,7 @@ def followed(file: Compiled) -> dict[str, tuple[str, float, float]]:
 
 def _active(file: Compiled, kind: str) -> Iterator[tuple[str, int]]:
     """Name and number of each equality of a kind that is switched on."""
-    import mujoco
-
+    mujoco = library()
     if not file.has_constraints("EQUALITY"):
         return
     wanted = int(getattr(mujoco.mjtEq, f"mjEQ_{kind}"))
@@ -96,8 +95,7 @@ def loops_of(
 
 def _ends(file: Compiled, kind: str, number: int) -> tuple[list[str], list[np.ndarray], list[np.ndarray]]:
     """The bodies of an equality, the place on each [m], and of a weld the quaternion of each that shall agree."""
-    import mujoco
-
+    mujoco = library()
     model = file.model
     data = np.array(model.eq_data[number], np.float64)
     ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
@@ -179,7 +177,7 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
             return whole._replace(kind="spherical")
         case (1, 1) if np.linalg.norm(np.cross(axes[0], slides[0])) < _ALIGNED:
             return whole._replace(kind="cylindrical", axis=axes[0])
-        case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.norm(np.cross(*slides)) > 1e-3:
+        case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.norm(np.cross(slides[0], slides[1])) > 1e-3:
             return whole._replace(kind="planar", axis=axes[0])
     return None
 

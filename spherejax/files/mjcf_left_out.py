@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.mjcf_model import Compiled
+from spherejax.files.mjcf_model import Compiled, library
 from spherejax.files.robot_joints import Ways
 from spherejax.foundations.errors import SceneError
 
@@ -61,8 +61,7 @@ def _has_stop(file: Compiled, name: str, ways: Ways) -> bool:
 
 
 def _named(file: Compiled, kind: str, number: int) -> str:
-    import mujoco
-
+    mujoco = library()
     return mujoco.mj_id2name(file.model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), number) or f"{kind.lower()} {number}"
 
 
@@ -137,8 +136,7 @@ def _tendons(file: Compiled) -> Iterator[str]:
 
 
 def _equalities(file: Compiled, kinds: Callable[[str], bool]) -> Iterator[str]:
-    import mujoco
-
+    mujoco = library()
     if not file.has_constraints("EQUALITY"):
         return
     for number in range(file.model.neq):

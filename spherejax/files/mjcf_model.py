@@ -51,8 +51,7 @@ class Compiled(NamedTuple):
 
     def has(self, flag: str) -> bool:
         """Whether the file leaves something switched on, e.g. "GRAVITY" (`<flag gravity="enable"/>`)."""
-        import mujoco
-
+        mujoco = library()
         bit = getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}", None)
         if bit is None and flag in ("SPRING", "DAMPER"):  # one flag before MuJoCo 3.3
             bit = getattr(mujoco.mjtDisableBit, "mjDSBL_PASSIVE", None)
@@ -77,6 +76,13 @@ class Start(NamedTuple):
     poses: dict[str, np.ndarray]
 
 
+def library() -> Any:
+    """MuJoCo, whose names type checkers do not see."""
+    import mujoco
+
+    return mujoco
+
+
 def compiled(path: Path) -> Compiled:
     """A file, compiled.
 
@@ -84,7 +90,7 @@ def compiled(path: Path) -> Compiled:
         SceneError: with the compiler's words; for a missing library.
     """
     try:
-        import mujoco
+        mujoco = library()
     except ImportError as error:
         raise SceneError(f"reading MJCF needs MuJoCo: pip install 'spherejax[mjcf]' ({error})") from error
     try:
@@ -150,8 +156,7 @@ def start_of(file: Compiled, keyframe: str | None, positions: Mapping, velocitie
 
 
 def _keyframe(file: Compiled, name: str) -> int:
-    import mujoco
-
+    mujoco = library()
     names = [mujoco.mj_id2name(file.model, mujoco.mjtObj.mjOBJ_KEY, i) or str(i) for i in range(file.model.nkey)]
     if name not in names:
         raise SceneError(f"{file.path}: there is no keyframe {name!r}; {one_of(names, name)}")
