@@ -154,7 +154,8 @@ def _check_units(flag: str, scene: sj.Scene, units: dict[str, str]) -> None:
     """Raise `SceneError` where a joint that turns is given a length, or one that slides an angle."""
     for name, unit in units.items():
         joint = scene.joints.get(name.replace(".", "_"))
-        own = dict(zip((sj.Revolute, sj.Prismatic), _UNITS[flag.removeprefix("--")], strict=True)).get(type(joint))
+        units_of: dict[type, str] = dict(zip((sj.Revolute, sj.Prismatic), _UNITS[flag.removeprefix("--")], strict=True))
+        own = units_of.get(type(joint))
         if own is None:
             raise sj.SceneError(
                 f"{flag}: joint {name!r} is held or has several axes here; give it without a unit, in SI"

@@ -85,7 +85,7 @@ def loops_of(
                     raise SceneError(f"{file.path}: equality {name!r}: body {body!r} is not in the scene")
             points = [groups.add_point(body, name, place) for body, place in zip(bodies, places, strict=True)]
             if kind == "CONNECT":
-                found[name] = Spherical(*points)
+                found[name] = Spherical(points[0], points[1])
                 continue
             _check_weld(file, name, [start[body] for body in bodies], places, turns)
             first, second = (groups.heads[body] for body in bodies)
@@ -177,7 +177,7 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
             return whole._replace(kind="spherical")
         case (1, 1) if np.linalg.norm(np.cross(axes[0], slides[0])) < _ALIGNED:
             return whole._replace(kind="cylindrical", axis=axes[0])
-        case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.norm(np.cross(slides[0], slides[1])) > 1e-3:
+        case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.matrix_rank(slides, 1e-3) == 2:
             return whole._replace(kind="planar", axis=axes[0])
     return None
 
