@@ -1,7 +1,7 @@
 """The public names of `spherejax`, and where each stands; loaded when it is first asked for."""
 
 from . import gallery, plot, priors, runtime
-from .files import SceneFile, SimulationSettings, load_scene, load_urdf, read_scene_file, save_scene
+from .files import SceneFile, SimulationSettings, load_mjcf, load_scene, load_urdf, read_scene_file, save_scene
 from .foundations.checks import Requirement
 from .foundations.errors import SceneError
 from .foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
@@ -371,6 +371,7 @@ __all__ = [
     "hybrid_weight",
     "linearize",
     "load",
+    "load_mjcf",
     "load_scene",
     "load_urdf",
     "maximum_penetration",

@@ -397,3 +397,77 @@ def test_the_command_is_installed_and_import_stays_light():
     )
     assert seen.returncode == 2
     assert "--t1 = 0 must be a positive time" in seen.stderr
+
+
+ARM = """<robot name="r"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/><dynamics damping="0.1" friction="0.3"/></joint></robot>"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM)
+    return str(path)
+
+
+def test_robots_take_the_arguments_of_load_urdf_as_options(arm, tmp_path, capsys):
+    out = tmp_path / "arm.toml"
+    words = ["--friction", "threlfall v1=0.01", "--stops", "turning=500", "--positions", "elbow=30 deg"]
+    words += ["--velocities", "elbow=0.5", "--least-mass", "10 g", "--base", "ground"]
+    assert cli.main(["write", arm, *words, "--out", str(out)]) == 0
+    expected = sj.load_urdf(
+        arm,
+        friction=sj.Threlfall(v1=0.01),
+        stops={"turning": 500.0},
+        positions={"elbow": np.pi / 6},
+        velocities={"elbow": 0.5},
+    )
+    found = sj.load_scene(out)
+    assert found.joints["elbow"].model.friction.v1 == 0.01
+    assert set(found.forces) == set(expected.forces) == {"elbow", "elbow_stop"}
+    np.testing.assert_allclose(found.bodies["arm"].quaternion, expected.bodies["arm"].quaternion, atol=1e-15)
+    np.testing.assert_array_equal(found.bodies["arm"].angular_velocity, expected.bodies["arm"].angular_velocity)
+
+
+def test_a_model_of_mujoco_is_a_scene_of_the_command_line(tmp_path, capsys):
+    pytest.importorskip("mujoco")
+    path, out = tmp_path / "arm.xml", tmp_path / "arm.toml"
+    path.write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="j" axis="0 1 0" armature="0.1"/>'
+        '<geom size="0.1" pos="0 0 -0.3"/></body></worldbody>'
+        '<keyframe><key name="up" qpos="1.5"/></keyframe></mujoco>'
+    )
+    assert cli.main(["write", str(path), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "armature: j" in said
+    assert "On the command line: --ignore" in said
+    assert cli.main(["write", str(path), "--ignore", "armature", "--keyframe", "up", "--out", str(out)]) == 0
+    np.testing.assert_allclose(sj.load_scene(out).bodies["arm"].quaternion, [np.cos(0.75), 0, np.sin(0.75), 0])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--positions", "elbow=1cm", "--ignore", "friction"], "joint 'elbow' is measured in rad, not in m"),
+        (["--positions", "elbow", "--ignore", "friction"], "'elbow' is no NAME=VALUE"),
+        (["--positions", "elbow=3kg", "--ignore", "friction"], "with a unit of rad or m or without"),
+        (["--positions", "elbo=1", "--ignore", "friction"], "did you mean 'elbow'"),
+        (["--ignore", "frictoin"], "did you mean 'friction'"),
+        (["--keyframe", "up"], "--keyframe is for .xml and .mjcf"),
+        (["--stops", "turning=soft", "--ignore", "friction"], "must be a number, with a unit of N m/rad or without"),
+        (["--mimic", "sliding=1e4:5", "--ignore", "friction", "--fixed", "wrist"], "there is no joint 'wrist'"),
+        ([], "--ignore friction"),
+        (["--friction", "threlfall v2=1"], "threlfall has no number 'v2'"),
+        (["--friction", "threlfal"], "did you mean 'threlfall'"),
+    ],
+)
+def test_options_of_robots_that_say_nothing_are_refused(arm, tmp_path, capsys, words, said):
+    assert cli.main(["write", arm, *words, "--out", str(tmp_path / "a.toml")]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_options_of_robots_are_refused_elsewhere(capsys):
+    assert cli.main(["run", "four-bar", "--fixed", "elbow"]) == 2
+    assert "--fixed is for robot descriptions (.urdf, .xml, .mjcf), and four-bar is none" in capsys.readouterr().err

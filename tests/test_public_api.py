@@ -111,6 +111,7 @@ ARGUMENTS = {
     sj.load_scene: ("path", "allow_code"),
     sj.read_scene_file: ("path", "allow_code"),
     sj.save_scene: ("scene", "path", "title", "studied", "settings", "overwrite"),
+    sj.load_mjcf: ("path", "keyframe", "positions", "velocities", "gravity", "drift", "ignore"),
     sj.load_urdf: ("path", "base", "positions", "velocities", "gravity", "drift", "ignore"),
     sj.runtime.configure: ("cache",),
     sj.generalized_stiffness: ("socket_radius", "ball_radius", "socket_material", "ball_material"),

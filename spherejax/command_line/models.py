@@ -19,7 +19,8 @@ from spherejax.command_line.catalog import (
     USUAL,
     Usual,
 )
-from spherejax.command_line.numbers import measured_in, real
+from spherejax.command_line.numbers import measured_in, number_of, real
+from spherejax.foundations.errors import one_of
 
 CONTACT = ("dry", "friction", "lubricated")
 
@@ -64,8 +65,10 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     gap.add_argument("--restitution", type=real, metavar="CR", help="coefficient of restitution (default: 0.9)")
     gap.add_argument(
         "--friction",
-        choices=[*FRICTION_LAWS, "none"],
-        help="friction law (default: none; threlfall with --joint friction)",
+        type=_law_text,
+        metavar="LAW",
+        help=f'friction law, {", ".join(FRICTION_LAWS)} or none, with numbers of its own where wanted: "threlfall '
+        'v1=0.01" (default: none; threlfall with --joint friction); of all joints of a robot description',
     )
     gap.add_argument("--mu", type=real, help="kinetic friction coefficient (default: 0.1)")
     gap.add_argument(
@@ -189,13 +192,38 @@ def _friction_from(options: argparse.Namespace) -> sj.AbstractFrictionLaw | None
                 "--mu means nothing without friction; add --friction threlfall or take --joint friction"
             )
         return None
+    return friction_law(options, name)
+
+
+def friction_law(options: argparse.Namespace, text: str | None = None) -> sj.AbstractFrictionLaw | None:
+    """The law that `--friction`, `--mu` and `--mu-static` describe.
+
+    Raises:
+        SceneError: for a number that the law has not.
+    """
+    name, *numbers = (text or options.friction).split()
+    if name == "none":
+        return None
     law = FRICTION_LAWS[name]
-    fields = {field.name for field in dataclasses.fields(law)}
+    fields = [field.name for field in dataclasses.fields(law)]
     given = {"mu" if "mu" in fields else "mu_kinetic": options.mu, "mu_static": options.mu_static}
     given = {key: value for key, value in given.items() if value is not None}
     if "mu_static" in given and "mu_static" not in fields:
         raise sj.SceneError(f"--mu-static means nothing with --friction {name}, which has no static friction")
+    for number in numbers:
+        key, _, value = number.partition("=")
+        if key not in fields:
+            raise sj.SceneError(f"--friction {options.friction}: {name} has no number {key!r}; {one_of(fields, key)}")
+        given[key] = number_of("--friction", options.friction, value)
     return law(**given)
+
+
+def _law_text(text: str) -> str:
+    """A law of friction by name, with numbers of its own; for `type=` of an option."""
+    name = text.split()[0] if text.split() else text
+    if name not in (*FRICTION_LAWS, "none"):
+        raise argparse.ArgumentTypeError(f"there is no law {name!r}; {one_of([*FRICTION_LAWS, 'none'], name)}")
+    return text
 
 
 def _or(value, default):

@@ -32,6 +32,8 @@ EPILOG = """examples:
   spherejax run four-bar --t1 1000 --samples 101 --drift projection
   spherejax run my_mechanism.toml --out run.nc
   spherejax run robot.urdf --t1 1
+  spherejax run robot.urdf --friction "threlfall v1=0.01" --stops turning=500 --positions "elbow=30 deg"
+  spherejax run robot.xml --ignore contacts,actuators --keyframe home
   spherejax run a04
   spherejax run four-bar --joint friction --t1 0.2 --report run.html
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5

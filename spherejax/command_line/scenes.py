@@ -11,10 +11,16 @@ from typing import NamedTuple
 import spherejax as sj
 from spherejax.command_line.catalog import ALIASES, JOINTS, SCENES, USUAL, Usual
 from spherejax.command_line.models import USED_BY, model_from
+from spherejax.command_line.robots import LOADERS, add_robot_options, refuse_robot_options, robot_of
 from spherejax.command_line.scene_numbers import with_text
 from spherejax.foundations.errors import one_of
 
-SUFFIXES = {".toml": "a scene file", ".urdf": "a robot description"}
+SUFFIXES = {
+    ".toml": "a scene file",
+    ".urdf": "a robot description",
+    ".xml": "a MuJoCo model",
+    ".mjcf": "a MuJoCo model",
+}
 """Files that describe a mechanism."""
 
 AS_DESCRIBED = "as described"
@@ -52,7 +58,8 @@ def add_scene(parser: argparse.ArgumentParser, joint: str = "--of") -> None:
         "scene",
         type=_scene_name,
         metavar="SCENE",
-        help=f"a scene of the gallery ({', '.join(SCENES)}), a scene file (.toml), or a robot description (.urdf)",
+        help=f"a scene of the gallery ({', '.join(SCENES)}), a scene file (.toml), or a robot description (.urdf, or "
+        ".xml of MuJoCo)",
     )
     parser.add_argument(
         joint,
@@ -65,6 +72,7 @@ def add_scene(parser: argparse.ArgumentParser, joint: str = "--of") -> None:
         action="store_true",
         help='run the Python files that a scene file names, kind = "my_laws.py:MyForce"; they must be in its folder',
     )
+    add_robot_options(parser)
 
 
 def chosen(options: argparse.Namespace) -> Chosen:
@@ -74,13 +82,14 @@ def chosen(options: argparse.Namespace) -> Chosen:
         SceneError: for a file that does not describe a mechanism; for options of a model without `--joint`.
     """
     given = options.scene
-    found = (
-        _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser(), allow_code=options.allow_code)
-    )
+    found = _from_gallery(given) if given in SCENES else _from_file(Path(given).expanduser(), options)
+    is_robot = Path(given).suffix in LOADERS
+    if not is_robot:
+        refuse_robot_options(given, options)
     if options.of is not None:
         found = _studying(found, options.of)
     if options.joint is None and (options.of is not None or model_name(options) == AS_DESCRIBED):
-        _refuse_loose(options)
+        _refuse_loose(options, ("friction", "mu", "mu_static") if is_robot and options.friction is not None else ())
     else:
         model_from(options)  # refuses options that the model does not use
     return found
@@ -137,9 +146,11 @@ def _from_gallery(name: str) -> Chosen:
     return Chosen(name, "", with_model, studied_in(build), settings)
 
 
-def _from_file(path: Path, *, allow_code: bool) -> Chosen:
+def _from_file(path: Path, options: argparse.Namespace) -> Chosen:
     file = (
-        sj.SceneFile(sj.load_urdf(path)) if path.suffix == ".urdf" else sj.read_scene_file(path, allow_code=allow_code)
+        sj.SceneFile(robot_of(path, options))
+        if path.suffix in LOADERS
+        else sj.read_scene_file(path, allow_code=options.allow_code)
     )
 
     def without_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
@@ -191,10 +202,10 @@ def _joints_with_model(scene: sj.Scene) -> list[str]:
     return [name for name, joint in scene.joints.items() if hasattr(joint, "model")]
 
 
-def _refuse_loose(options: argparse.Namespace) -> None:
+def _refuse_loose(options: argparse.Namespace, used: tuple[str, ...]) -> None:
     """Options of a model mean nothing where the file's own model is taken."""
     for name in USED_BY:
-        if getattr(options, name) is not None:
+        if name not in used and getattr(options, name) is not None:
             flag = "--" + name.replace("_", "-")
             raise sj.SceneError(
                 f"{flag} changes nothing without --joint ({', '.join(JOINTS)}): the scene's own models are taken"

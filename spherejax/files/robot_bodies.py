@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spherejax.files.robot import Pose, Robot, in_other_axes
-from spherejax.files.rotations import turned
+from spherejax.files.rotations import UNTURNED, product, turn_about, turned
 from spherejax.foundations.errors import SceneError
 from spherejax.physics.bodies import GROUND, TRIANGLE_TOLERANCE, Body
 
@@ -15,6 +15,10 @@ _ROUNDING = 1e-15
 
 _SMALL = 1e-6
 """A radius of gyration below this [m] is none: tables of zeros leave rounding where links are put together."""
+
+
+_FOOT = 0.1
+"""Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""
 
 
 class Groups(NamedTuple):
@@ -26,6 +30,7 @@ class Groups(NamedTuple):
         origins: of each link in the axes of its head [m].
         places: points of each body by name, from the head's origin, in its axes [m].
         feet: name of the point of each joint on the parent's body, "body.point".
+        hands: the same on the child's body.
     """
 
     heads: dict[str, str]
@@ -33,6 +38,53 @@ class Groups(NamedTuple):
     origins: dict[str, np.ndarray]
     places: dict[str, dict[str, np.ndarray]]
     feet: dict[str, str]
+    hands: dict[str, str]
+
+    def add_point(self, link: str, name: str, place: np.ndarray) -> str:
+        """Name a place that is given in a link's axes [m]; "body.point", with underscores where the name is taken."""
+        head = self.heads[link]
+        while name in self.places[head]:
+            name += "_"
+        self.places[head][name] = self.origins[link] + turned(self.quaternions[link], place)
+        return f"{head}.{name}"
+
+
+def groups_of(robot: Robot, base: str, first_pose: Pose) -> Groups:
+    """Links that fixed joints hold together, and the points on them; the ground's axes are those of the world."""
+    zero = np.zeros(3)
+    first, turn, place = robot.base, UNTURNED, zero
+    if base == GROUND:
+        first, turn, place = GROUND, first_pose.quaternion, first_pose.place
+    found = Groups({robot.base: first}, {robot.base: turn}, {robot.base: place}, {first: {robot.base: place}}, {}, {})
+    for name, edge in robot.edges.items():
+        head, turn = found.heads[edge.parent], found.quaternions[edge.parent]
+        place = found.origins[edge.parent] + turned(turn, edge.place)
+        if edge.kind == "fixed":
+            found.heads[edge.child] = head
+            found.quaternions[edge.child] = product(turn, edge.quaternion)
+            found.origins[edge.child] = place
+            found.places[head][edge.child] = place
+            continue
+        found.heads[edge.child], found.quaternions[edge.child], found.origins[edge.child] = edge.child, UNTURNED, zero
+        found.places[edge.child] = {edge.child: zero}
+        point = name if name not in robot.links else f"{name}_joint"
+        found.places[head][point] = place + turned(turn, turned(edge.quaternion, edge.anchor))
+        found.feet[name] = f"{head}.{point}"
+        found.hands[name] = f"{edge.child}.{edge.child}"
+        if np.any(edge.anchor):
+            found.places[edge.child][point] = edge.anchor
+            found.hands[name] = f"{edge.child}.{point}"
+        if edge.kind == "planar":
+            feet = {f"{name}_{k + 1}": edge.anchor + foot for k, foot in enumerate(three_feet(edge.axis))}
+            found.places[edge.child] |= feet
+    return found
+
+
+def three_feet(axis: np.ndarray) -> list[np.ndarray]:
+    """Three points around the origin in the plane across an axis."""
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across = _FOOT * across / np.linalg.norm(across)
+    return [turned(turn_about(axis, k * 2 * np.pi / 3), across) for k in range(3)]
 
 
 class Least(NamedTuple):
@@ -140,10 +192,10 @@ def check_all_have_mass(robot: Robot, groups: Groups, solids: Mapping[str, Solid
         if joint in loose:
             names = ", ".join(repr(name) for name in loose)
             raise SceneError(
-                f"{give}make the joint fixed: load_urdf(..., fixed=[{names}]) holds all that carry no mass"
+                f"{give}make the joint fixed: {robot.loader}(..., fixed=[{names}]) holds all that carry no mass"
             )
         least = "least_mass=1e-3, least_moment=1e-6" if lacks_mass else "least_moment=1e-6"
         raise SceneError(
-            f"{give}make the joint fixed with load_urdf(..., fixed=[{joint!r}]), or give all that lack it a little "
-            f"with load_urdf(..., {least})"
+            f"{give}make the joint fixed with {robot.loader}(..., fixed=[{joint!r}]), or give all that lack it a "
+            f"little with {robot.loader}(..., {least})"
         )

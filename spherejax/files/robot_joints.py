@@ -7,7 +7,6 @@ import numpy as np
 
 from spherejax.files.robot import SLIDING, TURNING, Edge, Robot
 from spherejax.files.robot_bodies import Groups
-from spherejax.files.rotations import turn_about, turned
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.bump_stop import BumpStop
@@ -16,15 +15,13 @@ from spherejax.physics.forces.spring_damper import SpringDamper
 from spherejax.physics.forces.torsional import TorsionalSpring
 from spherejax.physics.functions.pieces import Piecewise
 from spherejax.physics.functions.shapes import Constant, Linear
-from spherejax.physics.joints.axial import Prismatic, Revolute
+from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.joint import AbstractJoint
-from spherejax.physics.joints.pairs import PointOnPlane
+from spherejax.physics.joints.pairs import PointOnPlane, Universal
+from spherejax.physics.joints.spherical import Spherical
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.pressure import PreloadAlone
-
-_FOOT = 0.1
-"""Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""
 
 _RADIUS = 1.0
 """Of the shaft in a joint with friction [m]: with 1 the law's sliding velocity is the joint's rate in rad/s."""
@@ -77,30 +74,40 @@ class Ways(NamedTuple):
         return given.get(name, given.get("turning" if edge.kind in TURNING else "sliding"))
 
 
-def three_feet(axis: np.ndarray) -> list[np.ndarray]:
-    """Three points around the origin in the plane across an axis."""
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across = _FOOT * across / np.linalg.norm(across)
-    return [turned(turn_about(axis, k * 2 * np.pi / 3), across) for k in range(3)]
+def joints_of(
+    name: str, edge: Edge, groups: Groups, axis: np.ndarray, ways: Ways, second: np.ndarray | None = None
+) -> dict[str, AbstractJoint]:
+    """The joints that a joint of the description becomes; friction of constant size is a preload.
 
-
-def joints_of(name: str, edge: Edge, groups: Groups, axis: np.ndarray, ways: Ways) -> dict[str, AbstractJoint]:
-    """The joints that a joint of the description becomes; friction of constant size is a preload."""
+    Args:
+        name: of the joint.
+        edge: as described.
+        groups: which links are one body.
+        axis: world axes at the start.
+        ways: what the description leaves open.
+        second: of a universal joint, the axis that stays on the child, world axes at the start.
+    """
     parent = groups.heads[edge.parent]
-    bodies, point = (parent, edge.child), f"{edge.child}.{edge.child}"
+    bodies = (parent, edge.child)
     rubs = edge.friction != 0 and "friction" not in ways.ignore
     model = None
     if edge.kind in TURNING:
         if rubs:
             model = Ideal(friction=ways.friction, radius=_RADIUS, pressure=PreloadAlone(), preload=edge.friction)
-        return {name: Revolute(bodies, point, axis, model)}
+        return {name: Revolute(bodies, groups.hands[name], axis, model)}
     if edge.kind in SLIDING:
         if rubs:
             model = Ideal(friction=ways.friction, pressure=PreloadAlone(), preload_force=edge.friction)
-        return {name: Prismatic(bodies, point, axis, model)}
+        return {name: Prismatic(bodies, groups.hands[name], axis, model)}
     if edge.kind == "planar":
         names = [f"{name}_{k}" for k in (1, 2, 3)]
         return {one: PointOnPlane(f"{edge.child}.{one}", groups.feet[name], axis, parent) for one in names}
+    if edge.kind == "spherical":
+        return {name: Spherical(groups.feet[name], groups.hands[name])}
+    if edge.kind == "cylindrical":
+        return {name: Cylindrical(bodies, groups.hands[name], axis)}
+    if edge.kind == "universal":
+        return {name: Universal(bodies, groups.hands[name], axis, second)}
     return {}
 
 
@@ -112,15 +119,18 @@ def forces_of(
     ways: Ways,
     positions: Mapping[str, float],
 ) -> dict[str, AbstractForce]:
-    """The force elements of a joint: damping, stops, and what couples it to the joint that it mimics."""
+    """The force elements of a joint: spring and damper, stops, and what couples it to the joint that it mimics."""
     edge, axis = robot.edges[name], axes[name]
     if edge.kind not in (*TURNING, *SLIDING):
         return {}
     found: dict[str, AbstractForce] = {}
-    if edge.damping and edge.kind in TURNING:
-        found[name] = TorsionalSpring((groups.heads[edge.parent], edge.child), axis, damping=edge.damping)
-    elif edge.damping:
-        found[name] = SpringDamper(_ends(name, edge, groups), damping=edge.damping, direction=axis)
+    if (edge.damping or edge.stiffness) and edge.kind in TURNING:
+        pair, slack = (groups.heads[edge.parent], edge.child), edge.rest - positions.get(name, 0.0)
+        slack = slack if edge.stiffness else 0.0
+        found[name] = TorsionalSpring(pair, axis, edge.stiffness, edge.damping, slack)
+    elif edge.damping or edge.stiffness:
+        slack = edge.rest if edge.stiffness else 0.0
+        found[name] = SpringDamper(_ends(name, groups), edge.stiffness, edge.damping, slack, direction=axis)
     stiffness = ways.of(ways.stops, name, edge)
     has_limits = np.isfinite(edge.lower) or np.isfinite(edge.upper)
     if stiffness is not None and has_limits:
@@ -137,8 +147,8 @@ def forces_of(
     return found
 
 
-def _ends(name: str, edge: Edge, groups: Groups) -> tuple[str, str]:
-    return groups.feet[name], f"{edge.child}.{edge.child}"
+def _ends(name: str, groups: Groups) -> tuple[str, str]:
+    return groups.feet[name], groups.hands[name]
 
 
 def _stop(name: str, robot: Robot, groups: Groups, axis: np.ndarray, stiffness, position: float) -> AbstractForce:
@@ -156,7 +166,7 @@ def _stop(name: str, robot: Robot, groups: Groups, axis: np.ndarray, stiffness, 
             f"stops={{..., {name!r}: None}}"
         )
     if edge.kind in SLIDING:
-        return BumpStop(_ends(name, edge, groups), edge.lower, edge.upper, stiffness, direction=axis)
+        return BumpStop(_ends(name, groups), edge.lower, edge.upper, stiffness, direction=axis)
     lower, upper = edge.lower - position, edge.upper - position
     if max(abs(lower), abs(upper)) > _A_TURN:
         raise SceneError(
@@ -179,7 +189,7 @@ def _coupler(name: str, robot: Robot, groups: Groups, axes: Mapping[str, np.ndar
         if edge.kind in TURNING:
             coordinates.append(Turn((groups.heads[edge.parent], edge.child), axis))
         elif edge.kind in SLIDING:
-            coordinates.append(Travel(_ends(one, edge, groups), axis))
+            coordinates.append(Travel(_ends(one, groups), axis))
         else:
             raise SceneError(
                 f"{robot.path}: joint {name!r} mimics {one!r}, which is {edge.kind}; hold it too, with "

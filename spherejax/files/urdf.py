@@ -15,20 +15,18 @@ from spherejax.files.robot import (
     Pose,
     Robot,
     poses,
-    read_robot,
     undotted,
     with_fixed,
     with_followers,
 )
-from spherejax.files.robot_bodies import Least, body_of, check_all_have_mass, solid_of
-from spherejax.files.robot_joints import Groups, Ways, forces_of, joints_of, three_feet
-from spherejax.files.rotations import UNTURNED, product, turned
-from spherejax.foundations.errors import SceneError, one_of
+from spherejax.files.robot_bodies import groups_of
+from spherejax.files.robot_joints import Ways
+from spherejax.files.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
+from spherejax.files.urdf_elements import read_robot
+from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
-from spherejax.model.scene import Scene, check_scene
+from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND, UNIT_NORM_TOLERANCE, numbers
-from spherejax.physics.forces.base import AbstractForce
-from spherejax.physics.joints.joint import AbstractJoint
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.orientations import as_quaternion
 
@@ -111,9 +109,9 @@ def load_urdf(
             for and no argument answers, for what is no tree.
     """
     robot = read_robot(Path(path).expanduser())
-    positions, velocities = _by_plain_name(positions), _by_plain_name(velocities)
+    positions, velocities = by_plain_name(positions), by_plain_name(velocities)
     fixed = [undotted(name) for name in fixed]
-    ways = Ways(friction, _by_plain_name(mimic), _by_plain_name(stops), tuple(ignore))
+    ways = Ways(friction, by_plain_name(mimic), by_plain_name(stops), tuple(ignore))
     _check(robot, base, positions, velocities, ignore, fixed)
     if "mimic" not in ignore:
         own = [name for name in fixed if name in positions]
@@ -128,42 +126,10 @@ def load_urdf(
     for name, edge in robot.edges.items():
         _check_edge(robot, name, edge, ways)
     first = _base_pose(base, base_position, base_quaternion, base_velocity, base_angular_velocity)
-    groups = _groups(robot, base, first)
+    groups = groups_of(robot, base, first)
     start = poses(robot, positions, velocities, first)
-    joints: dict[str, AbstractJoint] = {}
-    forces: dict[str, AbstractForce] = {}
-    axes = {
-        name: turned(product(start[edge.parent].quaternion, edge.quaternion), edge.axis)
-        for name, edge in robot.edges.items()
-    }
-    for name, edge in robot.edges.items():
-        if edge.kind != "fixed":
-            joints |= joints_of(name, edge, groups, axes[name], ways)
-            forces |= forces_of(name, robot, groups, axes, ways, positions)
-    least = Least(_number(least_mass, "least_mass"), _number(least_moment, "least_moment"), balance_inertia)
-    solids = {head: solid_of(robot, groups, head) for head in groups.places if head != GROUND}
-    solids = {head: solid.with_least(least) for head, solid in solids.items()}
-    check_all_have_mass(robot, groups, solids)
-    bodies = {head: body_of(solid, groups.places[head], start[head]) for head, solid in solids.items()}
-    scene = Scene(bodies, joints, forces, gravity=gravity, ground_points=groups.places.get(GROUND), drift=drift)
-    if not bodies:
-        raise SceneError(f"{robot.path}: nothing moves on a base that stands on the ground; give base='free'")
-    try:
-        check_scene(scene)
-    except SceneError as error:
-        remedy = " Or take load_urdf(..., balance_inertia=True)." if "triangle rule" in str(error) else ""
-        raise SceneError(f"{robot.path}: {error}{remedy}") from error
-    return scene
-
-
-def _by_plain_name(given: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {undotted(name): value for name, value in (given or {}).items()}
-
-
-def _number(value: float, name: str) -> float:
-    if not (isinstance(value, int | float | np.number) and 0 <= value < np.inf):
-        raise SceneError(f"{name} = {value!r} must be a number, not negative")
-    return float(value)
+    least = least_of(least_mass, least_moment, balance_inertia)
+    return scene_of(robot, groups, start, positions, ways, least, gravity=gravity, drift=drift)
 
 
 def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> Pose:
@@ -187,51 +153,13 @@ def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> P
     return Pose(found[3] / norm, *found[:3])
 
 
-def _groups(robot: Robot, base: str, first_pose: Pose) -> Groups:
-    """Links that fixed joints hold together, and the points on them; the ground's axes are those of the world."""
-    zero = np.zeros(3)
-    first, turn, place = robot.base, UNTURNED, zero
-    if base == GROUND:
-        first, turn, place = GROUND, first_pose.quaternion, first_pose.place
-    found = Groups({robot.base: first}, {robot.base: turn}, {robot.base: place}, {first: {robot.base: place}}, {})
-    for name, edge in robot.edges.items():
-        head, turn = found.heads[edge.parent], found.quaternions[edge.parent]
-        place = found.origins[edge.parent] + turned(turn, edge.place)
-        if edge.kind == "fixed":
-            found.heads[edge.child] = head
-            found.quaternions[edge.child] = product(turn, edge.quaternion)
-            found.origins[edge.child] = place
-            found.places[head][edge.child] = place
-            continue
-        found.heads[edge.child], found.quaternions[edge.child], found.origins[edge.child] = edge.child, UNTURNED, zero
-        found.places[edge.child] = {edge.child: zero}
-        point = name if name not in robot.links else f"{name}_joint"
-        found.places[head][point] = place
-        found.feet[name] = f"{head}.{point}"
-        if edge.kind == "planar":
-            found.places[edge.child] |= {f"{name}_{k + 1}": foot for k, foot in enumerate(three_feet(edge.axis))}
-    return found
-
-
 def _check(robot: Robot, base, positions: Mapping, velocities: Mapping, ignore, fixed: Collection[str]) -> None:
     """Names, and what no scene can hold."""
     if base not in (GROUND, "free"):
         raise SceneError(f"base = {base!r} is unknown; give 'ground' or 'free'")
-    for one in ignore:
-        if one not in CAN_BE_IGNORED:
-            raise SceneError(f"ignore: {one!r} is unknown; {one_of(CAN_BE_IGNORED, str(one))}")
+    check_ignored(ignore, CAN_BE_IGNORED)
     movable = [name for name, edge in robot.edges.items() if edge.kind in (*TURNING, *SLIDING)]
-    for what, given in (("positions", positions), ("velocities", velocities)):
-        for name in given:
-            if name not in movable:
-                raise SceneError(f"{robot.path}: {what}: no joint {name!r} turns or slides; {one_of(movable, name)}")
-    for name in fixed:
-        if name not in robot.edges:
-            raise SceneError(f"{robot.path}: fixed: there is no joint {name!r}; {one_of(robot.edges, name)}")
-        if velocities.get(name):
-            raise SceneError(
-                f"{robot.path}: joint {name!r} is held by fixed= and has no velocity; leave one of them out"
-            )
+    check_names(robot, movable, positions, velocities, fixed)
 
 
 def _check_edge(robot: Robot, name: str, edge: Edge, ways: Ways) -> None:

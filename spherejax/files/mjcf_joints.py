@@ -1,0 +1,198 @@
+"""What equalities and stacks of joints in a MuJoCo model become."""
+
+from collections.abc import Collection, Iterator, Mapping
+
+import numpy as np
+
+from spherejax.files.mjcf_model import WORLD, Compiled, library
+from spherejax.files.robot import SLIDING, TURNING, Edge, Pose, Robot, undotted
+from spherejax.files.robot_bodies import Groups
+from spherejax.files.robot_joints import Ways
+from spherejax.files.rotations import UNTURNED, product, turned
+from spherejax.foundations.errors import SceneError
+from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.physics.joints.pairs import Fixed
+from spherejax.physics.joints.spherical import Spherical
+
+_ALIGNED = 1e-9
+"""Cosines and sines up to which axes are perpendicular or parallel: what MuJoCo's normalization rounds."""
+
+_CLOSED = 1e-6
+"""How far apart [m, rad] a weld may hold its bodies at the start: it would keep what is off for good."""
+
+
+# Joints that follow others ------------------------------------------------------------------------------------------
+
+
+def followed(file: Compiled) -> dict[str, tuple[str, float, float]]:
+    """Leader, multiplier and offset of each joint that an equality makes follow another.
+
+    Raises:
+        SceneError: for what is no straight line between two joints.
+    """
+    found: dict[str, tuple[str, float, float]] = {}
+    for name, number in _active(file, "JOINT"):
+        follower, leader = int(file.model.eq_obj1id[number]), int(file.model.eq_obj2id[number])
+        offset, multiplier, *bends = (float(one) for one in file.model.eq_data[number][:5])
+        own = file.joints[follower]
+        if leader < 0:
+            raise SceneError(
+                f"{file.path}: equality {name!r} holds joint {own!r} by itself; hold it with fixed=({own!r},), or "
+                'leave it out with ignore=("mimic",)'
+            )
+        if any(bends):
+            raise SceneError(
+                f"{file.path}: equality {name!r}: joint {own!r} follows {file.joints[leader]!r} along a curve, and a "
+                'Coupler along a straight line; leave it out with ignore=("mimic",)'
+            )
+        if own in found:
+            raise SceneError(f"{file.path}: joint {own!r} follows two others; leave one equality out")
+        found[own] = (file.joints[leader], multiplier, offset)
+    return found
+
+
+def _active(file: Compiled, kind: str) -> Iterator[tuple[str, int]]:
+    """Name and number of each equality of a kind that is switched on."""
+    mujoco = library()
+    if not file.has_constraints("EQUALITY"):
+        return
+    wanted = int(getattr(mujoco.mjtEq, f"mjEQ_{kind}"))
+    for number in range(file.model.neq):
+        if int(file.model.eq_type[number]) == wanted and file.model.eq_active0[number]:
+            name = mujoco.mj_id2name(file.model, mujoco.mjtObj.mjOBJ_EQUALITY, number)
+            yield undotted(name or f"{kind.lower()}_{number + 1}"), number
+
+
+# Loops --------------------------------------------------------------------------------------------------------------
+
+
+def loops_of(
+    file: Compiled, groups: Groups, start: Mapping[str, Pose], taken: Collection[str]
+) -> dict[str, AbstractJoint]:
+    """The joints that close loops: `connect` a ball in a socket, `weld` a fixed one.
+
+    Raises:
+        SceneError: for a weld that the start does not close.
+    """
+    found: dict[str, AbstractJoint] = {}
+    for kind in ("CONNECT", "WELD"):
+        for name, number in _active(file, kind):
+            while name in taken or name in found:
+                name += "_"
+            bodies, places, turns = _ends(file, kind, number)
+            for body in bodies:
+                if body not in groups.heads:
+                    raise SceneError(f"{file.path}: equality {name!r}: body {body!r} is not in the scene")
+            points = [groups.add_point(body, name, place) for body, place in zip(bodies, places, strict=True)]
+            if kind == "CONNECT":
+                found[name] = Spherical(points[0], points[1])
+                continue
+            _check_weld(file, name, [start[body] for body in bodies], places, turns)
+            first, second = (groups.heads[body] for body in bodies)
+            found[name] = Fixed((first, second), points[1])
+    return found
+
+
+def _ends(file: Compiled, kind: str, number: int) -> tuple[list[str], list[np.ndarray], list[np.ndarray]]:
+    """The bodies of an equality, the place on each [m], and of a weld the quaternion of each that shall agree."""
+    mujoco = library()
+    model = file.model
+    data = np.array(model.eq_data[number], np.float64)
+    ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+    if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        bodies = [int(model.site_bodyid[site]) for site in ids]
+        places = [np.array(model.site_pos[site], np.float64) for site in ids]
+        turns = [np.array(model.site_quat[site], np.float64) for site in ids]
+    elif kind == "CONNECT":
+        bodies, places, turns = ids, [data[:3], data[3:6]], [UNTURNED, UNTURNED]
+    else:
+        # The anchor is on the second body; the pose is that of the second against the first.
+        bodies, turns = ids, [data[6:10] / np.linalg.norm(data[6:10]), UNTURNED]
+        places = [data[3:6] + turned(turns[0], data[:3]), data[:3]]
+    return [file.bodies[body] for body in bodies], places, turns
+
+
+def _check_weld(file: Compiled, name: str, start: list[Pose], places: list, turns: list) -> None:
+    first, second = start
+    gap = first.place + turned(first.quaternion, places[0]) - second.place - turned(second.quaternion, places[1])
+    inverse = product(first.quaternion, turns[0]) * np.array([1.0, -1.0, -1.0, -1.0])
+    twist = 2 * np.linalg.norm(product(inverse, product(second.quaternion, turns[1]))[1:])
+    if np.linalg.norm(gap) > _CLOSED or twist > _CLOSED:
+        raise SceneError(
+            f"{file.path}: weld {name!r} holds its bodies otherwise than they are at the start, by "
+            f"{np.linalg.norm(gap):.3g} m and {twist:.3g} rad; give positions= or keyframe= that close it"
+        )
+
+
+# Several joints of one body -----------------------------------------------------------------------------------------
+
+
+def put_together(robot: Robot, file: Compiled, ways: Ways, fixed: Collection[str]) -> Robot:
+    """The robot with one joint for each stack of joints without inertia between them, where there is such a joint.
+
+    Two hinges that meet at right angles are a universal joint, three that meet a ball in a socket, a hinge and a slide
+    along one axis a cylindrical one, a hinge and two slides across it a planar one. Springs, dampers, friction, stops
+    and couplings are those of single joints: a stack with one of them stays as it is, and its links need mass.
+    """
+    edges = dict(robot.edges)
+    links = dict(robot.links)
+    leaders = {edge.follows for edge in edges.values()}
+    for body in range(1, file.model.nbody):
+        first, n = int(file.model.body_jntadr[body]), int(file.model.body_jntnum[body])
+        names = file.joints[first : first + n] if n > 1 else []
+        stack = [edges[name] for name in names]
+        is_bare = names and not any(
+            name in fixed or name in leaders or _has_force(name, edge, ways)
+            for name, edge in zip(names, stack, strict=True)
+        )
+        made = _one_joint(stack) if is_bare else None
+        if made is not None:
+            for edge in stack[:-1]:
+                del links[edge.child]
+            edges = {name: made if name == names[0] else edge for name, edge in edges.items() if name not in names[1:]}
+    return robot._replace(links=links, edges=edges)
+
+
+def _has_force(name: str, edge: Edge, ways: Ways) -> bool:
+    has_stop = np.isfinite(edge.lower) and ways.of(ways.stops, name, edge) is not None
+    return bool(edge.damping or edge.stiffness or (edge.friction and "friction" not in ways.ignore) or has_stop) or (
+        edge.follows is not None and "mimic" not in ways.ignore
+    )
+
+
+def _one_joint(stack: list[Edge]) -> Edge | None:
+    """The joint that a stack is, or None. Axes are those in the body's axes where all positions are 0."""
+    turning = [edge for edge in stack if edge.kind in TURNING]
+    sliding = [edge for edge in stack if edge.kind in SLIDING]
+    if len(turning) + len(sliding) < len(stack) or not turning:
+        return None
+    whole = stack[0]._replace(child=stack[-1].child, anchor=turning[0].anchor)
+    meet = all(np.allclose(edge.anchor, whole.anchor, rtol=0, atol=1e-12) for edge in turning)
+    axes = np.array([edge.axis for edge in turning])
+    slides = np.array([edge.axis for edge in sliding]).reshape(-1, 3)
+    match len(turning), len(sliding):
+        case (2, 0) if meet and abs(axes[0] @ axes[1]) < _ALIGNED:
+            return whole._replace(kind="universal", axis=axes[0], second=axes[1])
+        case (3, 0) if meet and abs(np.linalg.det(axes)) > 1e-3:
+            return whole._replace(kind="spherical")
+        case (1, 1) if np.linalg.norm(np.cross(axes[0], slides[0])) < _ALIGNED:
+            return whole._replace(kind="cylindrical", axis=axes[0])
+        case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.matrix_rank(slides, 1e-3) == 2:
+            return whole._replace(kind="planar", axis=axes[0])
+    return None
+
+
+def check_stacks(robot: Robot, file: Compiled, ways_to_mass: bool) -> None:
+    """Raise `SceneError` for links without inertia between joints, unless they are given a little."""
+    links = set(robot.links) - set(file.bodies) - {WORLD}
+    loose = [edge for edge in robot.edges.values() if edge.child in links and edge.kind != "fixed"]
+    if not loose or ways_to_mass:
+        return
+    child = loose[0].child
+    names = [name for name, edge in robot.edges.items() if child in (edge.parent, edge.child)]
+    raise SceneError(
+        f"{robot.path}: joints {', '.join(names)} move one body, with nothing between them that has mass, and together "
+        "they are no joint here (universal, spherical, cylindrical, planar; without spring, damper, friction, stop). "
+        "Give the links between them a little with load_mjcf(..., least_mass=1e-3, least_moment=1e-6), or hold one "
+        f"with fixed=({names[-1]!r},)"
+    )
