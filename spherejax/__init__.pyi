@@ -139,6 +139,7 @@ from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
+from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
 from .studies.sweep import (
@@ -201,6 +202,7 @@ __all__ = [
     "Constant",
     "ConstraintReport",
     "ConstraintRows",
+    "Corner",
     "CosinePressure",
     "Coulomb",
     "Coupler",
@@ -275,6 +277,9 @@ __all__ = [
     "Requirement",
     "Response",
     "Revolute",
+    "Rig",
+    "RigStatus",
+    "RigWarning",
     "Rim",
     "Rodas4P",
     "Rodas5P",
@@ -328,8 +333,10 @@ __all__ = [
     "Universal",
     "UserFunction",
     "VectorElastomer",
+    "Vehicle",
     "Wear",
     "WearWarning",
+    "WheelLoads",
     "Whole",
     "WinklerLiner",
     "WorkPrecision",
@@ -369,6 +376,7 @@ __all__ = [
     "read_scene_file",
     "realized_restitution",
     "report",
+    "rig",
     "runtime",
     "save_scene",
     "scalarize",
