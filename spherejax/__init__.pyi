@@ -38,6 +38,7 @@ from .physics.forces.torsional import TorsionalSpring
 from .physics.forces.tyre import Tyre
 from .physics.functions.base import AbstractFunction, UserFunction
 from .physics.functions.pieces import Piecewise, Sum
+from .physics.functions.roads import RandomRoad
 from .physics.functions.shapes import (
     Bump,
     Constant,
@@ -140,6 +141,7 @@ from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
 from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig
+from .studies.roads import load_road
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
 from .studies.sweep import (
@@ -274,6 +276,7 @@ __all__ = [
     "Projection",
     "RadialElastomer",
     "RadialFilm",
+    "RandomRoad",
     "Requirement",
     "Response",
     "Revolute",
@@ -360,6 +363,7 @@ __all__ = [
     "half_sphere_load",
     "hybrid_weight",
     "linearize",
+    "load_road",
     "load_scene",
     "load_urdf",
     "maximum_penetration",

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import concretely
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Numeric, Scalar, Vector3
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.scene import Scene
@@ -114,8 +115,9 @@ class Platform(AbstractJoint):
         carrier = self.corner.carrier
         wheel = wheel_on(self.corner, find)
         kingpin = tuple(find(name) for name in self.corner.kingpin or ())
-        patch = in_world(bodies, carrier, find(f"{carrier}.{self.corner.contact_patch}")[1])
         center = in_world(bodies, carrier, wheel.center)
+        # With camber the lowest point of the wheel as drawn is not quite the contact patch as drawn.
+        patch = center + concretely(_patch_arm, wheel, bodies[carrier].quaternion)
         return PlacedPlatform(
             (GROUND, carrier),
             wheel,
@@ -136,7 +138,7 @@ class PlacedPlatform(AbstractPlacedJoint):
         wheel: on the carrier.
         kingpin_places: two points of the steering axis, in axes of
         kingpin_bodies: their bodies.
-        design_patch: where the contact patch was drawn, world axes [m].
+        design_patch: where the wheel's lowest point was drawn, world axes [m].
         design_center: where the wheel's center was drawn [m].
         travel: [m].
         corner: names.
@@ -218,6 +220,11 @@ def wheel_on(corner: Corner, find) -> Wheel:
         find(f"{corner.carrier}.{name}")[1] for name in (corner.wheel_center, corner.spin_axis, corner.contact_patch)
     )
     return Wheel(center, outer - center, concretely(_length, patch - center))
+
+
+def _patch_arm(wheel: Wheel, quaternion):
+    turned, zero = normalized(jnp.asarray(quaternion)), jnp.zeros(3)
+    return wheel.patch_arm(BodyMotion(zero, turned, rotation_matrix(turned), zero, zero))
 
 
 def _length(vector):

@@ -28,7 +28,8 @@ from spherejax.physics.state import State
 from spherejax.studies.rig.bench import LOADS, PlacedPlatform, moved, platform_of, side_of
 
 GIVES = ("toe", "camber", "longitudinal", "lateral")
-"""What a load changes: toe [rad], camber [rad], the contact patch's place in x and y [m]."""
+"""What a load changes: toe [rad], camber [rad], and in x and y the place of the tread's point on the road [m], with the
+wheel locked to its carrier. That point is where the loads act: coefficients of pairs are equal (Betti)."""
 
 
 class Measured(NamedTuple):
@@ -105,8 +106,8 @@ class Curves(NamedTuple):
         steer_gradient: derivative of the wheel's steer angle (positive to the left) by the steering's displacement
             [rad/m, or 1 of an angle]; None without steering.
         steering_effort: force or moment with which the steering is held [N or N m]; None without.
-        compliance: derivatives of toe, camber, and of the patch's place in x and in y by each of the loads, at fixed
-            travel, shape (4, 4); zero where all joints are ideal.
+        compliance: derivatives of toe, camber, and of the place of the tread's point on the road in x and in y by each
+            of the loads, at fixed travel, shape (4, 4); zero where all joints are ideal.
     """
 
     toe: Scalar
@@ -190,17 +191,18 @@ def curves_of(
         camber_gradient=by_travel.camber,
         steer_gradient=steer,
         steering_effort=holding.steering_effort,
-        compliance=_compliance(at, steps[2:], none),
+        compliance=_compliance(at, steps[2:], none, list(system.bodies).index(corner.carrier)),
     )
 
 
-def _compliance(at, steps: Float[Array, "n b 6"], none: Float[Array, "b 6"]) -> Float[Array, "4 4"]:
+def _compliance(at, steps: Float[Array, "n b 6"], none: Float[Array, "b 6"], carrier: int) -> Float[Array, "4 4"]:
     """Derivatives by the loads, one load a column."""
     if not steps.shape[0]:
         return jnp.zeros((len(GIVES), len(LOADS)))
 
     def along(step):
-        _, change = jax.jvp(at, (none,), (step,))
-        return jnp.stack([change.toe, change.camber, change.patch[0], change.patch[1]])
+        here, change = jax.jvp(at, (none,), (step,))
+        tread = change.center + jnp.cross(step[carrier, 3:], here.patch - here.center)
+        return jnp.stack([change.toe, change.camber, tread[0], tread[1]])
 
     return jax.vmap(along, out_axes=1)(steps)

@@ -52,7 +52,7 @@ def dataset_of(rig: Rig) -> "xarray.Dataset":
         name: (axis, np.asarray(values), {"units": SHOWN[name].si, "long_name": SHOWN[name].label})
         for name, values in rig.curves.items()
     }
-    words = "change of toe, camber [rad], of the contact patch in x and y [m] by a load [N or N m]"
+    words = "change of toe, camber [rad], of the tread's point on the road in x and y [m] by a load [N or N m]"
     data["compliance"] = ((axis, "gives", "load"), np.asarray(rig.compliance), {"long_name": words})
     meanings = ", ".join(f"{int(kind)}: {kind.name}" for kind in RigStatus)
     data["status"] = (axis, np.asarray(rig.status), {"long_name": meanings})

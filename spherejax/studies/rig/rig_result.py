@@ -153,8 +153,9 @@ class Rig(eqx.Module):
         camber_gradient: derivative of camber by travel [rad/m].
         steer_gradient: derivative of the wheel's angle to the left by `steer` [rad/m or 1]; None without steering.
         steering_effort: force [N] or moment [N m] with which the steering is held; None without.
-        compliance: derivatives of toe, camber [rad], and of the contact patch's place in x and y [m] by each load
-            (shape (n, 4, 4), in the order of `loads`), at fixed travel and steer; zeros where all joints are ideal.
+        compliance: derivatives of toe, camber [rad], and of the place in x and y of the tread's point on the road [m],
+            the wheel being locked to its carrier, by each load (shape (n, 4, 4), in the order of `loads`), at fixed
+            travel and steer; zeros where all joints are ideal.
         status: `RigStatus` of each position; where it is not FOUND, the curves are NaN.
         side: 1 for a left corner, -1 for a right one.
         corner: names.
@@ -201,7 +202,7 @@ class Rig(eqx.Module):
         """One compliance coefficient, e.g. `rig.compliance_of("toe", "lateral")` [rad/N].
 
         Args:
-            gives: "toe", "camber" [rad]; "longitudinal", "lateral": the contact patch's place in x and y [m].
+            gives: "toe", "camber" [rad]; "longitudinal", "lateral": the tread's point on the road in x and y [m].
             load: "longitudinal", "lateral", "driving" [N], "aligning" [N m].
 
         Raises:
