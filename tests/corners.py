@@ -111,7 +111,7 @@ class DoubleWishbone:
             found = self.position(angle, steer)
             return found["center"][2] - self.radius * np.sqrt(1 - found["spin"][2] ** 2) - design - travel
 
-        return self.position(brentq(missing, -0.45, 0.45, xtol=1e-15, rtol=1e-15), steer)
+        return self.position(brentq(missing, -0.3, 0.3, xtol=1e-15, rtol=1e-15), steer)
 
 
 def characteristics(found, radius, design_patch, design_center):
@@ -176,7 +176,7 @@ def mcpherson_at(at, travel, steer=0.0):
         ]
 
     start = np.array([0.0, 0.0, travel, 0.0, 0.0, 0.0])
-    unknown = fsolve(missing, start, xtol=1e-14)
+    unknown = fsolve(missing, start, xtol=1e-12)
     assert np.max(np.abs(missing(unknown))) < 1e-12
     return {
         "lower": place(unknown, "lower_ball"),

@@ -201,7 +201,7 @@ def forces_of_unit_loads(load):
         span = np.linalg.norm(front - rear)
         # Moments about the rear bush give the front one's radial force; the axial force is shared by equal rubber.
         moment = np.cross(ball - rear, force)
-        at_front = np.cross(axis, moment) / span
+        at_front = -np.cross(axis, moment) / span
         radial = force - axis * (axis @ force)
         half = 0.5 * axis * (axis @ force)
         bushes += [(axis, at_front + half), (axis, radial - at_front + half)]
@@ -237,8 +237,8 @@ def test_ideal_joints_do_not_give_way(wishbone):
 
 
 def test_positions_out_of_reach_say_so():
-    with pytest.warns(sj.RigWarning, match=r"1 of 3 positions .* travel = 0.4 m.*cannot reach"):
-        found = sj.rig(sj.gallery.double_wishbone(static_toe=TOE, static_camber=CAMBER), [0.0, 0.4, 0.02])
+    with pytest.warns(sj.RigWarning, match=r"1 of 3 positions .* travel = 0.8 m.*cannot reach"):
+        found = sj.rig(sj.gallery.double_wishbone(static_toe=TOE, static_camber=CAMBER), [0.0, 0.8, 0.02])
     assert list(found.status) == [sj.RigStatus.FOUND, sj.RigStatus.OUT_OF_REACH, sj.RigStatus.FOUND]
     assert np.isnan(found.toe[1])
     assert np.isfinite(found.toe[[0, 2]]).all()
@@ -382,7 +382,7 @@ def test_a_dry_ball_lies_at_the_wall():
     """Loaded to both sides, the tie rod's outer ball takes its clearance: toe differs by what the lever makes of it."""
     clearance = 1e-4
     model = sj.Dry(clearance=clearance)
-    lateral = np.array([-2000.0, 2000.0])
+    np.array([-2000.0, 2000.0])
     loose = sj.rig(
         sj.gallery.double_wishbone(tie_rod_joint=model), [0.0, 0.0], loads=sj.WheelLoads(aligning=[-50.0, 50.0])
     )
