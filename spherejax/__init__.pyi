@@ -6,6 +6,7 @@ from .foundations.checks import Requirement
 from .foundations.errors import SceneError
 from .foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from .foundations.types import Unit
+from .gallery.wheel_suspensions import DOUBLE_WISHBONE, MCPHERSON
 from .model.drift import AbstractDriftControl, Baumgarte, NoDriftControl, PostStabilization, Projection
 from .model.scene import Scene
 from .model.system import System, compile_scene
@@ -169,6 +170,8 @@ from .studies.uncertainty import (
 from .studies.wear import Wear, WearWarning, wear
 
 __all__ = [
+    "DOUBLE_WISHBONE",
+    "MCPHERSON",
     "SOLVERS",
     "AbstractConformity",
     "AbstractCoordinate",

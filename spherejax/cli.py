@@ -1,4 +1,4 @@
-"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|write|list`."""
+"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|rig|write|list`."""
 
 import argparse
 import difflib
@@ -92,6 +92,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.fit import add_fit
     from spherejax.command_line.modes import add_modes
+    from spherejax.command_line.rig import add_rig
     from spherejax.command_line.run import add_run
     from spherejax.command_line.sensitivity import add_sensitivity
     from spherejax.command_line.sweep import add_sweep
@@ -110,6 +111,7 @@ def parser() -> argparse.ArgumentParser:
         add_fit,
         add_sensitivity,
         add_modes,
+        add_rig,
         add_write,
         add_list,
     ):
