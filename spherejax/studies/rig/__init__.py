@@ -5,7 +5,8 @@ that give way, `characteristics.py` reads toe, camber and the rest off them, `st
 """
 
 from spherejax.studies.rig.bench import Corner
-from spherejax.studies.rig.rig_result import Rig, RigStatus, RigWarning, Vehicle
+from spherejax.studies.rig.rig_result import Rig, Vehicle
+from spherejax.studies.rig.shown import RigStatus, RigWarning
 from spherejax.studies.rig.study import WheelLoads, rig
 
 __all__ = ["Corner", "Rig", "RigStatus", "RigWarning", "Vehicle", "WheelLoads", "rig"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from spherejax.studies.rig.bench import LOADS
 from spherejax.studies.rig.characteristics import GIVES
-from spherejax.studies.rig.rig_result import SHOWN, Rig, RigStatus, Shown, compliance_shown
+from spherejax.studies.rig.shown import SHOWN, RigStatus, Shown, compliance_shown
 
 if TYPE_CHECKING:
     import xarray
@@ -34,7 +34,7 @@ IN_TABLE = (
 LOAD_UNITS = {"longitudinal": "N", "lateral": "N", "aligning": "N m", "driving": "N"}
 
 
-def dataset_of(rig: Rig) -> "xarray.Dataset":
+def dataset_of(rig: Any) -> "xarray.Dataset":
     """Curves in SI units; the dimension is what varies alone, else the position."""
     import xarray
 
@@ -60,14 +60,14 @@ def dataset_of(rig: Rig) -> "xarray.Dataset":
     return xarray.Dataset(data, coords, {"axes": "ISO 8855: x forward, y to the left, z up", "side": int(rig.side)})
 
 
-def _axis(rig: Rig) -> str:
+def _axis(rig: Any) -> str:
     varies = [name for name in ("travel", "steer") if np.ptp(np.asarray(getattr(rig, name))) > 0]
     varied = np.asarray(getattr(rig, varies[0])) if len(varies) == 1 else np.zeros(0)
     is_alone = len(np.unique(varied)) == len(varied) > 0
     return varies[0] if is_alone else "position"
 
 
-def table_of(rig: Rig) -> str:
+def table_of(rig: Any) -> str:
     """The table that is printed: positions as columns, at most nine of them."""
     n = len(np.asarray(rig.travel))
     at = np.unique(np.linspace(0, n - 1, min(n, 9)).round().astype(int))
@@ -103,7 +103,7 @@ def _cell(x: float) -> str:
     return "0" if abs(x) < 1e-6 else f"{x:.4g}"
 
 
-def write_csv(rig: Rig, path: Any) -> None:
+def write_csv(rig: Any, path: Any) -> None:
     """All positions, with shown units in the head."""
     columns: list[tuple[str, Any]] = [
         ("travel [mm]", 1e3 * np.asarray(rig.travel)),

@@ -32,7 +32,7 @@ from spherejax.motion.equations.programs import program_for
 from spherejax.physics.state import VELOCITY_SIZE, Layout, pack, unpack
 from spherejax.studies.rig.bench import N_INPUTS, PLATFORM, moved, platform_of, with_inputs
 from spherejax.studies.rig.characteristics import Curves, Holding, curves_of
-from spherejax.studies.rig.rig_result import RigStatus
+from spherejax.studies.rig.shown import RigStatus
 from spherejax.studies.rig.start import Starter, rows_of
 
 N_STEPS = 40

@@ -30,7 +30,8 @@ from spherejax.studies.rig.bench import (
 from spherejax.studies.rig.characteristics import Curves
 from spherejax.studies.rig.equilibria import RealPrograms
 from spherejax.studies.rig.kinematics import RigPrograms
-from spherejax.studies.rig.rig_result import REASONS, Rig, RigStatus, RigWarning
+from spherejax.studies.rig.rig_result import Rig
+from spherejax.studies.rig.shown import REASONS, RigStatus, RigWarning
 
 PART = 0.02
 """Largest part of travel or rack [m], or of a steering angle [rad], that is closed at once: a body turns by about 4 deg
