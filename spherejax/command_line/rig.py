@@ -67,8 +67,9 @@ def put_on_rig(options: argparse.Namespace) -> int:
     from spherejax.output.io import make_folder, require_free, save
 
     folder = None if options.out is None else Path(options.out).expanduser()
-    for name in FILES if folder is not None else ():
-        require_free(folder / name, overwrite=options.overwrite)
+    if folder is not None:
+        for name in FILES:
+            require_free(folder / name, overwrite=options.overwrite)
     if options.points < 1:
         raise sj.SceneError(f"--points {options.points} must be at least 1")
     steer = _range("--steer", options.steer, options.points)
@@ -94,7 +95,7 @@ def _range(flag: str, text: str, n: int) -> np.ndarray:
         ends = [_length(first if not unit or " " in first.strip() else f"{first} {unit}"), _length(last or first)]
     except SceneError as error:
         raise sj.SceneError(f'{flag} {text}: {error}. Write e.g. {flag} "-80:80 mm"') from None
-    return np.linspace(*ends, n) if colon else np.asarray(ends[0])
+    return np.linspace(ends[0], ends[1], n) if colon else np.asarray(ends[0])
 
 
 def _length(text: str) -> float:

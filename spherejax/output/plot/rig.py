@@ -57,7 +57,8 @@ def rig(
     Raises:
         SceneError: for what is no rig, or an unknown characteristic.
     """
-    named: Mapping[str, Any] = rigs if isinstance(rigs, Mapping) and "toe" not in rigs else {"": rigs}
+    given: Any = rigs
+    named: Mapping[str, Any] = given if isinstance(given, Mapping) and "toe" not in given else {"": given}
     if not named or not all("toe" in getattr(one, "data_vars", ()) for one in named.values()):
         raise SceneError('sj.plot.rig draws what sj.rig(...).to_xarray() gives, or several: {"rubber": ...}')
     first = next(iter(named.values()))

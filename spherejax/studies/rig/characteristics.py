@@ -66,11 +66,13 @@ def measured(system: System, motions: BodyMotions) -> Measured:
     camber = -jnp.arcsin(spin[2])
     axis = _axis(platform, motions, patch, side)
     spring: Any = system.forces[corner.spring] if corner.spring is not None else None
-    length = spring.attachment.stretch(motions).length if isinstance(spring, AbstractLineForce) else None
-    return Measured(toe, camber, *axis, patch, center, length)
+    is_line = isinstance(spring, AbstractLineForce)
+    attachment: Any = spring.attachment if is_line else None
+    length = attachment.stretch(motions).length if is_line else None
+    return Measured(toe, camber, *axis, patch=patch, center=center, spring_length=length)
 
 
-def _axis(platform: PlacedPlatform, motions: BodyMotions, patch: Vector3, side: Scalar) -> tuple:
+def _axis(platform: PlacedPlatform, motions: BodyMotions, patch: Vector3, side: Scalar) -> tuple[Any, Any, Any, Any]:
     """Caster, kingpin inclination, scrub radius and caster trail."""
     if not platform.kingpin_bodies:
         return None, None, None, None

@@ -77,7 +77,7 @@ def depths(structure: Structure, names: tuple[str, ...], theta, forces):
 
 def _depth_for(joint: PlacedSpherical, force: Scalar) -> Scalar:
     """Distance |e| at which the contact answers with a force [m], by halving."""
-    zero, pressed = jnp.zeros(3), joint.model.memory_at_onset(ONSET)
+    zero, pressed = jnp.zeros(3), joint.model.memory_at_onset(jnp.asarray(ONSET))
     model: Any = joint.model
 
     def answer(distance):

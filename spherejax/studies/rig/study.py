@@ -283,7 +283,7 @@ def _result(prepared: Prepared, points: Any, curves: Curves, status: Any, xp: An
     def kept(curve):
         return xp.where(good.reshape(-1, *(1 for _ in curve.shape[1:])), curve, xp.nan)
 
-    known = {name: None if curve is None else kept(curve) for name, curve in curves._asdict().items()}
+    known: dict[str, Any] = {name: None if curve is None else kept(curve) for name, curve in curves._asdict().items()}
     side = xp.asarray(side_of(platform))
     return Rig(
         travel=points[:, 0],
