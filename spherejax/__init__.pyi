@@ -6,6 +6,7 @@ from .foundations.checks import Requirement
 from .foundations.errors import SceneError
 from .foundations.scalarize import NotScalarizable, ScalarProgram, scalarize
 from .foundations.types import Unit
+from .gallery.wheel_suspensions import DOUBLE_WISHBONE, MCPHERSON
 from .model.drift import AbstractDriftControl, Baumgarte, NoDriftControl, PostStabilization, Projection
 from .model.scene import Scene
 from .model.system import System, compile_scene
@@ -44,6 +45,7 @@ from .physics.forces.torsional import TorsionalSpring
 from .physics.forces.tyre import Tyre
 from .physics.functions.base import AbstractFunction, Network, UserFunction
 from .physics.functions.pieces import Piecewise, Sum
+from .physics.functions.roads import RandomRoad
 from .physics.functions.shapes import (
     Bump,
     Constant,
@@ -145,6 +147,8 @@ from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
+from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig
+from .studies.roads import load_road
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
 from .studies.sweep import (
@@ -172,6 +176,8 @@ from .studies.uncertainty import (
 from .studies.wear import Wear, WearWarning, wear
 
 __all__ = [
+    "DOUBLE_WISHBONE",
+    "MCPHERSON",
     "PID",
     "SOLVERS",
     "AbstractConformity",
@@ -210,6 +216,7 @@ __all__ = [
     "Constant",
     "ConstraintReport",
     "ConstraintRows",
+    "Corner",
     "CosinePressure",
     "Coulomb",
     "Coupler",
@@ -285,9 +292,13 @@ __all__ = [
     "Projection",
     "RadialElastomer",
     "RadialFilm",
+    "RandomRoad",
     "Requirement",
     "Response",
     "Revolute",
+    "Rig",
+    "RigStatus",
+    "RigWarning",
     "Rim",
     "Rodas4P",
     "Rodas5P",
@@ -344,8 +355,10 @@ __all__ = [
     "Universal",
     "UserFunction",
     "VectorElastomer",
+    "Vehicle",
     "Wear",
     "WearWarning",
+    "WheelLoads",
     "Whole",
     "WinklerLiner",
     "WorkPrecision",
@@ -372,6 +385,7 @@ __all__ = [
     "linearize",
     "load",
     "load_mjcf",
+    "load_road",
     "load_scene",
     "load_urdf",
     "maximum_penetration",
@@ -388,6 +402,7 @@ __all__ = [
     "read_scene_file",
     "realized_restitution",
     "report",
+    "rig",
     "runtime",
     "save",
     "save_scene",

@@ -1,4 +1,4 @@
-"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|tolerances|modes|...`."""
+"""The command line: `spherejax run`, `compare`, `sweep`, `fit`, `modes` and so on; `spherejax --help` has them all."""
 
 import argparse
 import difflib
@@ -93,6 +93,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.export import add_export
     from spherejax.command_line.fit import add_fit
     from spherejax.command_line.modes import add_modes
+    from spherejax.command_line.rig import add_rig
     from spherejax.command_line.run import add_run
     from spherejax.command_line.sensitivity import add_sensitivity
     from spherejax.command_line.sweep import add_sweep
@@ -113,6 +114,7 @@ def parser() -> argparse.ArgumentParser:
         add_sensitivity,
         add_tolerances,
         add_modes,
+        add_rig,
         add_write,
         add_export,
         add_list,

@@ -10,6 +10,7 @@ histories of runs           `curves_of` for `four_histories`, `phase_portraits`,
                             `Panel` for `model_histories`
 force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
 linearizations              `bode`, `modes`
+suspension rigs             `rig`
 sweeps                      `figures_of_sweep`
 figures of your own         `new_figure`, `letter`, `ordered_colors`, `MODEL_COLORS`, `LAW_COLORS`, `LAW_DASHES`
 
@@ -24,6 +25,7 @@ from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loo
 from spherejax.output.plot.modes import modes
 from spherejax.output.plot.panels import Panel, Shade, model_histories
 from spherejax.output.plot.phase import phase_portraits
+from spherejax.output.plot.rig import rig
 from spherejax.output.plot.stiffness import dynamic_stiffness
 from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, MODEL_COLORS, letter, new_figure, ordered_colors
 from spherejax.output.plot.swept import figures_of_sweep
@@ -50,4 +52,5 @@ __all__ = [
     "new_figure",
     "ordered_colors",
     "phase_portraits",
+    "rig",
 ]

@@ -39,6 +39,8 @@ COMMANDS = (
     "sensitivity",
     "tolerances",
     "modes",
+    "rig",
+    "cycle",
     "write",
     "export",
     "list",

@@ -49,7 +49,7 @@ def test_readme_runs(tmp_path):
     examples.run_page(README, tmp_path, also_shown=("toml",))
 
 
-COMMANDS = "run|draw|compare|effects|accuracy|sweep|fit|sensitivity|tolerances|modes|write|export|list"
+COMMANDS = "run|draw|compare|effects|accuracy|sweep|fit|sensitivity|tolerances|modes|rig|cycle|write|export|list"
 COMMAND = re.compile(rf"^(?:    )?(?:\.venv/bin/)?(spherejax (?:{COMMANDS})\b.*)$")
 
 

@@ -12,6 +12,7 @@ from spherejax.gallery.pendulums import double_pendulum, heavy_top, physical_pen
 from spherejax.gallery.piston import piston
 from spherejax.gallery.slider_crank import slider_crank
 from spherejax.gallery.suspension import suspension
+from spherejax.gallery.wheel_suspensions import double_wishbone, mcpherson
 
 __all__ = [
     "andrews",
@@ -19,10 +20,12 @@ __all__ = [
     "car_axis",
     "chain",
     "double_pendulum",
+    "double_wishbone",
     "four_bar",
     "governor",
     "heavy_top",
     "hip",
+    "mcpherson",
     "n_four_bar",
     "physical_pendulum",
     "piston",
