@@ -49,7 +49,7 @@ def slopes_of(layout: Layout, y: Flat, changes: Float[np.ndarray, "n_z k"]) -> F
     turns = np.concatenate([np.zeros_like(steps[..., :1]), 0.5 * steps[..., 3:]], -1)
     q = np.concatenate([steps[..., :3], _product(turns, np.broadcast_to(p, turns.shape))], -1)
     rows = np.zeros((changes.shape[1], layout.size))
-    rows[:, : layout.n_position] = q.reshape(len(rows), -1)
+    rows[:, : layout.n_position] = q.reshape(len(rows), layout.n_position)
     rows[:, layout.n_position : layout.work_start] = changes[n_v:].T
     return rows
 
@@ -59,7 +59,7 @@ def changes_of(layout: Layout, y: Flat, slopes: Float[np.ndarray, "k size"]) -> 
     rates = slopes[:, : layout.n_position].reshape(-1, layout.n_bodies, POSITION_SIZE)
     p = y[: layout.n_position].reshape(-1, POSITION_SIZE)[:, 3:] * np.array([1.0, -1.0, -1.0, -1.0])
     turns = 2 * _product(rates[..., 3:], np.broadcast_to(p, rates[..., 3:].shape))[..., 1:]
-    moved = np.concatenate([rates[..., :3], turns], -1).reshape(len(slopes), -1)
+    moved = np.concatenate([rates[..., :3], turns], -1).reshape(len(slopes), layout.n_velocity)
     return np.concatenate([moved, slopes[:, layout.n_position : layout.work_start]], 1).T
 
 

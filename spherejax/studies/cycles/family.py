@@ -43,13 +43,14 @@ class Family:
 
     Attributes:
         names: of the numbers.
+        values: those of the example.
         structure: of all systems.
         example: the system at `values`.
     """
 
     def __init__(self, build: Callable[..., Scene], values: Mapping[str, float], *, rtol, solver, max_steps):
         check_tolerances(rtol, None)
-        self.build, self.names = build, tuple(values)
+        self.build, self.names, self.values = build, tuple(values), dict(values)
         self.example: System = compile_scene(self.scene(values)).system
         if not is_concrete(flatten_system(self.example)[1]):
             raise SceneError("cycles are looked for with numbers that are known; call it outside of jit, vmap and grad")
@@ -121,6 +122,17 @@ class Family:
         return jax.tree.map(np.asarray, found)
 
 
+    def held_slope(self, theta, t: float, y, slope) -> np.ndarray:
+        """Derivatives of the constraints and of their rates along a change of all numbers."""
+        return np.asarray(_held_slope(self.structure, self.scalar, *map(jnp.asarray, (theta, t, y, slope))))
+
+    @property
+    def knows_time(self) -> bool:
+        """Whether anything depends on time; on array code that is not known, and counts as if it did."""
+        program = program_for(state_rate, self.structure, self.scalar).scalar
+        return program is None or program.reads(1)
+
+
 class Looked(NamedTuple):
     """What is looked at of states, with a leading axis of states.
 
@@ -153,6 +165,12 @@ def _looked_at(structure: Structure, scalar: bool | None, theta, t, y) -> Looked
         return Looked(y, geometry, rate(theta, t, y))
 
     return jax.lax.map(of_one, (theta, t, y))
+
+
+@bounded_jit(what="how the constraints of a cycle change")
+def _held_slope(structure: Structure, scalar: bool | None, theta, t, y, slope):
+    here = program_for(held, structure, scalar, is_quiet=True)
+    return jax.jvp(lambda theta: here(theta, t, y), (theta,), (slope,))[1]
 
 
 def _flattened(scene: Scene, structures: list[Structure] | None = None):

@@ -14,6 +14,7 @@ Source: R. Seydel, Practical Bifurcation and Stability Analysis, 3rd ed. (2010),
 the Gauss-Newton corrector of E. Allgower and K. Georg, Numerical Continuation Methods (1990), chapter 3.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -38,6 +39,9 @@ LARGEST_GROWTH = 1.2
 SINGULAR = 1e-6
 """Singular values below this share of the largest of 1 and |M| are zero: derivatives of a run are good to that."""
 
+CLOSED = 1e-3
+"""Newton's method ends where a cycle closes to this share of the tolerance: the next step would be rounding."""
+
 SEEN = 16
 """Instants of a cycle at which its size is looked at."""
 
@@ -57,6 +61,11 @@ class Place(NamedTuple):
     y: Float[np.ndarray, "*n size"]
     period: Float[np.ndarray, "*n"]
     values: Float[np.ndarray, "*n p"]
+
+
+def stacked_places(places: "list[Place]") -> Place:
+    """Several as one."""
+    return Place(*(np.stack([np.asarray(each) for each in column]) for column in zip(*places, strict=True)))
 
 
 class Shot(NamedTuple):
@@ -116,11 +125,17 @@ class Shooting:
         family: the scenes.
         begin: time at which a cycle begins [s].
         by: a change of the numbers along which derivatives are taken; None for none.
-        period_by: derivative of the period along it, from numbers and period.
+        period_of: the period that belongs to the numbers; None where it is the same for all, or free.
     """
 
-    def __init__(self, family: Family, begin: float, by: np.ndarray | None = None, period_by=None):
-        self.family, self.begin, self.by, self.period_by = family, begin, by, period_by
+    def __init__(
+        self,
+        family: Family,
+        begin: float,
+        by: np.ndarray | None = None,
+        period_of: Callable[[np.ndarray], float] | None = None,
+    ):
+        self.family, self.begin, self.by, self.period_of = family, begin, by, period_of
         self.length = float(np.asarray(length_scale(family.example)))
         self.mass = float(sum(np.asarray(body.mass) for body in family.example.bodies.values()))
         layout, entries = family.layout, slice(family.layout.memory_start, family.layout.work_start)
@@ -166,9 +181,7 @@ class Shooting:
         found = family.flown(jobs, np.linspace(0.0, 1.0, SEEN + 1), with_rows=True)
         ends = np.where(np.isfinite(found.ys[:, -1]), found.ys[:, -1], rows)
         rates = family.looked_at(theta, times + places.period, ends[:, 0]).rate
-        return [
-            self._shot(places, k, about[k], found, ends[k], rates[k], bool(wanted[k])) for k in range(n)
-        ]  # fmt: skip
+        return [self._shot(places, k, about[k], found, ends[k], rates[k], bool(wanted[k])) for k in range(n)]
 
     def _shot(self, places: Place, k: int, about: tuple, found, rows, rate, wanted: bool) -> Shot:
         layout = self.family.layout
@@ -180,8 +193,7 @@ class Shooting:
         columns = inverse @ changes_of(layout, last, rows[1:])
         by_period = inverse @ changes_of(layout, last, rate[None])[:, 0] * place.period
         by_number = columns[:, -1] - inverse @ start
-        if self.by is not None and self.period_by is not None:
-            by_number = by_number + by_period * self.period_by(place.values, place.period) / place.period
+        by_number = by_number + by_period * self._period_slope(place.values) / place.period
         seen = between(layout, place.y, found.ys[k, :, 0]) @ inverse.T
         size = max(float(np.nan_to_num(np.linalg.norm(seen, axis=1)).max()), RESTING * self.scale)
         status = int(found.status[k]) if wanted else int(Status.BAD_VALUE)
@@ -192,6 +204,17 @@ class Shooting:
             place, last, coordinates, units, chosen, residual, columns[:, : len(own)], by_period, by_number, start,
             size, status, float(found.t_reached[k]),
         )  # fmt: skip
+
+    def timed(self, place: Place) -> Place:
+        """With the period that belongs to its numbers."""
+        return place if self.period_of is None else place._replace(period=np.asarray(self.period_of(place.values)))
+
+    def _period_slope(self, values: np.ndarray) -> float:
+        """Derivative of the period along the change, by a central difference: it steers Newton's steps alone."""
+        if self.period_of is None or self.by is None:
+            return 0.0
+        h = 1e-6
+        return (self.period_of(values + h * self.by) - self.period_of(values - h * self.by)) / (2 * h)
 
     def _units(self, coordinates: Coordinates, y: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Of each coordinate what counts as one length of x; and which are unknowns: no onset of a ball in flight."""
@@ -209,11 +232,8 @@ class Shooting:
         if self.by is None or not self.family.names:
             return np.zeros(theta.shape), none
         slope = self.family.theta_slope(values, self.by)
-        from spherejax.studies.linear.tangent import Equations
-
-        equations = Equations(self.family.structure, theta, self.begin, y)
         still = np.zeros(layout.n_velocity)
-        held = equations.by_numbers((), slope[:, None])[2][..., 0]
+        held = self.family.held_slope(theta, self.begin, y, slope)
         dq, dv = yielding(geometry, coordinates.least, held, still, still)
         return slope, np.concatenate([dq, dv, np.zeros(layout.n_memory)])
 
@@ -268,7 +288,7 @@ def search(
         busy = np.array([not each.is_over for each in searches])
         if not busy.any():
             break
-        stacked = Place(*(np.stack([np.asarray(each) for each in column]) for column in zip(*(s.place for s in searches), strict=True)))
+        stacked = stacked_places([one.place for one in searches])
         for one, shot, is_busy in zip(searches, shooting.shots(stacked, busy), busy, strict=True):
             if is_busy:
                 _advanced(shooting, one, shot, tolerance, unknown_period, by_number)
@@ -285,9 +305,11 @@ def _advanced(shooting: Shooting, one: _Search, shot: Shot, tolerance: float, un
             one.is_over = True
             return
         one.share /= 4
-    elif best is not None and best.error <= tolerance and shot.error > 0.3 * best.error:
+    elif shot.error <= CLOSED * tolerance or (
+        best is not None and best.error <= tolerance and shot.error > 0.3 * best.error
+    ):
         # As close as the integration has it.
-        one.best, one.is_over = (shot if shot.error < best.error else best), True
+        one.best, one.is_over = (shot if best is None or shot.error < best.error else best), True
         return
     else:
         if not np.isfinite(shot.error) and best is None:
@@ -301,13 +323,8 @@ def _advanced(shooting: Shooting, one: _Search, shot: Shot, tolerance: float, un
     step = one.share * step
     number = step[n + unknown_period] if by_number else 0.0
     period = best.place.period * np.exp(np.clip(step[n], -0.5, 0.5)) if unknown_period else best.place.period
-    values = best.place.values
-    if by_number:
-        assert shooting.by is not None
-        values = values + number * shooting.by
-        if shooting.period_by is not None:
-            period = period + number * shooting.period_by(best.place.values, best.place.period)
-    one.place = Place(best.moved(shooting.family, step[:n], number), period, values)
+    values = best.place.values if shooting.by is None else best.place.values + number * shooting.by
+    one.place = shooting.timed(Place(best.moved(shooting.family, step[:n], number), period, values))
 
 
 def newton_step(shot: Shot, unknown_period: bool, by_number: bool) -> np.ndarray:
@@ -320,16 +337,11 @@ def newton_step(shot: Shot, unknown_period: bool, by_number: bool) -> np.ndarray
 
 def matrix(shot: Shot, unknown_period: bool, by_number: bool) -> tuple[np.ndarray, np.ndarray]:
     """[M - 1, T f, dr/dp] for unknowns that count alike, and their units."""
-    columns, units = [shot.monodromy - np.eye(len(shot.residual))], [np.ones(len(shot.residual))]
-    if unknown_period:
-        columns.append(shot.by_period[:, None])
-        units.append(np.ones(1))
-    if by_number:
-        # A change of the number by one counts as the size of the cycle.
-        columns.append(shot.by_number[:, None] / shot.size)
-        units.append(np.array([1 / shot.size]))
-    J = np.concatenate(columns, 1)
-    return (J, np.concatenate(units))
+    # A period longer by its own length, and a number changed by one, count as the size of the cycle.
+    more = [shot.by_period] * unknown_period + [shot.by_number] * by_number
+    own = shot.monodromy - np.eye(len(shot.residual))
+    J = np.concatenate([own, *(column[:, None] / shot.size for column in more)], 1)
+    return J, np.concatenate([np.ones(len(own)), np.full(len(more), 1 / shot.size)])
 
 
 def _judged(shooting: Shooting, one: _Search, tolerance: float) -> Found:

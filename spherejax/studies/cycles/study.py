@@ -19,7 +19,7 @@ from spherejax.motion.start.equilibrium import equilibrium
 from spherejax.motion.start.start_now import start_now
 from spherejax.studies.cycles.cycle_result import Cycle, Multipliers, motions
 from spherejax.studies.cycles.family import Family
-from spherejax.studies.cycles.shooting import Found, Place, Shooting, search, settled
+from spherejax.studies.cycles.shooting import Found, Place, Shooting, search, settled, stacked_places
 
 TOLERANCE = 100.0
 """A cycle closes to so many relative tolerances of its size: errors of the steps of a period add up."""
@@ -80,6 +80,7 @@ def steady_cycle(
     request = asked(what, period, near, at, settle, samples, t)
     with waiting_for("a cycle", program="over_spans"):
         family, start = begun(what, {}, request, rtol=rtol, solver=solver, max_steps=max_steps)
+        refuse_time(family, request, "steady_cycle")
         found = cycle_from(family, start, request)
     if not found.succeeded:
         if throw:
@@ -172,6 +173,15 @@ def start_of(scene: Scene, family: Family, request: Request) -> np.ndarray:
     return np.asarray(initial_state(system, assembly))
 
 
+def refuse_time(family: Family, request: Request, name: str) -> None:
+    """Refuse to look for the period of something that prescribes one."""
+    if not request.is_driven and family.knows_time:
+        raise SceneError(
+            f"{name}: near= looks for the period of a mechanism that is left to itself, and here something depends on "
+            "time (a driver, a force, a road). Give its period="
+        )
+
+
 def cycle_from(family: Family, start: np.ndarray, request: Request, values: np.ndarray | None = None) -> Cycle:
     """The cycle that is found from a state."""
     numbers = np.zeros((1, 0)) if values is None else values[None]
@@ -186,12 +196,38 @@ def cycle_from(family: Family, start: np.ndarray, request: Request, values: np.n
     return made(family, found, request)
 
 
+LOOKED_AT = 5
+"""Instants of a cycle at which it is tested that a period later the equations are the same."""
+
+ALIKE = 1e-7
+"""By how much they may differ, as a share of the largest accelerations, and of the mechanism."""
+
+
+def why_not_periodic(family: Family, place: Place, run: Trajectory, begin: float) -> str:
+    """Why the equations of motion are others a period later; empty where they are the same."""
+    if not family.knows_time:
+        return ""
+    theta = np.repeat(family.theta(place.values), LOOKED_AT, 0)
+    chosen = np.linspace(0, len(run.ts) - 1, LOOKED_AT + 2).round().astype(int)[1:-1]
+    ts, ys = np.asarray(run.ts)[chosen], np.asarray(run.ys)[chosen]
+    period = float(place.period[0])
+    now, then = (family.looked_at(theta, times, ys) for times in (ts, ts + period))
+    largest = np.abs(now.rate).max(initial=0.0) or 1.0
+    apart = max(np.abs(then.rate - now.rate).max() / largest, np.abs(then.y - now.y).max() / max(1.0, np.abs(ys).max()))
+    if apart <= ALIKE:
+        return ""
+    return (
+        f"what drives the mechanism does not repeat itself after {period:.9g} s: a period later the equations of motion "
+        f"are others (by {apart:.2g} of the largest rate). Give the period of all drivers, forces and roads together"
+    )
+
+
 def made(family: Family, found: Found, request: Request) -> Cycle:
     """The cycle of what a search has found."""
     shot = found.shot
-    place = Place(shot.place.y[None], np.array([shot.place.period]), np.asarray(shot.place.values)[None])
+    place = stacked_places([shot.place])
     run = motions(family, place, request.t, request.samples)[0]
-    why = found.why
+    why = found.why or why_not_periodic(family, place, run, request.t)
     if found.is_cycle and not request.is_driven and shot.size <= 2e-7 * Shooting(family, request.t).scale:
         why = (
             "the mechanism rests there, and a rest repeats itself after any time; begin farther from it, on the motion "
@@ -200,7 +236,7 @@ def made(family: Family, found: Found, request: Request) -> Cycle:
     return Cycle(
         run=run,
         period=float(shot.place.period),
-        multipliers=Multipliers.of(shot.monodromy, request.is_driven, family.rtol),
+        multipliers=Multipliers.of(shot.monodromy, family.knows_time, family.rtol),
         succeeded=not why,
         diagnosis=why,
         error=shot.error,
