@@ -10,6 +10,7 @@ histories of runs           `curves_of` for `four_histories`, `phase_portraits`,
                             `Panel` for `model_histories`
 force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
 linearizations              `bode`, `modes`
+cycles                      `cycle`, `continuation`, `swept_sine`
 sweeps                      `figures_of_sweep`
 figures of your own         `new_figure`, `letter`, `ordered_colors`, `MODEL_COLORS`, `LAW_COLORS`, `LAW_DASHES`
 
@@ -18,6 +19,7 @@ Matplotlib is imported with this module, and this module when `sj.plot` is first
 
 from spherejax.output.plot.bode import bode
 from spherejax.output.plot.curves import Curves, curves_of
+from spherejax.output.plot.cycles import continuation, cycle, swept_sine
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
@@ -36,7 +38,9 @@ __all__ = [
     "Panel",
     "Shade",
     "bode",
+    "continuation",
     "curves_of",
+    "cycle",
     "dynamic_stiffness",
     "eccentricity_paths",
     "figures_of_sweep",
@@ -50,4 +54,5 @@ __all__ = [
     "new_figure",
     "ordered_colors",
     "phase_portraits",
+    "swept_sine",
 ]
