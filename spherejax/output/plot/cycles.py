@@ -190,7 +190,7 @@ def swept_sine(found: Any, output: str | None = None, title: str = "") -> Figure
             ax.xaxis.set_major_formatter("{x:g}")
     upper.set_yscale("log")
     unit = found.output_units[i]
-    upper.set_ylabel(f"first harmonic over input [{unit or 'SI'} per unit]")
+    upper.set_ylabel(f"magnitude [{unit or 'SI'} per unit]")
     middle.set_ylabel("phase [deg]")
     lower.set_ylabel("distortion [%]")
     lower.set_xlabel("frequency [Hz]")
