@@ -1,4 +1,4 @@
-"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|write|list`."""
+"""The command line: `spherejax run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|cycle|write|list`."""
 
 import argparse
 import difflib
@@ -88,6 +88,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.accuracy import add_accuracy
     from spherejax.command_line.catalog import add_list
     from spherejax.command_line.compare import add_compare
+    from spherejax.command_line.cycle import add_cycle
     from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.fit import add_fit
@@ -110,6 +111,7 @@ def parser() -> argparse.ArgumentParser:
         add_fit,
         add_sensitivity,
         add_modes,
+        add_cycle,
         add_write,
         add_list,
     ):

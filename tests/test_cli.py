@@ -28,7 +28,20 @@ def parsed(*words):
     return cli.parser().parse_args(["run", "four-bar", *words])
 
 
-COMMANDS = ("run", "draw", "compare", "effects", "accuracy", "sweep", "fit", "sensitivity", "modes", "write", "list")
+COMMANDS = (
+    "run",
+    "draw",
+    "compare",
+    "effects",
+    "accuracy",
+    "sweep",
+    "fit",
+    "sensitivity",
+    "modes",
+    "cycle",
+    "write",
+    "list",
+)
 
 
 @pytest.mark.parametrize("words", [(), *((name,) for name in COMMANDS)])

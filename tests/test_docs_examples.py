@@ -48,7 +48,7 @@ def test_readme_runs(tmp_path):
     examples.run_page(README, tmp_path, also_shown=("toml",))
 
 
-COMMANDS = "run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|write|list"
+COMMANDS = "run|draw|compare|effects|accuracy|sweep|fit|sensitivity|modes|cycle|write|list"
 COMMAND = re.compile(rf"^(?:    )?(?:\.venv/bin/)?(spherejax (?:{COMMANDS})\b.*)$")
 
 
