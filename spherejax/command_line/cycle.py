@@ -14,8 +14,8 @@ from spherejax.command_line.numbers import measured_in, real, whole
 from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
-Find the motion that repeats itself: of a mechanism that something drives, after the given period; of one that is left to
-itself, after a period that is found with it. Its Floquet multipliers say whether it is stable: by so much a small
+Find the motion that repeats itself: of a mechanism that something drives, after the given period;
+of one that is left to itself, after a period that is found with it. Its Floquet multipliers say whether it is stable: by so much a small
 deviation grows in a period. Unstable cycles, on which no simulation settles, are found as well.
 """
 
@@ -50,7 +50,10 @@ def add_cycle(commands) -> None:
         "--at", choices=("start", "rest"), default="start", help="where the search begins (default: start)"
     )
     what.add_argument(
-        "--settle", type=whole, metavar="N", help="periods that are simulated before (default: 10, without a drive none)"
+        "--settle",
+        type=whole,
+        metavar="N",
+        help="periods that are simulated before (default: 10, without a drive none)",
     )
     what.add_argument("--rtol", type=real, default=1e-8, metavar="X", help="relative tolerance (default: 1e-8)")
     what.add_argument(
@@ -91,7 +94,7 @@ def find_cycle(options: argparse.Namespace) -> int:
     cycle.figure(*options.plot).savefig(folder / "cycle.png")
     written.append(folder / "cycle.png")
     mu = cycle.multipliers.values
-    rows = np.stack([mu.real, mu.imag, np.abs(mu)], 1)
+    rows = np.stack([np.real(mu), np.imag(mu), np.abs(mu)], 1)
     written.append(_table(folder / "multipliers.csv", ["real", "imaginary", "modulus"], rows))
     if options.plot:
         found = [cycle.harmonics(name) for name in options.plot]

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.types import Scalar
+from spherejax.foundations.types import Numeric, Scalar
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.audit import Audit
@@ -109,9 +109,16 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         correct=timed(problem.correct),
         contacts=None if problem.contacts is None else _contacts(problem.contacts),
         longest_step=None if problem.longest_step is None else jnp.asarray(1.0 / (STEPS_AT_LEAST * cycles)),
-        audit=None if audit is None else Audit(timed(audit.look), lambda span: audit.limits(span.numbers)),
+        audit=None if audit is None else _audit(audit),
         room=None if problem.room is None else room,
     )
+
+
+def _audit(audit: Audit) -> Audit:
+    def look(span: Span, x, y):
+        return audit.look(span.numbers, span.time(x), y)
+
+    return Audit(look, lambda span: audit.limits(span.numbers))
 
 
 def _contacts(contacts: Contacts) -> Contacts:
@@ -159,12 +166,12 @@ class Jobs(NamedTuple):
         is_wanted: which are to be made, shape (n,).
     """
 
-    theta: Float[Array, "n p"]
-    y0: Float[Array, "n ..."]
-    directions: Float[Array, "n k p"]
-    begin: Float[Array, " n"]
-    length: Float[Array, " n"]
-    is_wanted: Array
+    theta: Numeric
+    y0: Numeric
+    directions: Numeric
+    begin: Numeric
+    length: Numeric
+    is_wanted: Numeric
 
 
 @bounded_jit(what="cycles in lanes")

@@ -1,6 +1,7 @@
 """Cycles: one of them with its multipliers, a branch of them along a number, and answers to a swept sine."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,10 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
         drawn, words = np.asarray(table["period"]), "period [s]"
     else:
         unit = table[f"{name}.amplitude"].attrs.get("units", "")
-        drawn, words = np.asarray(table[f"{name}.amplitude"]), f"{name}, first harmonic" + (f" [{unit}]" if unit else "")
+        drawn, words = (
+            np.asarray(table[f"{name}.amplitude"]),
+            f"{name}, first harmonic" + (f" [{unit}]" if unit else ""),
+        )
     multiplier = np.asarray(table["largest_multiplier"])
     for ax, heights in ((left, drawn), (right, multiplier)):
         _branch(ax, values, heights, branch.is_stable)
@@ -133,9 +137,11 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
 def _branch(ax: Axes, values: np.ndarray, heights: np.ndarray, stable: np.ndarray) -> None:
     """Runs of points that are alike, each with the first of the next, so that no gap is left."""
     borders = [0, *(np.flatnonzero(np.diff(stable.astype(int))) + 1).tolist(), len(values)]
-    for first, last in zip(borders[:-1], borders[1:], strict=True):
+    for first, last in pairwise(borders):
         part = slice(first, min(last + 1, len(values)))
-        look = {"color": LAW_COLORS[0]} if stable[first] else {"color": LAW_COLORS[1], "ls": (0, (4, 2))}
+        look: dict[str, Any] = (
+            {"color": LAW_COLORS[0]} if stable[first] else {"color": LAW_COLORS[1], "ls": (0, (4, 2))}
+        )
         ax.plot(values[part], heights[part], lw=1.6, **look)
 
 

@@ -142,7 +142,7 @@ def film(
 
 def _displaced(still: Mechanism, shape: np.ndarray, reach: float) -> Mechanism:
     """The mechanism at the instant of a mode at which the squares of all displacements are largest together."""
-    return _moved(still, _largest_moves(still, shape, reach).real)
+    return _moved(still, np.real(_largest_moves(still, shape, reach)))
 
 
 def _largest_moves(still: Mechanism, shape: np.ndarray, reach: float) -> np.ndarray:

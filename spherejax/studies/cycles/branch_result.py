@@ -156,7 +156,7 @@ class Branch:
         return {
             f"{name}.max": ("point", values.max(axis=1), unit),
             f"{name}.min": ("point", values.min(axis=1), unit),
-            f"{name}.mean": ("point", c[:, 0].real, unit),
+            f"{name}.mean": ("point", np.real(c[:, 0]), unit),
             f"{name}.amplitude": ("point", first, unit),
             f"{name}.phase": ("point", np.angle(c[:, 1]), {"units": "rad"}),
             f"{name}.distortion": ("point", np.divide(higher, first, out=np.full_like(first, np.nan), where=first > 0)),

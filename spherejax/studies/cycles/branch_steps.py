@@ -100,7 +100,7 @@ class Stepper:
 
     @property
     def n_shifts(self) -> int:
-        """Directions besides the branch that lead from a cycle to a cycle: along itself, where nothing knows the time."""
+        """Directions besides the branch that lead to a cycle: along itself, where nothing knows the time."""
         return 0 if self.knows_time or not self.unknown_period else 1
 
     def _along(self, shot: Shot, direction: np.ndarray, slope: float) -> np.ndarray:

@@ -88,7 +88,9 @@ def continuation(
     begin, end = _span(number, span)
     period_of = _period_of(period, number, begin)
     build, fixed, scene = _family_of(what, number, values, begin)
-    request = asked(scene, None if period_of is None else period_of(begin), near, at, settle, samples, t, "continuation")
+    request = asked(
+        scene, None if period_of is None else period_of(begin), near, at, settle, samples, t, "continuation"
+    )
     _check_steps(first_step, largest_step)
     most_points = whole_number("most_points", most_points, "Leave it out for 400.")
     with waiting_for("cycles", program="over_spans"):
@@ -126,8 +128,9 @@ def _period_of(period: Any, number: str, begin: float) -> Callable[[float], floa
         return None
     if not callable(period):
         return lambda _: period
+    given: Any = period
     try:
-        first = float(period(begin))
+        first = float(given(begin))
     except Exception as error:
         raise SceneError(
             f"continuation: period must be a time [s], or a function of {number!r} that gives it; at {begin:.6g} it "
@@ -135,7 +138,7 @@ def _period_of(period: Any, number: str, begin: float) -> Callable[[float], floa
         ) from error
     if not (np.isfinite(first) and first > 0):
         raise SceneError(f"continuation: the period at {number} = {begin:.6g} is {first!r}; it must be positive [s]")
-    return lambda value: float(period(value))
+    return lambda value: float(given(value))
 
 
 def _family_of(what: Any, number: str, values, begin: float) -> tuple[Build, dict[str, float], Scene]:
@@ -157,7 +160,8 @@ def _family_of(what: Any, number: str, values, begin: float) -> tuple[Build, dic
     if number in fixed:
         raise SceneError(f"continuation: values= fixes {number!r}, along which the branch is followed")
     try:
-        return what, fixed, built(what, {**fixed, number: begin})
+        build_of: Any = what
+        return build_of, fixed, built(build_of, {**fixed, number: begin})
     except TypeError as error:
         raise SceneError(f"continuation: build cannot be called with {', '.join([*fixed, number])}: {error}") from error
 
@@ -211,8 +215,8 @@ class _Walk:
         while True:
             if len(self.points) >= most:
                 self.why = (
-                    f"{most} points reach to {self.number} = {self._value(self.points[-1]):.6g}; give most_points= more, "
-                    "or a larger largest_step="
+                    f"{most} points reach to {self.number} = {self._value(self.points[-1]):.6g}; give most_points= "
+                    "more, or a larger largest_step="
                 )
                 return
             last = self.points[-1]
@@ -291,7 +295,7 @@ class _Walk:
         at = point if ends[0] * ends[1] >= 0 else self.stepper.located(last, step, value, ends)
         judged = at.multipliers.judged
         crossing = judged[np.argsort(-np.abs(judged))[min(n, len(judged) - 1)]]
-        kind = _kind(crossing)
+        kind = _kind(complex(crossing))
         if kind == "branch point" and last.slope * point.slope < 0:
             return  # the fold says it already
         self._told(kind, at, point)

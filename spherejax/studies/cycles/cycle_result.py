@@ -47,7 +47,7 @@ class Multipliers:
     def of(cls, monodromy: Float[np.ndarray, "k k"], is_driven: bool, rtol: float) -> "Multipliers":
         """Those of a monodromy matrix."""
         values = np.asarray(np.linalg.eigvals(monodromy), complex)
-        values = values[np.lexsort((-values.imag, -np.abs(values)))]
+        values = values[np.lexsort((-np.imag(values), -np.abs(values)))]
         is_free = np.zeros(len(values), bool)
         if not is_driven and len(values):
             is_free[np.argmin(np.abs(values - 1))] = True
@@ -158,8 +158,8 @@ class Cycle:
         """The motion as a table, with period, multipliers and what they say."""
         found = self.run.to_xarray()
         mu = self.multipliers.values
-        found["multiplier_real"] = ("multiplier", mu.real)
-        found["multiplier_imag"] = ("multiplier", mu.imag)
+        found["multiplier_real"] = ("multiplier", np.real(mu))
+        found["multiplier_imag"] = ("multiplier", np.imag(mu))
         return found.assign_attrs(
             period=self.period, stability=self.multipliers.words, stable=int(self.is_stable), closing_error=self.error
         )
@@ -230,7 +230,7 @@ def motions(family: Family, places: Place, begin: float, samples: int) -> list[T
                 ended=jnp.asarray(one.status),
                 t_reached=jnp.asarray(begin + one.t_reached * places.period[k]),
                 y_reached=jnp.asarray(one.y_reached),
-                assembly=Assembly(start, np.zeros(()), np.zeros(()), none, none, none),
+                assembly=Assembly(*map(jnp.asarray, (start, 0.0, 0.0, none, none, none))),
                 choice=family.choice.reason,
                 scalar=family.scalar,
                 asked=family.asked,

@@ -121,7 +121,6 @@ class Family:
         found = _looked_at(self.structure, self.scalar, *(jnp.asarray(each) for each in (theta, t, y)))
         return jax.tree.map(np.asarray, found)
 
-
     def held_slope(self, theta, t: float, y, slope) -> np.ndarray:
         """Derivatives of the constraints and of their rates along a change of all numbers."""
         return np.asarray(_held_slope(self.structure, self.scalar, *map(jnp.asarray, (theta, t, y, slope))))
@@ -213,4 +212,3 @@ def of_scene(scene: Scene, paths: tuple[str, ...]) -> tuple[Callable[..., Scene]
         return whole
 
     return build, {path: number.value(scene) for path, number in numbers.items()}
-

@@ -16,8 +16,8 @@ from spherejax.model.scene import Scene
 from spherejax.physics.forces.applied import AppliedWrench
 
 REMEDY = (
-    "an input that is shaken is a component of a force or moment of an AppliedWrench, such as 'forces.push.force.z', or "
-    "of gravity, such as 'gravity.z'. For what a driver or a road prescribes follow a function that makes the scene, "
+    "an input that is shaken is a component of a force or moment of an AppliedWrench, such as 'forces.push.force.z', "
+    "or of gravity, such as 'gravity.z'. For what a driver or a road prescribes follow a function that makes the scene, "
     "with an sj.Sine in it: sj.continuation(build, 'frequency', (1, 20), period=lambda f: 1 / f, outputs=[...])"
 )
 
@@ -66,7 +66,10 @@ def shaken(scene: Scene, path: str) -> Callable[..., Scene]:
 
     def build(amplitude: Number, frequency: Number) -> Scene:
         given = {"force": element.force, "moment": element.moment}
-        given = {key: value if isinstance(value, np.ndarray) else getattr(value, "callable", value) for key, value in given.items()}
+        given = {
+            key: value if isinstance(value, np.ndarray) else getattr(value, "callable", value)
+            for key, value in given.items()
+        }
         given[part] = Shaken(getattr(element, part), amplitude, frequency, unit)
         wrench = AppliedWrench(element.body, given["force"], given["moment"], element.place, element.in_body_axes)
         return replace(scene, forces={**scene.forces, name: wrench})

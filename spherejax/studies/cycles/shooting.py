@@ -153,9 +153,9 @@ class Shooting:
     def shots(self, places: Place, wanted: np.ndarray | None = None) -> list[Shot]:
         """What one period makes of states, with derivatives."""
         family, layout, n = self.family, self.family.layout, len(places.y)
-        wanted = np.ones(n, bool) if wanted is None else wanted
+        asked = np.ones(n, bool) if wanted is None else wanted
         theta = family.theta(places.values)
-        wanted = wanted & np.all(np.isfinite(theta), axis=1) & np.all(np.isfinite(places.y), axis=1)
+        made = asked & np.all(np.isfinite(theta), axis=1) & np.all(np.isfinite(places.y), axis=1)
         theta = np.where(np.isfinite(theta), theta, 1.0)
         times = np.full(n, self.begin)
         looked = family.looked_at(theta, times, np.nan_to_num(places.y))
@@ -177,11 +177,11 @@ class Shooting:
             rows[k, -1] = slopes_of(layout, places.y[k], start[:, None])[0]
             directions[k, -1] = number
         rows[:, 0, layout.work_start :] = 0.0
-        jobs = Jobs(theta, rows, directions, times, places.period, wanted)
+        jobs = Jobs(theta, rows, directions, times, places.period, made)
         found = family.flown(jobs, np.linspace(0.0, 1.0, SEEN + 1), with_rows=True)
         ends = np.where(np.isfinite(found.ys[:, -1]), found.ys[:, -1], rows)
         rates = family.looked_at(theta, times + places.period, ends[:, 0]).rate
-        return [self._shot(places, k, about[k], found, ends[k], rates[k], bool(wanted[k])) for k in range(n)]
+        return [self._shot(places, k, about[k], found, ends[k], rates[k], bool(made[k])) for k in range(n)]
 
     def _shot(self, places: Place, k: int, about: tuple, found, rows, rate, wanted: bool) -> Shot:
         layout = self.family.layout
@@ -264,7 +264,8 @@ class _Search:
     """One search, between shots."""
 
     def __init__(self, place: Place):
-        self.place, self.best, self.share, self.n, self.is_over = place, None, 1.0, 0, False
+        self.place, self.share, self.n, self.is_over = place, 1.0, 0, False
+        self.best: Shot | None = None
         self.step: np.ndarray | None = None
         self.last: Shot | None = None
 
@@ -318,10 +319,11 @@ def _advanced(shooting: Shooting, one: _Search, shot: Shot, tolerance: float, un
         one.share = 1.0 if best is None else min(1.0, 2 * one.share)
         one.best, one.step = shot, newton_step(shot, unknown_period, by_number)
     best, step = one.best, one.step
-    assert best is not None and step is not None
+    assert best is not None
+    assert step is not None
     n = len(best.residual)
     step = one.share * step
-    number = step[n + unknown_period] if by_number else 0.0
+    number = float(step[n + unknown_period]) if by_number else 0.0
     period = best.place.period * np.exp(np.clip(step[n], -0.5, 0.5)) if unknown_period else best.place.period
     values = best.place.values if shooting.by is None else best.place.values + number * shooting.by
     one.place = shooting.timed(Place(best.moved(shooting.family, step[:n], number), period, values))

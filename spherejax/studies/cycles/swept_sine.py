@@ -92,15 +92,15 @@ class SweptSine:
         over, here = ("amplitude", "frequency", "output"), ("amplitude", "frequency")
         return xarray.Dataset(
             {
-                "response_real": (over, self.response.real),
-                "response_imag": (over, self.response.imag),
+                "response_real": (over, np.real(self.response)),
+                "response_imag": (over, np.imag(self.response)),
                 "mean": (over, self.mean),
                 "peak": (over, self.peak),
                 "distortion": (over, self.distortion, {"units": "1"}),
                 "stable": (here, self.is_stable.astype(int)),
                 "closing_error": (here, self.error),
-                "linear_real": (over[1:], linear.real),
-                "linear_imag": (over[1:], linear.imag),
+                "linear_real": (over[1:], np.real(linear)),
+                "linear_imag": (over[1:], np.imag(linear)),
             },
             {
                 "amplitude": self.amplitudes,
@@ -159,8 +159,8 @@ def swept_sine(
 
         input(t) = value + amplitude sin(2 pi frequency t)
 
-    Every frequency and amplitude is a run of its own, all at once in lanes: some periods are simulated, and the cycle on
-    which they settle is then found by shooting, to the tolerance, however lightly damped; that it closes is tested, and
+    Every frequency and amplitude is a run of its own, all at once in lanes: some periods are simulated, and the cycle
+    on which they settle is then found by shooting, to the tolerance, however lightly damped; that it closes is tested, and
     where it does not the answer is NaN, with a warning. Beside it stands the linear response about the rest
     (`sj.linearize`), to which small amplitudes tend.
 
@@ -282,9 +282,9 @@ def _answers(family: Family, found: list[Found], linear: Linearization, f, a, sa
         frequencies=f,
         response=(first / inputs).reshape(*shape, -1),
         mean=c[0].real.reshape(*shape, -1),
-        distortion=np.divide(
-            higher, np.abs(first), out=np.full(higher.shape, np.nan), where=np.abs(first) > 0
-        ).reshape(*shape, -1),
+        distortion=np.divide(higher, np.abs(first), out=np.full(higher.shape, np.nan), where=np.abs(first) > 0).reshape(
+            *shape, -1
+        ),
         peak=np.abs(values - c[0].real).max(axis=0).reshape(*shape, -1),
         is_stable=np.array([each.is_stable for each in multipliers]).reshape(shape) & good.reshape(shape),
         succeeded=good.reshape(shape),
@@ -301,15 +301,15 @@ def _notes(found: list[Found], linear: Linearization, upper, size, multipliers, 
     if missing:
         amplitude, frequency = pairs[missing[0]]
         notes.append(
-            f"{len(missing)} of {len(found)} cycles were not found, the first at {frequency:.6g} Hz with an amplitude of "
-            f"{amplitude:.4g}: {found[missing[0]].why}"
+            f"{len(missing)} of {len(found)} cycles were not found, the first at {frequency:.6g} Hz with an amplitude "
+            f"of {amplitude:.4g}: {found[missing[0]].why}"
         )
     coarse = np.nan_to_num(upper) > UNRESOLVED * np.nan_to_num(size)
     if np.any(coarse):
         k, i = np.argwhere(coarse)[0]
         notes.append(
-            f"{linear.outputs[i]} at {pairs[k][1]:.6g} Hz with an amplitude of {pairs[k][0]:.4g} has harmonics that the "
-            "samples do not tell apart; give samples= more"
+            f"{linear.outputs[i]} at {pairs[k][1]:.6g} Hz with an amplitude of {pairs[k][0]:.4g} has harmonics that "
+            "the samples do not tell apart; give samples= more"
         )
     if notes:
         warnings.warn("swept_sine: " + " ".join(notes), CycleWarning, stacklevel=4)
