@@ -15,8 +15,9 @@ from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
 Find the motion that repeats itself: of a mechanism that something drives, after the given period;
-of one that is left to itself, after a period that is found with it. Its Floquet multipliers say whether it is stable: by so much a small
-deviation grows in a period. Unstable cycles, on which no simulation settles, are found as well.
+of one that is left to itself, after a period that is found with it. Its Floquet multipliers say
+whether it is stable: by so much a small deviation grows in a period. Unstable cycles, on which no
+simulation settles, are found as well.
 """
 
 EPILOG = """examples:

@@ -218,7 +218,8 @@ def why_not_periodic(family: Family, place: Place, run: Trajectory, begin: float
         return ""
     return (
         f"what drives the mechanism does not repeat itself after {period:.9g} s: a period later the equations of "
-        f"motion are others (by {apart:.2g} of the largest rate). Give the period of all drivers, forces and roads together"
+        f"motion are others (by {apart:.2g} of the largest rate). Give the period of all drivers, forces and "
+        "roads together"
     )
 
 

@@ -160,8 +160,8 @@ def swept_sine(
         input(t) = value + amplitude sin(2 pi frequency t)
 
     Every frequency and amplitude is a run of its own, all at once in lanes: some periods are simulated, and the cycle
-    on which they settle is then found by shooting, to the tolerance, however lightly damped; that it closes is tested, and
-    where it does not the answer is NaN, with a warning. Beside it stands the linear response about the rest
+    on which they settle is then found by shooting, to the tolerance, however lightly damped; that it closes is tested,
+    and where it does not the answer is NaN, with a warning. Beside it stands the linear response about the rest
     (`sj.linearize`), to which small amplitudes tend.
 
     Args:
