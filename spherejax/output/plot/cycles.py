@@ -118,7 +118,7 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
     for ax, heights in ((left, drawn), (right, multiplier)):
         _branch(ax, values, heights, branch.is_stable)
         for event in branch.events:
-            height = _between(branch, event, values, heights)
+            height = event.point.multipliers.largest if ax is right else _between(branch, event, values, heights)
             ax.plot(event.value, height, EVENT_MARKS[event.kind], color="black", mfc="white", ms=6, zorder=5)
         ax.set_xlabel(branch.number)
     left.set_ylabel(words)

@@ -194,8 +194,7 @@ class Shooting:
         by_period = inverse @ changes_of(layout, last, rate[None])[:, 0] * place.period
         by_number = columns[:, -1] - inverse @ start
         by_number = by_number + by_period * self._period_slope(place.values) / place.period
-        seen = between(layout, place.y, found.ys[k, :, 0]) @ inverse.T
-        size = max(float(np.nan_to_num(np.linalg.norm(seen, axis=1)).max()), RESTING * self.scale)
+        size = self._size(coordinates, between(layout, place.y, found.ys[k, :, 0]), float(place.period))
         status = int(found.status[k]) if wanted else int(Status.BAD_VALUE)
         touching = self.onsets
         if status == Status.SUCCEEDED and np.any((place.y[touching] > 0) != (last[touching] > 0)):
@@ -204,6 +203,14 @@ class Shooting:
             place, last, coordinates, units, chosen, residual, columns[:, : len(own)], by_period, by_number, start,
             size, status, float(found.t_reached[k]),
         )  # fmt: skip
+
+    def _size(self, coordinates: Coordinates, changes: np.ndarray, period: float) -> float:
+        """The largest of changes, what drivers move included: by the masses, velocities over a turn of the phase."""
+        n_v = self.family.layout.n_velocity
+        q, v = changes[:, :n_v], changes[:, n_v : 2 * n_v] * period / (2 * np.pi)
+        m = changes[:, 2 * n_v :] / self.memory_units * self.scale
+        square = sum(np.sum((each @ coordinates.mass) * each, 1) for each in (q, v)) + np.sum(m * m, 1)
+        return max(float(np.nan_to_num(np.sqrt(square)).max()), RESTING * self.scale)
 
     def timed(self, place: Place) -> Place:
         """With the period that belongs to its numbers."""
