@@ -6,6 +6,8 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import matplotlib
 
@@ -496,6 +498,69 @@ def modes() -> Figure:
     return sj.plot.modes(found, title="An arm on rubber: modes at rest")
 
 
+class Push(eqx.Module):
+    """A harmonic force along x."""
+
+    frequency: float
+
+    def __call__(self, t: float) -> jax.Array:
+        """At a time."""
+        return (
+            0.3 * jnp.cos(2 * jnp.pi * self.frequency * t) * jnp.array([1.0, 0.0, 0.0])
+        )
+
+
+def oscillator(frequency: float) -> sj.Scene:
+    """Duffing's, as a body on a guide."""
+    x = (1.0, 0.0, 0.0)
+    cubic = sj.Polynomial([0.0, 0.0, 0.0, 1.0])
+    spring = sj.SpringDamper(
+        ("ground.wall", "body"), 1.0, 0.2, spring=cubic, direction=x
+    )
+    return sj.Scene(
+        {"body": sj.Body(1.0, (2.0, 2.0, 2.0))},
+        {"guide": sj.Prismatic(("ground", "body"), (0.0, 0.0, 0.0), x)},
+        {
+            "spring": spring,
+            "push": sj.AppliedWrench("body", force=Push(frequency)),
+        },
+        gravity=(0.0, 0.0, 0.0),
+        ground_points={"wall": (0.0, 0.0, 0.0)},
+    )
+
+
+def continuation() -> Figure:
+    """Duffing's oscillator along the frequency of its force."""
+    branch = sj.continuation(
+        oscillator,
+        "frequency",
+        (0.1, 0.3),
+        period=lambda f: 1 / f,
+        outputs="position.body.x",
+        samples=64,
+    )
+    title = "A body on a hardening spring, along the frequency of its force [Hz]"
+    return sj.plot.continuation(branch, title=title)
+
+
+def swept_sine() -> Figure:
+    """A damped pendulum under gravity that is shaken sideways."""
+    hinge = ("ground", "bob"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    scene = sj.Scene(
+        {"bob": sj.Body(1.0, (2e-2, 1e-2, 1.5e-2), (0.0, 0.0, -0.5))},
+        {"pivot": sj.Revolute(*hinge)},
+        {"drag": sj.TorsionalSpring(hinge[0], hinge[2], 0.0, 0.1)},
+    )
+    found = sj.swept_sine(
+        scene,
+        "gravity.x",
+        "position.bob.x",
+        np.linspace(0.4, 1.0, 25),
+        [0.1, 1.0, 2.0],
+    )
+    return sj.plot.swept_sine(found, title="A pendulum whose pivot is shaken")
+
+
 PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
@@ -510,6 +575,8 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "rubber": rubber,
     "controllers": controllers,
     "modes": modes,
+    "continuation": continuation,
+    "swept_sine": swept_sine,
     "report": report,
     "suspension_over_bump": suspension,
     "wear": wear,

@@ -143,6 +143,7 @@ from .physics.memory import MemoryEntry
 from .physics.orientations import orientation
 from .studies.accuracy import SOLVERS, WorkPrecision, work_precision
 from .studies.bayes import Posterior, posterior
+from .studies.cycles import Branch, Cycle, CycleWarning, SweptSine, continuation, steady_cycle, swept_sine
 from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
@@ -208,6 +209,7 @@ __all__ = [
     "Berg",
     "Block",
     "Body",
+    "Branch",
     "BrownMcPhee",
     "Bump",
     "BumpStop",
@@ -222,6 +224,8 @@ __all__ = [
     "Coupler",
     "CrossElastomer",
     "CurveElastomer",
+    "Cycle",
+    "CycleWarning",
     "Cylindrical",
     "Descent",
     "Design",
@@ -338,6 +342,7 @@ __all__ = [
     "StoreWarning",
     "Sum",
     "SweepError",
+    "SweptSine",
     "System",
     "Table",
     "Threlfall",
@@ -367,6 +372,7 @@ __all__ = [
     "cite",
     "compile_scene",
     "constraint_report",
+    "continuation",
     "differentiated_rows",
     "draw",
     "dynamic_stiffness",
@@ -416,7 +422,9 @@ __all__ = [
     "sobol_samples",
     "squeeze_coefficient",
     "squeeze_factor",
+    "steady_cycle",
     "sweep",
+    "swept_sine",
     "tilting_journal",
     "tolerance_budget",
     "view",

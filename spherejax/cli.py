@@ -88,6 +88,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.accuracy import add_accuracy
     from spherejax.command_line.catalog import add_list
     from spherejax.command_line.compare import add_compare
+    from spherejax.command_line.cycle import add_cycle
     from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.export import add_export
@@ -115,6 +116,7 @@ def parser() -> argparse.ArgumentParser:
         add_tolerances,
         add_modes,
         add_rig,
+        add_cycle,
         add_write,
         add_export,
         add_list,

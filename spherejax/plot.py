@@ -11,6 +11,7 @@ histories of runs           `curves_of` for `four_histories`, `phase_portraits`,
 force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
 linearizations              `bode`, `modes`
 suspension rigs             `rig`
+cycles                      `cycle`, `continuation`, `swept_sine`
 sweeps                      `figures_of_sweep`
 figures of your own         `new_figure`, `letter`, `ordered_colors`, `MODEL_COLORS`, `LAW_COLORS`, `LAW_DASHES`
 
@@ -19,6 +20,7 @@ Matplotlib is imported with this module, and this module when `sj.plot` is first
 
 from spherejax.output.plot.bode import bode
 from spherejax.output.plot.curves import Curves, curves_of
+from spherejax.output.plot.cycles import continuation, cycle, swept_sine
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
@@ -38,7 +40,9 @@ __all__ = [
     "Panel",
     "Shade",
     "bode",
+    "continuation",
     "curves_of",
+    "cycle",
     "dynamic_stiffness",
     "eccentricity_paths",
     "figures_of_sweep",
@@ -53,4 +57,5 @@ __all__ = [
     "ordered_colors",
     "phase_portraits",
     "rig",
+    "swept_sine",
 ]

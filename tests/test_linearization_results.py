@@ -351,10 +351,16 @@ def test_frequencies_that_make_no_sense(rubber):
 
 
 @pytest.mark.slow
-def test_a_run_has_the_moments_of_its_samples():
+def test_a_run_has_all_its_moments():
+    """Between samples as at a sample there."""
     run = sj.simulate(pendulum(0.3), jnp.linspace(0.0, 0.2, 3))
-    with pytest.raises(sj.SceneError, match=r"the nearest is at 0\.1 s"):
-        sj.linearize(run, at=0.11)
+    finer = sj.simulate(pendulum(0.3), jnp.array([0.0, 0.11, 0.2]))
+    found, wanted = (sj.linearize(each, at=0.11, outputs="position.bob.x") for each in (run, finer))
+    np.testing.assert_allclose(found.A, wanted.A, rtol=1e-7)
+    np.testing.assert_allclose(np.abs(found.C), np.abs(wanted.C), rtol=1e-7)
+    assert "integrated on from its sample at 0.1 s" in str(found)
+    with pytest.raises(sj.SceneError, match=r"at = 0\.3 s is not within the run"):
+        sj.linearize(run, at=0.3)
     with pytest.raises(sj.SceneError, match="no moment of a run"):
         sj.linearize(run, at="rest")
     runs = jax.vmap(lambda m: sj.simulate(pendulum(mass=m), jnp.linspace(0.0, 0.01, 2)))(jnp.ones(2))

@@ -48,7 +48,7 @@ def test_reading_a_file_runs_no_code_unless_it_is_allowed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "draw", "effects", "accuracy", "sweep", "fit", "sensitivity", "modes", "write"]
+    "command", ["run", "draw", "effects", "accuracy", "sweep", "fit", "sensitivity", "modes", "cycle", "write"]
 )
 def test_every_command_asks_before_it_runs_code(command, tmp_path, capsys):
     path = scene_with(tmp_path, "my_laws.py:Magnet", marking(tmp_path))
@@ -56,7 +56,7 @@ def test_every_command_asks_before_it_runs_code(command, tmp_path, capsys):
         "draw": ["--out", "a.png"], "accuracy": ["--out", "a"], "write": ["--out", "a.toml"],
         "sweep": ["--vary", "upper.mass=1:2:2", "--out", "s.zarr"],
         "sensitivity": ["--by", "upper.mass", "--of", "position.upper"],
-        "fit": ["--measured", "x.csv", "--start", "bodies.upper.mass"],
+        "fit": ["--measured", "x.csv", "--start", "bodies.upper.mass"], "cycle": ["--near", "1"],
     }  # fmt: skip
     words = [*needed.get(command, [])]
     assert cli.main([command, str(path), *words]) == 2

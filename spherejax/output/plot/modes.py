@@ -1,7 +1,9 @@
 """Modes of a linearized mechanism: it, and it displaced along each mode."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spherejax.foundations.errors import SceneError
+from spherejax.output.plot.animation import animation_path, write_animation
 from spherejax.output.plot.elements import mechanism_strokes
 from spherejax.output.plot.mechanism import Mechanism
 from spherejax.output.plot.reading import mechanism_at
-from spherejax.output.plot.sheet import camera_for
+from spherejax.output.plot.sheet import Wishes, camera_for
 from spherejax.output.plot.space import SpaceView, drawn_points, extent_of, patch_of
 from spherejax.output.plot.style import new_figure
 
@@ -21,6 +24,12 @@ MOST = 6
 
 REACH = 0.14
 """Largest displacement that is drawn, as a share of the drawing's size."""
+
+INSTANTS = 96
+"""Poses of a swing in a film, between which it is interpolated."""
+
+FILM_SECONDS = 2.0
+"""How long a swing lasts in a film, whatever its frequency."""
 
 GHOST = "0.72"
 """Gray of the mechanism that is not displaced."""
@@ -99,14 +108,54 @@ def _panel(ax: Axes, still: Mechanism, displaced: Mechanism, points: np.ndarray,
     return panel
 
 
+def film(
+    found: Any,
+    mode: int,
+    path: str | os.PathLike,
+    *,
+    view: tuple[float, float] | None,
+    reach: float,
+    fps: float,
+    overwrite: bool,
+) -> Path:
+    """Write a mode as a film; arguments as of `Modes.animate`."""
+    (mode,) = _numbers(found, mode)
+    path = animation_path(path, overwrite=overwrite)
+    point, frequency = found.linear.point, float(found.damped_frequency[mode])
+    still = mechanism_at(point.system, point.t, point.y)
+    period = 1 / frequency if frequency > 0 else 1.0
+    ts = np.linspace(0.0, period, INSTANTS + 1)
+    moves = _largest_moves(still, found.shapes[mode], reach)
+    poses = [_moved(still, (moves * np.exp(2j * np.pi * t / period)).real) for t in ts]
+    moved = replace(
+        still,
+        ts=ts,
+        positions=np.concatenate([one.positions for one in poses]),
+        quaternions=np.concatenate([one.quaternions for one in poses]),
+        velocities=np.zeros((len(ts), *still.velocities.shape[1:])),
+        angular_velocities=np.zeros((len(ts), *still.angular_velocities.shape[1:])),
+    )
+    title = f"mode {mode}: {found.frequency[mode]:.4g} Hz, damping {found.damping_ratio[mode]:.2g} (drawn undamped)"
+    wishes = Wishes(view=view, magnified=(), title=title, labels=False)
+    return write_animation(moved, path, wishes, fps=fps, slow=FILM_SECONDS / period, dpi=100.0, report=None)
+
+
 def _displaced(still: Mechanism, shape: np.ndarray, reach: float) -> Mechanism:
     """The mechanism at the instant of a mode at which the squares of all displacements are largest together."""
+    return _moved(still, np.real(_largest_moves(still, shape, reach)))
+
+
+def _largest_moves(still: Mechanism, shape: np.ndarray, reach: float) -> np.ndarray:
+    """Displacements and rotations of a mode, to be drawn; their real part at the instant at which they are largest."""
     size = extent_of(drawn_points(still, [still.pose(float(still.ts[0]))]))
     lengths = shape * np.array([1.0] * 3 + [0.3 * size] * 3)
     # The sum of Re(z e^i)^2 is largest where the phase of sum z^2 is turned away.
     phase = np.exp(-0.5j * np.angle(np.sum(lengths**2)))
-    factor = reach * size / np.abs((lengths * phase).real).max()
-    moves = factor * (shape * phase).real
+    return reach * size / np.abs((lengths * phase).real).max() * shape * phase
+
+
+def _moved(still: Mechanism, moves: np.ndarray) -> Mechanism:
+    """The mechanism with its bodies displaced and turned."""
     angles = np.linalg.norm(moves[:, 3:], axis=1, keepdims=True)
     half = np.sinc(angles / (2 * np.pi)) / 2 * moves[:, 3:]
     p = still.quaternions[0]

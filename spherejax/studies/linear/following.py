@@ -70,7 +70,7 @@ def _of_rest(point: Point, number: Number) -> Slopes:
     found, n_v = equations.geometry, point.system.layout.n_velocity
     at = coordinates_of(found, point.system.layout.n_memory)
     rates, _, held = (each[..., 0] for each in equations.by_numbers((), theta[:, None]))
-    dq, dv = _yielding(found, at.least, held, np.zeros(n_v), np.zeros(n_v))
+    dq, dv = yielding(found, at.least, held, np.zeros(n_v), np.zeros(n_v))
     change = np.concatenate([dq, dv, np.zeros(at.n_memory)])
     free = at.basis[:, : at.degrees_of_freedom]
     slopes = equations.rates_along(np.zeros(3), np.concatenate([free, change[:, None]], 1))
@@ -96,11 +96,11 @@ def _of_start(point: Point, number: Number) -> Slopes:
     found = equations.geometry
     least = coordinates_of(found, 0).least
     held = equations.by_numbers((), slope[:, None])[2][..., 0]
-    dq, dv = _yielding(found, least, held, *_change_of(point, described_slope))
+    dq, dv = yielding(found, least, held, *_change_of(point, described_slope))
     return theta, _state_slope(point, np.concatenate([dq, dv, np.zeros(point.system.layout.n_memory)]))
 
 
-def _yielding(found, least, held, dq, dv) -> tuple[np.ndarray, np.ndarray]:
+def yielding(found, least, held, dq, dv) -> tuple[np.ndarray, np.ndarray]:
     """Changes of positions and velocities that keep to the constraints when these change."""
     by_number, rate_by_number = np.split(held, 2)
     dq = dq - least @ (found.by_position @ dq + by_number)

@@ -13,6 +13,9 @@ from spherejax.studies.linear.eigen import Eigen, eigen
 from spherejax.studies.linear.following import slopes_of
 
 if TYPE_CHECKING:
+    import os
+    from pathlib import Path
+
     import xarray
     from matplotlib.figure import Figure
 
@@ -198,6 +201,37 @@ class Modes:
         from spherejax.output.plot.modes import modes as drawn
 
         return drawn(self, modes)
+
+    def animate(
+        self,
+        path: "str | os.PathLike",
+        mode: int = 0,
+        *,
+        view: tuple[float, float] | None = None,
+        reach: float = 0.14,
+        fps: float = 25.0,
+        overwrite: bool = False,
+    ) -> "Path":
+        """Write a swing of the mechanism in a mode as a film, two seconds long and without its damping.
+
+        Args:
+            path: where to write, `.gif` or `.mp4`, as of `sj.animate`.
+            mode: its number, as the table counts.
+
+        Other args:
+            view: azimuth and elevation of the viewer [deg]; chosen by the mechanism when None.
+            reach: largest displacement, as a share of the size of the drawing.
+            fps, overwrite: as of `sj.animate`.
+
+        Returns:
+            The path.
+
+        Raises:
+            SceneError: for a mode that does not exist or moves no body, and as `sj.animate`.
+        """
+        from spherejax.output.plot.modes import film
+
+        return film(self, mode, path, view=view, reach=reach, fps=fps, overwrite=overwrite)
 
     @property
     def _rows(self) -> list[tuple[str, ...]]:

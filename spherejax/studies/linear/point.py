@@ -1,4 +1,4 @@
-"""The state about which a mechanism is linearized: of a scene at its start or at rest, or of a run at a sample."""
+"""The state about which a mechanism is linearized: of a scene at its start or at rest, or of a run at any moment."""
 
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from spherejax.foundations.forms import shape_of
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.integration.integrate import initial_state
+from spherejax.motion.integration.moment import state_between
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.equilibrium import equilibrium
 from spherejax.motion.start.start_now import start_now
@@ -91,24 +92,29 @@ def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
 
 
 def _of_run(run: Trajectory, at: str | float) -> Point:
-    i = _sample(run, at)
+    i, wanted = _sample(run, at)
     t, y, system = float(run.ts[i]), np.asarray(run.ys[i]), run.system
+    words = f"of the run at {t:.6g} s"
+    if wanted is not None:
+        y = state_between(system, run.asked, run.scalar, t, y, wanted)
+        t, words = wanted, f"of the run at {wanted:.6g} s (integrated on from its sample at {t:.6g} s)"
     structure, theta = flatten_system(system)
-    return Point(system, system, structure, np.asarray(theta), t, y, f"of the run at {t:.6g} s", "run")
+    return Point(system, system, structure, np.asarray(theta), t, y, words, "run")
 
 
-def _sample(run: Trajectory, at: str | float) -> int:
-    """The sample of a run that is asked for."""
+def _sample(run: Trajectory, at: str | float) -> tuple[int, float | None]:
+    """The sample of a run that is asked for; or the one before a moment between samples, and that moment."""
     ts, ys = np.asarray(run.ts), np.asarray(run.ys)
     if (isinstance(at, str) and at != "start") or (not isinstance(at, str) and shape_of(at) != ()):
-        raise SceneError(f"linearize: at={at!r} is no moment of a run; give a sample time [s], or 'start'")
+        raise SceneError(f"linearize: at={at!r} is no moment of a run; give a time [s], or 'start'")
     wanted = float(ts[0]) if isinstance(at, str) else float(at)
     i = int(np.argmin(np.abs(ts - wanted)))
-    if not abs(ts[i] - wanted) <= SAME_TIME * max(abs(ts[-1]), abs(ts[0])):
-        raise SceneError(
-            f"linearize: the run has no sample at {wanted:.9g} s; the nearest is at {ts[i]:.9g} s. Take that, or add "
-            "the time to ts"
-        )
-    if not np.all(np.isfinite(ys[i])):
-        raise SceneError(f"linearize: the run did not reach {ts[i]:.9g} s: {run.diagnosis}")
-    return i
+    is_sample = abs(ts[i] - wanted) <= SAME_TIME * max(abs(ts[-1]), abs(ts[0]))
+    if not is_sample:
+        if not ts[0] < wanted < ts[-1]:
+            raise SceneError(f"linearize: at = {wanted:.9g} s is not within the run, {ts[0]:.9g} s to {ts[-1]:.9g} s")
+        i = int(np.searchsorted(ts, wanted)) - 1
+    last = i if is_sample else i + 1
+    if not np.all(np.isfinite(ys[last])):
+        raise SceneError(f"linearize: the run did not reach {wanted:.9g} s: {run.diagnosis}")
+    return i, None if is_sample else wanted

@@ -58,8 +58,8 @@ def linearize(
         what: a scene, or a run.
 
     Other args:
-        at: "start", the assembled start; "rest", the rest position near it (`sj.equilibrium`); or of a run one of its
-            sample times [s].
+        at: "start", the assembled start; "rest", the rest position near it (`sj.equilibrium`); or of a run any moment
+            [s]: between two samples it is integrated on from the first of them, by the run's method and tolerances.
         inputs: paths of numbers of the scene, e.g. `"forces.push.force.z"`, `"joints.elbow.model.stiffness"`; a vector
             counts as its entries. A number must not move a constraint.
         outputs: quantities, e.g. `"position.rocker.z"`, `"reaction.elbow"`, `"shock.length"`; a vector counts as its
