@@ -275,7 +275,9 @@ def mathieu(amplitude, frequency, damping=0.05):
     bob = sj.Body(1.0, (2e-2, 1e-2, 1.5e-2), (0.0, 0.0, -0.5))
     joints = {
         "slide": sj.Prismatic(("ground", "slide"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        "shaker": sj.TranslationDriver(("ground", "slide"), (0.0, 0.0, 1.0), Nodding(amplitude, frequency)),
+        "shaker": sj.TranslationDriver(
+            ("ground", "slide"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Nodding(amplitude, frequency)
+        ),
         "pivot": sj.Revolute(("slide", "bob"), (0.0, 0.0, 0.0), Y),
     }
     return sj.Scene(

@@ -78,7 +78,8 @@ def _unit_circle(ax: Axes, multipliers: Any) -> None:
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("multipliers, real part")
     ax.set_ylabel("imaginary part")
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, fontsize=8, frameon=False)
+    if len(mu):
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, fontsize=8, frameon=False)
 
 
 def continuation(branch: Any, name: str | None = None, title: str = "") -> Figure:

@@ -12,6 +12,7 @@ from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.cycles.cycle_result import Cycle, coefficients, motions
 from spherejax.studies.cycles.shooting import Found, Place, stacked_places
+from spherejax.studies.cycles.study import made
 
 if TYPE_CHECKING:
     import xarray
@@ -107,8 +108,6 @@ class Branch:
         Raises:
             SceneError: for a point that there is not.
         """
-        from spherejax.studies.cycles.study import made
-
         if not -len(self) <= k < len(self):
             raise SceneError(f"the branch has no point {k}; it has {len(self)}, counted from 0")
         return made(self.family, Found(self.points[k].shot, True, 0, ""), self.request)

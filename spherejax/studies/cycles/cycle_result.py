@@ -77,6 +77,8 @@ class Multipliers:
     def words(self) -> str:
         """What they say of the stability."""
         mu = self.largest
+        if self.judged.size == 0:
+            return "stable: nothing is free to deviate"
         if mu < 1 - self.margin:
             return f"stable: the slowest deviation shrinks to {mu:.4g} of itself in a period"
         if self.is_stable:

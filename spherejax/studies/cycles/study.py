@@ -12,6 +12,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
+from spherejax.model.system import compile_scene
 from spherejax.motion.integration.integrate import initial_state
 from spherejax.motion.integration.status import SimulationWarning, Status
 from spherejax.motion.results.trajectory import Trajectory
@@ -164,8 +165,6 @@ class _Of:
 
 def start_of(scene: Scene, family: Family, request: Request) -> np.ndarray:
     """The flat state where a scene starts, or rests."""
-    from spherejax.model.system import compile_scene
-
     whole = equilibrium(scene, t=request.t).scene if request.at == "rest" else scene
     system = compile_scene(whole).system
     assembly = start_now(system, np.array([request.t, request.t + request.period]), stacklevel=5)
