@@ -192,7 +192,8 @@ def landing_controller(
     if options.budget is not None:
         controller = StepBudget(controller, options.budget)  # pyright: ignore[reportCallIssue]
     were_taken = None if taken is None else taken.were_taken
-    return LandingController(controller, contacts, interpolation, longest, room, were_taken)  # pyright: ignore[reportCallIssue]
+    made: Any = LandingController  # pyright takes its fields for those of diffrax's base class
+    return made(controller, contacts, interpolation, longest, room, were_taken)
 
 
 def room_of(plan: Plan) -> Callable | None:
@@ -308,7 +309,7 @@ def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[
     without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
     memory = initial_memory(system, without_memory)
     if system.force_slots:
-        memory = jnp.concatenate([memory, initial_force_memory(system, t, without_memory)])
+        memory = jnp.concatenate([memory, initial_force_memory(system, jnp.asarray(t), without_memory)])
     return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])
 
 

@@ -121,10 +121,8 @@ def _variable(variables, reference: int, port: Port, attributes: dict[str, str])
     start = {} if port.start is None else {"start": repr(port.start)}
     unit = {"unit": port.unit} if _is_unit(port.unit) else {}
     said = f"{port.name} [{port.unit}]" if port.unit else port.name
-    ElementTree.SubElement(
-        variables, "Float64", name=port.name, valueReference=str(reference), description=said, **attributes, **unit,
-        **start,
-    )  # fmt: skip
+    named = {"name": port.name, "valueReference": str(reference), "description": said}
+    ElementTree.SubElement(variables, "Float64", {**named, **attributes, **unit, **start})
 
 
 def _structure(root, outputs: range, states: range, rates: range, marks: range) -> None:

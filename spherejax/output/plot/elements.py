@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from spherejax.output.plot.camera import Camera
@@ -77,7 +78,7 @@ def forces_on_bodies(name: str, force: Any, pose: Pose) -> list[tuple[np.ndarray
     if force.memory:
         if name not in pose.memory:
             return []
-        force = recalling(force, pose.memory[name])
+        force = recalling(force, jnp.asarray(pose.memory[name]))
     by_body: Any = (pose.positions, pose.quaternions, pose.rotations, pose.velocities, pose.angular_velocities)
     motions: Any = {body: BodyMotion(*(values[body] for values in by_body)) for body in pose.positions}
     found = []

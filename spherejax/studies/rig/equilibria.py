@@ -87,7 +87,7 @@ def rig_balance(system: System, t: Scalar, numbers) -> tuple[Float[Array, " n"],
     motions = body_motions(system, state)
     constraints = constraint_set(system, t, motions)
     loads = joint_loads(system, motions, state.memory)
-    wrenches = applied_wrenches(system, t, motions, loads) - constraints.transposed_times(multipliers)
+    wrenches = applied_wrenches(system, t, motions, state.memory, loads) - constraints.transposed_times(multipliers)
     return wrenches.ravel(), constraints.residual
 
 

@@ -157,7 +157,7 @@ def statics_of(system: System, t: Scalar, state: State) -> Statics:
     motions = body_motions(system, state)
     constraints = constraint_set(system, t, motions)
     masses = inverse_masses(system, motions)
-    free = masses.times(applied_wrenches(system, t, motions, None))
+    free = masses.times(applied_wrenches(system, t, motions, state.memory, None))
     mobility = mobility_of(constraints, masses)
     multipliers = solved(constraints, mobility, constraints.times(free), system.smallest_pivot)
     left = free - masses.times(constraints.transposed_times(multipliers))
@@ -169,7 +169,7 @@ def _applied(system: System, t: Scalar, state: State, step: Float[Array, "b 6"])
     """What acts on the bodies after small motions of them."""
     position, quaternion = moved(state.position, state.quaternion, step)
     there = body_motions(system, state._replace(position=position, quaternion=quaternion))
-    return applied_wrenches(system, t, there, None)
+    return applied_wrenches(system, t, there, state.memory, None)
 
 
 def along_path(programs: RigPrograms, theta: Array, path: Float[Array, "m 6"], ends: tuple[int, ...]) -> Reach:
