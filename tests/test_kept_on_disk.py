@@ -91,6 +91,32 @@ def test_the_next_process_traces_nothing_and_computes_the_same_bits(tmp_path):
     assert in_a_process("0")[0] == first
 
 
+LAPACK = """
+import jax
+traced = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda event, seconds, **said: traced.append(said.get("fun_name")) if "trace_duration" in event else None
+)
+import jax.numpy as jnp
+import spherejax
+from spherejax.foundations import bounded_jit, general_solve
+solve = bounded_jit.bounded_jit(general_solve._by_lapack)
+print(solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.ones((2, 1)))[1, 0], any("_by_lapack" in str(name) for name in traced))
+"""
+
+
+def test_a_program_that_calls_lapack_is_loaded_and_runs(tmp_path):
+    """It was a segmentation fault: JAX knows LAPACK only after it has lowered a program that calls it."""
+    environment = {**os.environ, "SPHEREJAX_CACHE": str(tmp_path)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    said = []
+    for _ in range(2):
+        made = subprocess.run([sys.executable, "-c", LAPACK], env=environment, capture_output=True, text=True)
+        assert made.returncode == 0, made.stderr[-2000:]
+        said.append(made.stdout.split())
+    assert said == [["0.25", "True"], ["0.25", "False"]]
+
+
 def test_damaged_files_are_made_anew(tmp_path):
     first, *_ = in_a_process(tmp_path)
     files = list((tmp_path / "kept").iterdir())

@@ -112,6 +112,8 @@ class _Entry:
         if found is None:
             return None
         content, shapes, (example, static) = found
+        if b"lapack_" in content:
+            _make_lapack_known()
         # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
         trees = jax.tree.structure((tuple(self._examples), {})), jax.tree.structure(tuple(shapes))
         try:
@@ -157,6 +159,15 @@ class _Entry:
         """What the function returned, from the leaves that were computed."""
         tree, static = self._results
         return eqx.combine(jax.tree.unflatten(tree, leaves), static)
+
+
+@cache
+def _make_lapack_known() -> None:
+    """JAX looks LAPACK's functions up (in SciPy) when it lowers the first program that calls one.
+
+    A process that only loads such a program calls nothing at all: a segmentation fault (jaxlib 0.10.2).
+    """
+    jax.jit(jax.numpy.linalg.inv).lower(jax.ShapeDtypeStruct((2, 2), jax.numpy.float64))
 
 
 def _jitted(run: Callable, name: str) -> Any:
