@@ -51,6 +51,18 @@ def test_a_bushing_that_is_pressed_stays_so():
     np.testing.assert_allclose(np.abs(run.reaction("joint"))[:, 2], 2.0 * 9.81, rtol=1e-6)
 
 
+def test_higher_derivatives_by_a_number():
+    """z = -m g / k: its second and third derivatives are -2 m g / k^3 and 6 m g / k^4; they were zero, or half."""
+
+    def rest(k):
+        return sj.equilibrium(hanging(k)).scene.bodies["body"].position[2]
+
+    second = jax.jit(jax.jacfwd(jax.jacfwd(rest)))(1e4)
+    assert second == pytest.approx(-2 * 2.0 * 9.81 / 1e12, rel=1e-8)
+    third = jax.jit(jax.jacfwd(jax.jacfwd(jax.jacfwd(rest))))(1e4)
+    assert third == pytest.approx(6 * 2.0 * 9.81 / 1e16, rel=1e-6)
+
+
 @pytest.mark.parametrize("transform", [jax.grad, jax.jacfwd])
 def test_the_derivative_by_a_number(transform):
     """z = -m g / k, dz/dk = m g / k^2."""

@@ -61,7 +61,7 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
     """The rest position near the start that a scene describes.
 
     Velocities of the scene are left out of account. A position of rest need not be stable: a pendulum that starts
-    upright stays there. The result follows traced numbers, and can be differentiated by them.
+    upright stays there. The result follows traced numbers, and can be differentiated by them, up to three times.
 
     Args:
         scene: the mechanism, with ideal joints and bushings.
@@ -148,7 +148,10 @@ def _found(system: System, t: float) -> tuple[Any, Any]:
 
 
 def _found_in_jax(structure: Structure, values, slopes, theta, t: float) -> tuple[Any, Any]:
-    """The same for traced numbers; the last step is Newton's, and carries the derivatives by them."""
+    """The same for traced numbers; the last steps carry the derivatives by them.
+
+    They are Newton's with the inverse held fast: each makes one more order of derivatives right.
+    """
     frozen = jax.lax.stop_gradient(theta)
     scales = _scales(structure.system(frozen), jnp)
 
@@ -166,8 +169,14 @@ def _found_in_jax(structure: Structure, values, slopes, theta, t: float) -> tupl
     y = jax.lax.fori_loop(0, N_STEPS, step, (y, jnp.asarray(FIRST_DAMPING), cost))[0]
     inverse = jnp.linalg.pinv(_scaled_slopes(slopes(frozen, t, y), scales), rtol=SINGULAR)
     y, inverse = jax.lax.stop_gradient((y, inverse))
-    y = _moved(y, -(inverse @ conditions(theta, y)) / scales.steps, jnp)
+    y = jax.lax.scan(
+        lambda y, _: (_moved(y, -(inverse @ conditions(theta, y)) / scales.steps, jnp), None), y, length=N_DERIVATIVES
+    )[0]
     return y, jnp.sqrt(jnp.sum(conditions(frozen, jax.lax.stop_gradient(y)) ** 2))
+
+
+N_DERIVATIVES = 3
+"""Orders of derivatives that are right; a fourth one is that of a polynomial of the third degree."""
 
 
 class _Scales(NamedTuple):
