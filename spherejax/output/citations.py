@@ -45,6 +45,12 @@ WORKS: Mapping[str, Work] = {
         "A comparison of spherical joint models in the dynamic analysis of rigid mechanical systems",
         _MUBO, "56", "221-266", 2022, doi="10.1007/s11044-022-09843-y",
     ),
+    "Astrom and Hagglund (2006)": Work(
+        "Astrom, K. J. and Hagglund, T.", "Advanced PID Control", "ISA", "", "", 2006, "book",
+    ),
+    "Astrom and Wittenmark (1997)": Work(
+        "Astrom, K. J. and Wittenmark, B.", "Computer-Controlled Systems", "Prentice Hall", "", "", 1997, "book",
+    ),
     "Hertz (1881)": Work(
         "Hertz, H.", "Ueber die Beruehrung fester elastischer Koerper",
         "Journal fuer die reine und angewandte Mathematik", "92", "156-171", 1881,
