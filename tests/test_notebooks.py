@@ -18,6 +18,7 @@ NOTEBOOKS = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
 TOPICS = (
     "accuracy",
     "bushing",
+    "controllers",
     "design_optimisation",
     "dry_contact",
     "four_joints",
