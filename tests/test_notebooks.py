@@ -19,6 +19,7 @@ TOPICS = (
     "accuracy",
     "bushing",
     "controllers",
+    "cycles",
     "design_optimisation",
     "dry_contact",
     "four_joints",
