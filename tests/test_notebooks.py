@@ -26,6 +26,7 @@ TOPICS = (
     "hard_cases",
     "identification",
     "lubrication",
+    "rig",
     "suspension",
     "sweep",
     "tolerances",
