@@ -434,6 +434,56 @@ def suspension() -> Figure:
     return figure
 
 
+def rig_joints() -> dict[str, dict]:
+    """What the joints of the double wishbone may be."""
+    law = sj.MatrixElastomer.cylindrical(
+        (0.0, 0.0, 1.0),
+        radial_stiffness=8e6,
+        axial_stiffness=1e6,
+        conical_stiffness=500.0,
+        torsional_stiffness=50.0,
+        damping=1e-4,
+    )
+    worn = sj.Dry(2e-4)
+    return {
+        "ideal": {},
+        "rubber bushes": {"bushes": sj.Bushing(law=law)},
+        "ball joints with play": {"ball_joint": worn},
+        "tie rod with play": {"tie_rod_joint": worn},
+    }
+
+
+def rig() -> Figure:
+    """Curves of the double wishbone over travel."""
+    travel = np.linspace(-0.08, 0.08, 33)
+    found = sj.rig(sj.gallery.double_wishbone(), travel)
+    return sj.plot.rig(found.to_xarray(), title="A double wishbone on the rig")
+
+
+def rig_toe() -> Figure:
+    """What each model of its joints does to toe, over travel and over the lateral force."""
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(8.4, 3.8), layout="constrained", sharey=True
+    )
+    travel, lateral = np.linspace(-0.06, 0.06, 25), np.linspace(-3000.0, 3000.0, 31)
+    cornering = sj.WheelLoads(lateral=-2000.0)
+    for (name, model), color, dashes in zip(
+        rig_joints().items(), LINES, ((), (4, 1), (1, 1), (6, 1, 1, 1)), strict=False
+    ):
+        scene = sj.gallery.double_wishbone(**model)
+        look = {"color": color, "dashes": dashes or (None, None)}
+        over_travel = sj.rig(scene, travel, loads=cornering)
+        left.plot(1e3 * travel, np.degrees(over_travel.toe), label=name, **look)
+        by_force = sj.rig(scene, 0.0, loads=sj.WheelLoads(lateral=lateral))
+        right.plot(1e-3 * lateral, np.degrees(by_force.toe), **look)
+    left.set(xlabel="travel [mm], under -2 kN", ylabel="toe-in [deg]")
+    right.set(xlabel="lateral force [kN] at the design height")
+    for panel in (left, right):
+        panel.margins(x=0)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    return figure
+
+
 def report() -> Image.Image:
     """The head of a report in Chromium, in the middle of the motion."""
     sys.path.insert(0, str(FOLDER.parents[1] / "tests"))
@@ -538,6 +588,7 @@ def continuation() -> Figure:
         period=lambda f: 1 / f,
         outputs="position.body.x",
         samples=64,
+        largest_step=0.05,
     )
     title = "A body on a hardening spring, along the frequency of its force [Hz]"
     return sj.plot.continuation(branch, title=title)
@@ -577,6 +628,8 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "modes": modes,
     "continuation": continuation,
     "swept_sine": swept_sine,
+    "rig": rig,
+    "rig_toe": rig_toe,
     "report": report,
     "suspension_over_bump": suspension,
     "wear": wear,

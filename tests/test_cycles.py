@@ -135,6 +135,11 @@ def test_a_branch_as_a_table(branch, tmp_path):
     assert "fold at 0.2202" in str(branch)
     figure = branch.figure()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["stable", "unstable", "fold"]
+    # A line changes its look where a multiplier is 1, not at the next cycle behind it.
+    for line in figure.axes[1].lines[:3]:
+        sizes = np.asarray(line.get_ydata())
+        is_dashed = line.get_linestyle() == "--"
+        assert np.all(sizes > 1 - 1e-3) if is_dashed else np.all(sizes < 1 + 1e-3), sizes
     with pytest.raises(sj.SceneError, match=r"did not keep 'position\.body\.y'"):
         branch.figure("position.body.y")
     with pytest.raises(sj.SceneError, match="no point 1000"):

@@ -16,6 +16,9 @@ from spherejax.output.plot.style import LAW_COLORS, legend_below, letter, new_fi
 MOST = 4
 """Quantities in one figure of a cycle."""
 
+ROUNDING = 1e-9
+"""Share of a swing below which its middle is said to be zero."""
+
 EVENT_MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "D", "branch point": "^"}
 
 
@@ -46,6 +49,7 @@ def cycle(found: Any, names: Sequence[str] = (), title: str = "") -> Figure:
     for each, color in zip(asked, repeated(LAW_COLORS, len(asked)), strict=True):
         values = np.asarray(each.of(found.run))
         middle, size = (values.max() + values.min()) / 2, (values.max() - values.min()) / 2
+        middle = 0.0 if abs(middle) < ROUNDING * size else middle
         unit = each.unit if each.unit not in ("", "1") else ""
         said = f"{each.name}: {middle:.4g} $\\pm$ {size:.3g} {unit}".rstrip()
         left.plot(share, (values - middle) / (size or 1.0), color=color, lw=1.4, label=said)
@@ -117,9 +121,12 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
         )
     multiplier = np.asarray(table["largest_multiplier"])
     for ax, heights in ((left, drawn), (right, multiplier)):
-        _branch(ax, values, heights, branch.is_stable)
-        for event in branch.events:
-            height = event.point.multipliers.largest if ax is right else _between(branch, event, values, heights)
+        at = [
+            event.point.multipliers.largest if ax is right else _between(branch, event, values, heights)
+            for event in branch.events
+        ]
+        _branch(ax, branch, heights, at)
+        for event, height in zip(branch.events, at, strict=True):
             ax.plot(event.value, height, EVENT_MARKS[event.kind], color="black", mfc="white", ms=6, zorder=5)
         ax.set_xlabel(branch.number)
     left.set_ylabel(words)
@@ -135,14 +142,19 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
     return figure
 
 
-def _branch(ax: Axes, values: np.ndarray, heights: np.ndarray, stable: np.ndarray) -> None:
-    """Runs of points that are alike, each with the first of the next, so that no gap is left."""
-    borders = [0, *(np.flatnonzero(np.diff(stable.astype(int))) + 1).tolist(), len(values)]
+def _branch(ax: Axes, branch: Any, heights: np.ndarray, at_events: Sequence[float]) -> None:
+    """Runs of cycles that are alike, from event to event: where one is located the look changes there."""
+    events, stable = branch.events, branch.is_stable
+    places = np.concatenate([np.arange(len(stable)), [event.before - 0.5 for event in events]])
+    order = np.argsort(places, kind="stable")
+    values = np.concatenate([branch.values, [event.value for event in events]])[order]
+    heights = np.concatenate([heights, at_events])[order]
+    # Of the line from each vertex to the next: that of a cycle is the cycle's, and behind an event what it becomes.
+    looks = np.concatenate([stable, [event.becomes_stable for event in events]]).astype(int)[order]
+    borders = [0, *(np.flatnonzero(np.diff(looks)) + 1).tolist(), len(values)]
     for first, last in pairwise(borders):
         part = slice(first, min(last + 1, len(values)))
-        look: dict[str, Any] = (
-            {"color": LAW_COLORS[0]} if stable[first] else {"color": LAW_COLORS[1], "ls": (0, (4, 2))}
-        )
+        look: dict[str, Any] = {"color": LAW_COLORS[0]} if looks[first] else {"color": LAW_COLORS[1], "ls": (0, (4, 2))}
         ax.plot(values[part], heights[part], lw=1.6, **look)
 
 
