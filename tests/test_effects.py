@@ -83,7 +83,7 @@ def test_ideal_scene_has_no_eccentricity():
     # The length of the eccentricity needs a root and a comparison; ideal joints need neither.
     ideal = primitives(sj.gallery.four_bar())
     assert not {"sqrt", "gt", "lt", "log1p", "log", "tanh", "exp", "pow"} & ideal
-    assert {"sqrt", "select_n"} <= primitives(sj.gallery.four_bar(cases.FOUR_BAR_MODELS["dry"]))
+    assert {"sqrt", "select"} <= primitives(sj.gallery.four_bar(cases.FOUR_BAR_MODELS["dry"]))
 
 
 def test_film_operations_only_with_a_film():
