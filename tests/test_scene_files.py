@@ -102,8 +102,12 @@ UNITS_BY_TIME = {
     "smooth-table": {"x": "s", "y": "N"},
     "piecewise": {"breaks": "s"},
     "sum": {},
+    "random-road": {
+        **{"roughness": "m^3", "lowest": "1/m", "highest": "1/m", "phases": "rad"},
+        **dict.fromkeys(("seed", "waviness", "n_waves", "places"), ""),
+    },
 }
-"""Of a force by time."""
+"""Of a force by time; a road is one by distance always."""
 
 
 def test_units_of_functions_follow_their_argument_and_value():
@@ -387,6 +391,11 @@ FORCES = [
     sj.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
     my_laws.Motor("a", sj.Sine(1.0, 2.0)),
     sj.AppliedWrench("a.tip", force=my_laws.gust, moment=(1.0, 2.0, 3.0), place=(0.1, 0.0, 0.0)),
+    sj.Tyre("a.tip", 0.3, 1e5, road=sj.RandomRoad.of_class("C", seed=3, n_waves=5), speed=5.0),
+    sj.Actuator(sj.Turn(BOTH, AXIS, 0.2), sj.Sine(1.0, 2.0), 0.5),
+    sj.SampledActuator(sj.Extension(("ground.hook", "a.tip")), [0.0, 0.1, 0.3], [1.0, 2.0, 0.0]),
+    sj.PID(sj.Turn(BOTH, AXIS), sj.Sine(1.0, 2.0), 10.0, 20.0, 0.1, filter_time=0.01, limits=(-1.0, 2.0), offset=0.1),
+    sj.SampledPID(sj.Extension(("ground.hook", "a.tip")), 0.01, 0.1, 10.0, 20.0, 0.1, limits=(-1.0, 2.0)),
 ]
 
 

@@ -113,6 +113,29 @@ def test_derivatives_of_lanes_and_lanes_of_derivatives():
         same(lanes_of(function), lanes_of(everything), rtol=1e-12)
 
 
+def test_linear_programs_are_transposed():
+    """In lanes too; what does not depend on the linear argument is left alone."""
+
+    def product(numbers, t, y):
+        return {"linear": jnp.stack([numbers[0] * y[0] + t * y[2], numbers[1] * y[1]]), "other": numbers * t}
+
+    made = scalarize(product, NUMBERS, T, Y)
+    along = {"linear": jnp.array([0.3, -2.0])}
+
+    def back(function, y, t, along):
+        only = lambda y: {"linear": function(NUMBERS, t, y)["linear"]}  # noqa: E731
+        return jax.linear_transpose(only, y)(along)
+
+    same(back(made, Y, T, along), back(product, Y, T, along))
+    times, alongs = jnp.array([0.1, 0.7]), {"linear": jnp.array([[1.0, 2.0], [0.5, -1.0]])}
+    same(*(jax.vmap(lambda t, a, f=f: back(f, Y, t, a))(times, alongs) for f in (made, product)))
+
+    def in_lanes(function):
+        return lambda y: jax.vmap(lambda t: function(NUMBERS, t, y)["linear"])(times)
+
+    same(*(jax.linear_transpose(in_lanes(f), Y)(alongs["linear"]) for f in (made, product)))
+
+
 def arithmetic(jaxpr) -> set[str]:
     names = set()
     for equation in jaxpr.eqns:

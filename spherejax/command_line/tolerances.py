@@ -27,8 +27,8 @@ variance) and samples assume nothing and cost many runs.
 """
 
 EPILOG = """examples:
-  spherejax tolerances four-bar --joint bushing --tolerance "stiffness=+-20%" --tolerance "rocker.mass=+-0.5g" \\
-      --of position.rocker.z --out t/
+  spherejax tolerances four-bar --joint bushing --tolerance "stiffness=+-20%" \\
+      --tolerance "rocker.mass=+-0.5g" --of position.rocker.z --out t/
   spherejax tolerances four-bar --joint dry --tolerance "clearance=0.1mm+-20um" --method sobol --runs 64 \\
       --of "peak reaction.coupler_rocker" --out t/
   spherejax tolerances four-bar --tolerance rocker.mass=0.03:0.033 --method samples --runs 500 \\

@@ -198,6 +198,23 @@ def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine
     ]
 
 
+def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
+    """By JAX, of the operations one by one: of a program that is linear in some of its arguments."""
+    linear = [ad.is_undefined_primal(x) for x in arguments]
+    _, follow = line.spread(tuple(map(int, linear)))
+    function = one_by_one(line, lanes, axes)
+
+    def of_linear(*moving):
+        moving = iter(moving)
+        found = function(*(next(moving) if each else x for x, each in zip(arguments, linear, strict=True)))
+        return [x for x, each in zip(found, follow, strict=True) if each]
+
+    shapes = [jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in arguments if ad.is_undefined_primal(x)]
+    given = [ad.instantiate_zeros(x) for x, each in zip(cotangents, follow, strict=True) if each]
+    found = iter(jax.linear_transpose(of_linear, *shapes)(given))
+    return [next(found) if each else None for each in linear]
+
+
 class _Writer:
     """Writes the operations of a line as StableHLO.
 
@@ -346,4 +363,5 @@ _straight_line.def_impl(_now)
 _straight_line.def_abstract_eval(_shaped)
 batching.primitive_batchers[_straight_line] = _batched
 ad.primitive_jvps[_straight_line] = _differentiated
+ad.primitive_transposes[_straight_line] = _transposed
 mlir.register_lowering(_straight_line, _lowered)

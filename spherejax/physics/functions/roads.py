@@ -37,8 +37,8 @@ class RandomRoad(AbstractFunction):
     Attributes:
         roughness: G(n_0) [m^3]; `RandomRoad.of_class("C")` for that of a class, "A" (smooth) to "H".
         waviness: of the density, above 1 [-].
-        lowest: lowest spatial frequency [cycles/m].
-        highest: highest one; a tyre as a spring at a point follows waves that its patch would bridge [cycles/m].
+        lowest: lowest spatial frequency, in cycles per meter [1/m].
+        highest: highest one; a tyre as a spring at a point follows waves that its patch would bridge [1/m].
         phases: phi_k [rad], shape (n,).
         places: of the waves in their bands, from 0 to 1, shape (n,).
 
