@@ -92,7 +92,7 @@ def double_wishbone(
     `lower_arm_rear`, `upper_arm_front`, `upper_arm_rear`. With ideal joints one degree of freedom: the wheel's travel.
 
     Args:
-        hardpoints: places that differ from ``DOUBLE_WISHBONE``, by name, world axes [m], each of shape (3,).
+        hardpoints: places that differ from the drawn ones, by name, world axes [m], each of shape (3,).
         ball_joint: model of the lower and the upper ball joint, whose socket is on the arm; ideal by default.
         bushes: model of the bushes at the chassis, two for each arm, in axes with z along the arm's axis, e.g.
             `sj.Bushing(law=sj.MatrixElastomer.cylindrical((0, 0, 1), ...))`; None: each arm turns on one hinge.
@@ -162,7 +162,7 @@ def mcpherson(
     bushes `lower_arm_front` and `lower_arm_rear`. Spring and damper act along the strut.
 
     Args:
-        hardpoints: places that differ from ``MCPHERSON``, by name, world axes [m], each of shape (3,).
+        hardpoints: places that differ from the drawn ones, by name, world axes [m], each of shape (3,).
         ball_joint: model of the lower ball joint, whose socket is on the arm; ideal by default.
         bushes: as of `double_wishbone`.
         top_mount: model of the joint between chassis and strut; ideal by default.
