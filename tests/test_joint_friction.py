@@ -641,7 +641,7 @@ def test_nothing_is_compiled_in_without_friction(model):
         state = unpack(system.layout, y)
         motions = body_motions(system, state)
         loads = joint_loads(system, motions, state.memory)
-        applied = applied_wrenches(system, t, motions, loads)
+        applied = applied_wrenches(system, t, motions, state.memory, loads)
         constraints = constraint_set(system, t, motions)
         solution = constrained_accelerations(system, motions, constraints, applied)
         turning = jax.vmap(dynamics._position_rate, (None, 0))(system.drift.norm_feedback, motions.moving)
@@ -649,7 +649,7 @@ def test_nothing_is_compiled_in_without_friction(model):
         rates = [loads.absorbed_powers]
         if system.tracks_supply:
             zero = jnp.zeros(())
-            rates.append(dynamics.supplied_power(system, t, motions, loads, zero)[None])
+            rates.append(dynamics.supplied_power(system, t, motions, state.memory, loads, zero)[None])
         return jnp.concatenate([*parts, *rates])
 
     def text(function):

@@ -17,7 +17,7 @@ from fitting import SENSOR, START, oscillator, seen
 from sweeping import hanging, pendulum
 
 import spherejax as sj
-from spherejax.files import robot
+from spherejax.files import urdf_elements
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.runs.many import many, method_for
 from spherejax.runtime import interrupts_kept
@@ -157,13 +157,13 @@ def test_a_robot_is_read_without_turning_standard_error_away(tmp_path: Path, mon
     """Attributes and elements that the library does not know are left out; other threads go on writing."""
     path = tmp_path / "arm.urdf"
     path.write_text(ARM)
-    before, seen_there, link = sys.stderr, [], robot._link
+    before, seen_there, link = sys.stderr, [], urdf_elements._link
 
     def looking(made):
         seen_there.append(sys.stderr)
         return link(made)
 
-    monkeypatch.setattr(robot, "_link", looking)
+    monkeypatch.setattr(urdf_elements, "_link", looking)
     assert set(sj.load_urdf(path).bodies) == {"b"}
     assert capsys.readouterr().err == ""
     assert sys.stderr is before

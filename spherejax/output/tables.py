@@ -76,10 +76,10 @@ def _columns(dataset: "xarray.Dataset", rows: list[str]) -> Iterator[Column]:
             words = " ".join([str(name), *(labels[axis][i] for axis, i in enumerate(index))])
             one = values[:, column]
             if np.iscomplexobj(one):
-                yield f"Re {words} [{unit}]", np.real(one)
-                yield f"Im {words} [{unit}]", np.imag(one)
+                yield _with_unit(f"Re {words}", unit), np.real(one)
+                yield _with_unit(f"Im {words}", unit), np.imag(one)
             else:
-                yield f"{words} [{unit}]", one
+                yield _with_unit(words, unit), one
 
 
 def _spread(variable: Any, rows: list[str], shape: tuple[int, ...]) -> np.ndarray:
@@ -98,7 +98,11 @@ def _labels(dataset: "xarray.Dataset", dim: Any) -> np.ndarray:
 
 def _head(dataset: "xarray.Dataset", name: str) -> str:
     unit = "s" if name == "time" else dataset[name].attrs.get("units", "") if name in dataset.coords else ""
-    return f"{name} [{unit}]" if unit else name
+    return _with_unit(name, "" if unit == "1" else unit)  # a number that was swept, or one that counts
+
+
+def _with_unit(words: str, unit: str) -> str:
+    return f"{words} [{unit}]" if unit else words
 
 
 def _text(value: Any) -> str:
