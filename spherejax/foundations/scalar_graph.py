@@ -51,6 +51,22 @@ class Graph:
         nodes = zip(state["operations"], state["arguments"], state["parameters"], state["dtypes"], strict=True)
         vars(self).update(state, _known={(o, a, p, d): index for index, (o, a, p, d) in enumerate(nodes)})
 
+    def copy(self, arguments: Mapping[int, int] | None = None) -> "Graph":
+        """A graph with the same nodes, to which others can be added.
+
+        Args:
+            arguments: the numbers of the arguments whose entries are inputs, where they have others in the new graph.
+        """
+        made = Graph()
+        vars(made).update({name: value.copy() for name, value in vars(self).items()})
+        if arguments is not None:
+            for node, operation in enumerate(made.operations):
+                if operation == "input":
+                    argument, entry = made.parameters[node]
+                    made.parameters[node] = arguments[argument], entry
+            made.__setstate__(made.__getstate__())
+        return made
+
     def node(self, operation, arguments: tuple[int, ...], dtype: np.dtype, parameters=None) -> int:
         """The node for an operation, made only if it does not exist yet."""
         if operation in _COMMUTATIVE and arguments[0] > arguments[1]:

@@ -9,10 +9,11 @@ Mapped by `jax.vmap`, the operation gets axes of lanes. They stand last in the a
 the mappings; a set of axes is an integer with a bit for each.
 """
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial, reduce
 from operator import or_
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import ad, batching, mlir
 
+from spherejax.foundations.scalar_derivatives import Forward, Transposed
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph
 
 Shape = tuple[int, ...]
@@ -43,6 +45,8 @@ class StraightLine:
         self.graph, self.outputs, self.shapes, self.given = graph, tuple(outputs), tuple(shapes), tuple(given)
         self._spread: dict = {}
         self._jitted: dict = {}
+        self._derivatives: dict[tuple[bool, ...], Derivative] = {}
+        self._transposes: dict[tuple[tuple[bool, ...], tuple[bool, ...]], StraightLine] = {}
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Evaluate; arrays first, then what is given."""
@@ -102,6 +106,97 @@ class StraightLine:
                 found[node] = _joined(found[argument] for argument in graph.arguments[node])
         return found, tuple(_joined(found[int(node)] for node in output.ravel()) for output in self.outputs)
 
+    def one_by_one(self, lanes: Shape, axes: tuple[int, ...]) -> Callable[..., list[Array]]:
+        """`by_operations` with axes of lanes."""
+        function, (_, spread) = self.by_operations, self.spread(axes)
+        for axis in range(len(lanes)):  # the mapping that comes last is the outermost, and finds its axis last
+            inwards, outwards = ([-1 if over >> axis & 1 else None for over in each] for each in (axes, spread))
+            function = jax.vmap(function, tuple(inwards), outwards)
+        return function
+
+    def derivative(self, moves: tuple[bool, ...]) -> "Derivative":
+        """Along tangents of the arguments that move."""
+        if moves not in self._derivatives:
+            self._derivatives[moves] = self._derived(moves)
+        return self._derivatives[moves]
+
+    def _derived(self, moves: tuple[bool, ...]) -> "Derivative":
+        tangents = {
+            node: (i, entry)
+            for i, entries in enumerate(itertools.compress(self._entries(moves), moves))
+            for entry, node in enumerate(entries)
+            if node is not None
+        }
+        forward = Forward(self.graph, self.nodes, tangents, frozenset(self.given))
+        zero = forward.slopes.constant(0, FLOAT)
+        found = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
+        follows = tuple(any(each is not None for each in slopes) for slopes in found)
+        slopes = [
+            np.array([zero if each is None else each for each in slopes], np.int64).reshape(output.shape)
+            for output, slopes, has_some in zip(self.outputs, found, follows, strict=True)
+            if has_some
+        ]
+        needed = set(forward.slopes.needed([int(node) for output in slopes for node in output.ravel()]))
+        given = {node: name for node, name in forward.given.items() if name in needed}
+        shapes = [*self.shapes, *(() for _ in self.given)]
+        return Derivative(
+            StraightLine(forward.values, [*self.outputs, *map(np.array, given)], self.shapes, self.given),
+            StraightLine(forward.slopes, slopes, [*itertools.compress(shapes, moves)], [*given.values()]),
+            follows,
+        )
+
+    def transposed(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
+        """Of a line that is linear in some of its arguments: from numbers along its outputs to numbers along these.
+
+        Args:
+            linear: which arguments these are.
+            told: the outputs along which there are numbers, among those that depend on the linear arguments.
+
+        Returns:
+            A line whose arguments are the numbers along these outputs, then the arguments that are not linear; its
+            outputs belong to the arguments that are.
+
+        Raises:
+            NotScalarizable: if it is not linear, as far as its operations show.
+        """
+        if (linear, told) not in self._transposes:
+            self._transposes[linear, told] = self._made_transpose(linear, told)
+        return self._transposes[linear, told]
+
+    def _made_transpose(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
+        followed = [*itertools.compress(self.outputs, told)]
+        still = [i for i in range(len(self.shapes)) if not linear[i]]
+        number = {i: -1 - i for i in range(len(self.shapes))} | {i: at for at, i in enumerate(still, len(followed))}
+        graph = self.graph.copy(number)
+        moving = self._entries(linear)
+        along: dict[int, list[tuple[int, int]]] = {}
+        for i, output in enumerate(followed):
+            for entry, node in enumerate(output.ravel()):
+                along.setdefault(int(node), []).append((i, entry))
+        leaves = {node for entries in moving for node in entries if node is not None}
+        made = Transposed(graph, self.nodes, leaves, frozenset(self.given), along)
+        shapes = [*self.shapes, *(() for _ in self.given)]
+        outputs = [
+            np.array([made.along(node) for node in entries], np.int64).reshape(shape)
+            for entries, shape in itertools.compress(zip(moving, shapes, strict=True), linear)
+        ]
+        given = [node for i, node in enumerate(self.given, len(self.shapes)) if not linear[i]]
+        return StraightLine(graph, outputs, [*(o.shape for o in followed), *(self.shapes[i] for i in still)], given)
+
+    def _entries(self, chosen: Sequence[bool]) -> list[list[int | None]]:
+        """The nodes that are the entries of the chosen arguments; None for those that nothing depends on."""
+        graph, given = self.graph, frozenset(self.given)
+        inputs = {
+            graph.parameters[node]: node
+            for node in self.nodes
+            if graph.operations[node] == "input" and node not in given
+        }
+        found: list[list[int | None]] = [
+            [inputs.get((i, entry)) for entry in range(int(np.prod(shape)))] if chosen[i] else []
+            for i, shape in enumerate(self.shapes)
+        ]
+        return found + [[node] if chosen[i] else [] for i, node in enumerate(self.given, len(self.shapes))]
+
     @cached_property
     def by_operations(self) -> Callable[..., list[Array]]:
         """The same as operations of JAX, one by one: what derivatives are taken of."""
@@ -118,6 +213,20 @@ class StraightLine:
             return jnp.zeros(output.shape)
         parts = [jnp.asarray(values[int(node)], self.dtype(output)) for node in output.ravel()]
         return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
+
+
+class Derivative(NamedTuple):
+    """The derivative of a line along tangents of some of its arguments.
+
+    Attributes:
+        values: the line, with the coefficients of the derivative as further outputs, numbers.
+        slopes: the derivative, from the tangents and the coefficients; linear in the tangents.
+        follows: which outputs have one; `slopes` has the outputs for these.
+    """
+
+    values: StraightLine
+    slopes: StraightLine
+    follows: tuple[bool, ...]
 
 
 def _reader(flat: Sequence[Array]) -> Callable:
@@ -160,8 +269,16 @@ def _shaped(*avals: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]
 
 
 def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
-    """One more axis of lanes, behind those that are there."""
+    """One more axis of lanes, behind those that are there; one lane needs no axis.
+
+    With axes of one lane XLA turns what is spread over lanes into changes of shape, and evaluates what lies behind each
+    of them again (a run with a sensitivity: half of the time to compile it).
+    """
     n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
+    if n == 1:
+        alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
+        found = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
+        return [jnp.expand_dims(x, 0) for x in found], [0] * len(found)
     last = 1 << len(lanes)
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
     now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
@@ -170,49 +287,80 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
     return found, [x.ndim - 1 if over & last else None for x, over in zip(found, spread, strict=True)]
 
 
-def one_by_one(line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> Callable[..., list[Array]]:
-    """`StraightLine.by_operations` with axes of lanes."""
-    function, (_, spread) = line.by_operations, line.spread(axes)
-    for axis in range(len(lanes)):  # the mapping that comes last is the outermost, and finds its axis last
-        inwards, outwards = ([-1 if over >> axis & 1 else None for over in each] for each in (axes, spread))
-        function = jax.vmap(function, tuple(inwards), outwards)
-    return function
-
-
 def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
-    """By JAX, of the operations one by one; what has no derivative is held fast."""
-    moves = [type(tangent) is not ad.Zero for tangent in tangents]
-    function = one_by_one(line, lanes, axes)
-
-    def of_moving(*moving):
-        moving = iter(moving)
-        return function(*(next(moving) if each else x for x, each in zip(primals, moves, strict=True)))
-
-    along = [x for x, each in zip(primals, moves, strict=True) if each]
-    values, slopes = jax.jvp(of_moving, along, [x for x, each in zip(tangents, moves, strict=True) if each])
-    _, follow = line.spread(tuple(map(int, moves)))  # which outputs depend on what moves: one axis, of the motion
-    has_slope = [each and line.dtype(output) == FLOAT for each, output in zip(follow, line.outputs, strict=True)]
+    """The values with the coefficients of the derivative, and what is linear in the tangents."""
+    moves = tuple(
+        type(t) is not ad.Zero and jax.typeof(x).dtype == FLOAT for x, t in zip(primals, tangents, strict=True)
+    )
+    derivative = line.derivative(moves)
+    found = _straight_line.bind(*primals, line=derivative.values, lanes=lanes, axes=axes)
+    values, coefficients = found[: len(line.outputs)], found[len(line.outputs) :]
+    _, spread = derivative.values.spread(axes)
+    over = *itertools.compress(axes, moves), *spread[len(line.outputs) :]
+    along = [*itertools.compress(tangents, moves)]
+    slopes = _straight_line.bind(*along, *coefficients, line=derivative.slopes, lanes=lanes, axes=over)
+    _, narrow = derivative.slopes.spread(over)
+    wide = itertools.compress(spread, derivative.follows)
+    moved = iter(_widened(*each, lanes) for each in zip(slopes, narrow, wide, strict=True))
     return values, [
-        slope if has_it else ad.Zero(jax.typeof(value).to_tangent_aval())
-        for value, slope, has_it in zip(values, slopes, has_slope, strict=True)
+        next(moved) if follows else ad.Zero(jax.typeof(value).to_tangent_aval())
+        for value, follows in zip(values, derivative.follows, strict=True)
     ]
 
 
+def _widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
+    """The same over more axes of lanes."""
+    if axes == wanted:
+        return x
+    n_inner = x.ndim - axes.bit_count()
+    among = [axis for axis in range(len(lanes)) if wanted >> axis & 1]
+    dims = [*range(n_inner), *(n_inner + at for at, axis in enumerate(among) if axes >> axis & 1)]
+    return jax.lax.broadcast_in_dim(x, (*x.shape[:n_inner], *_sizes(lanes, wanted)), dims)
+
+
+def _in_first_lanes(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
+    """The same over more axes of lanes: in the first lane of these, with zeros in the others."""
+    if axes == wanted:
+        return x
+    n_inner = x.ndim - axes.bit_count()
+    sizes = [(axis, n) for axis, n in enumerate(lanes) if wanted >> axis & 1]
+    new = [n_inner + at for at, (axis, _) in enumerate(sizes) if not axes >> axis & 1]
+    padding = [(0, 0, 0)] * n_inner + [(0, 0 if axes >> axis & 1 else n - 1, 0) for axis, n in sizes]
+    return jax.lax.pad(jnp.expand_dims(x, new), jnp.zeros((), x.dtype), padding)
+
+
+def _narrowed(x: Array, axes: int, wanted: int) -> Array:
+    """The sum over the axes of lanes that are not wanted."""
+    n_inner = x.ndim - axes.bit_count()
+    among = [axis for axis in range(axes.bit_length()) if axes >> axis & 1]
+    return jnp.sum(x, [n_inner + at for at, axis in enumerate(among) if not wanted >> axis & 1])
+
+
 def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
-    """By JAX, of the operations one by one: of a program that is linear in some of its arguments."""
-    linear = [ad.is_undefined_primal(x) for x in arguments]
+    """Of a program that is linear in some of its arguments."""
+    linear = tuple(ad.is_undefined_primal(x) for x in arguments)
     _, follow = line.spread(tuple(map(int, linear)))
-    function = one_by_one(line, lanes, axes)
-
-    def of_linear(*moving):
-        moving = iter(moving)
-        found = function(*(next(moving) if each else x for x, each in zip(arguments, linear, strict=True)))
-        return [x for x, each in zip(found, follow, strict=True) if each]
-
-    shapes = [jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in arguments if ad.is_undefined_primal(x)]
-    given = [ad.instantiate_zeros(x) for x, each in zip(cotangents, follow, strict=True) if each]
-    found = iter(jax.linear_transpose(of_linear, *shapes)(given))
-    return [next(found) if each else None for each in linear]
+    told = tuple(each > 0 and type(x) is not ad.Zero for x, each in zip(cotangents, follow, strict=True))
+    _, spread = line.spread(axes)
+    # What comes back is summed over the lanes that an argument has not: what is told of an output without these lanes
+    # counts once, and is told to the first.
+    own = [(x, has) for x, has, each in zip(cotangents, spread, told, strict=True) if each]
+    widest = _joined(has for _, has in own)
+    given = [_in_first_lanes(x, has, widest, lanes) for x, has in own]
+    still = [x for x, moves in zip(arguments, linear, strict=True) if not moves]
+    back = line.transposed(linear, told)
+    over = (
+        *(widest for _ in given),
+        *(each for each, moves in zip(axes, linear, strict=True) if not moves),
+    )
+    _, found_over = back.spread(over)
+    found = _straight_line.bind(*given, *still, line=back, lanes=lanes, axes=over)
+    wanted_over = [each for each, moves in zip(axes, linear, strict=True) if moves]
+    parts = iter(
+        _widened(_narrowed(x, has, has & wanted), has & wanted, wanted, lanes)
+        for x, has, wanted in zip(found, found_over, wanted_over, strict=True)
+    )
+    return [next(parts) if moves else None for moves in linear]
 
 
 class _Writer:
@@ -350,7 +498,7 @@ def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, ax
 
 def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
     if jax.config.values["jax_disable_jit"]:  # then there is nobody to write for
-        return one_by_one(line, **how)(*arguments)
+        return line.one_by_one(**how)(*arguments)
     key = tuple(how.items())
     if key not in line._jitted:
         line._jitted[key] = jax.jit(partial(_straight_line.bind, line=line, **how))

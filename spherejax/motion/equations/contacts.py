@@ -39,14 +39,18 @@ def crossings(system: System, t: Scalar, y: Float[Array, " size"]) -> Crossing:
     return Crossing(*(jnp.stack(parts) for parts in zip(*each, strict=True)))
 
 
-def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> Float[Array, " n_memory"]:
+def memory_after_step(
+    system: System,
+    t: Scalar,
+    step: tuple[Float[Array, " size"], Float[Array, " size"], Float[Array, " n_contacts"]],
+) -> Float[Array, " n_memory"]:
     """The memory at the end of a step, updated where a contact began or ended within it.
 
     Args:
         system: the system.
         t: time at the end of the step [s].
-        packed: flat states at the start and at the end of the step, then one slope delta_ddot / delta_dot [1/s] for
-            each contact, one after the other.
+        step: flat states at the start and at the end of the step, and a slope delta_ddot / delta_dot [1/s] for each
+            contact. Not one after the other in one array: for each entry of it XLA would evaluate the slopes again.
 
     Returns:
         In flight at the start and beyond the surface at the end: the memory of an onset with the normal velocity
@@ -57,8 +61,7 @@ def memory_after_step(system: System, t: Scalar, packed: Float[Array, " m"]) -> 
         value differs from delta_dot by less than the landing window allows, and the slope may be 0; its derivative
         needs the slope, for the instant of the onset moves with the parameters.
     """
-    size = system.layout.size
-    y_start, y_end, slopes = packed[:size], packed[size : 2 * size], packed[2 * size :]
+    y_start, y_end, slopes = step
     memory_start = unpack(system.layout, y_start).memory
     memory_end = unpack(system.layout, y_end).memory
     motions = relative_motions(system, y_end)

@@ -270,18 +270,18 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
         return without_memory(crossing_at)
     layout, n_contacts = example.layout, len(example.contact_joints)
     slopes = program_for(onset_slopes, structure, scalar)
-    update = program_for(memory_after_step, structure, scalar, 2 * layout.size + n_contacts)
+    update = program_for(memory_after_step, structure, scalar, (layout.size, layout.size, n_contacts))
 
     @jax.custom_jvp
     def memory(theta, t, y_start, y_end):
-        return update(theta, t, jnp.concatenate([y_start, y_end, jnp.zeros(n_contacts)]))
+        return update(theta, t, (y_start, y_end, jnp.zeros(n_contacts)))
 
     @memory.defjvp
     def memory_jvp(primals, tangents):
         slope = jax.lax.stop_gradient(slopes(primals[0], primals[1], primals[3]))
 
         def with_slope(theta, t, y_start, y_end):
-            return update(theta, t, jnp.concatenate([y_start, y_end, slope]))
+            return update(theta, t, (y_start, y_end, slope))
 
         return memory(*primals), jax.jvp(with_slope, primals, tangents)[1]
 

@@ -122,8 +122,8 @@ def _evaluated(structure: Structure, theta, t, y) -> list:
     ideal = as_ideal(system)
     found: list[Any] = [state_rate(system, t, y), assembly_residuals(ideal, t, y[: ideal.layout.size])]
     if system.contact_joints:
-        packed = jnp.concatenate([y, y, jnp.zeros(len(system.contact_joints))])
-        found += [crossings(system, t, y), memory_after_step(system, t, packed)]
+        step = y, y, jnp.zeros(len(system.contact_joints))
+        found += [crossings(system, t, y), memory_after_step(system, t, step)]
     return found
 
 

@@ -77,13 +77,19 @@ def written(scene: Scene, ports: Ports) -> Written:
         "first_memory": of(_first_memory, size),
         "rate": of(state_rate, size),
         "crossing": of(_crossing, size),
-        "after": of(memory_after_step if n_contacts else _nothing, 2 * size + n_contacts),
+        "after": of(_after_step if n_contacts else _nothing, 2 * size + n_contacts),
         "correction": of(corrected if system.drift.n_corrections else _nothing, size),
         "outputs": of(outputs_of(ports.quantities), size),
         "vitals": of(_vitals, size),
         "room": of(_room if knows_room else _nothing, size),
     }
     return Written(programs, system, knows_room, programs["rate"].reads(1))
+
+
+def _after_step(system: System, t: Any, packed: Any) -> Any:
+    """`memory_after_step` of states and slopes one after the other."""
+    size = system.layout.size
+    return memory_after_step(system, t, (packed[:size], packed[size : 2 * size], packed[2 * size :]))
 
 
 def _program(scene: Scene, ports: Ports, function: Callable | None, size: int, ideal: bool) -> ScalarProgram:
