@@ -112,6 +112,82 @@ def test_derivatives_of_lanes_and_lanes_of_derivatives():
         same(lanes_of(function), lanes_of(everything), rtol=1e-12)
 
 
+ONE = {
+    name: getattr(jnp, name)
+    for name in ("exp", "log", "log1p", "expm1", "tanh", "tan", "arcsin", "arctan", "sinh", "sqrt", "abs", "cbrt")
+} | {
+    "erf": jax.scipy.special.erf,
+    "logistic": jax.nn.sigmoid,
+    "to the three halves": lambda x: jnp.where(x > 0, jnp.maximum(x, 0.0) ** 1.5, 0.0),
+    "square": lambda x: x * x,
+    "held fast": lambda x: x * jax.lax.stop_gradient(x),
+    "steps": lambda x: x * jnp.floor(4 * x),
+    "between": lambda x: jnp.clip(x, 0.2, 0.5),
+    "product with itself": lambda x: (x + 1) * (x + 1),
+}
+TWO = {
+    "pow": lambda x, y: x**y,
+    "arctan2": jnp.arctan2,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "div": lambda x, y: x / y,
+    "remainder": jnp.remainder,
+    "selected": lambda x, y: jnp.where(x > y, x * y, y / x),
+    "nothing of it": lambda x, y: x * 0 + y,
+}
+
+
+@pytest.mark.parametrize("name", ONE)
+@pytest.mark.parametrize("x", [0.3, 0.2])
+def test_every_function_has_the_derivatives_that_jax_takes(name, x):
+    """Twice, forward and back; at the corner of a range as well."""
+    made, point = scalarize(ONE[name], jnp.asarray(x)), jnp.asarray(x)
+    for mode in (jax.jvp, lambda f, x, along: jax.vjp(f, *x)[1](along[0])):
+        same(*(mode(f, (point,), (jnp.asarray(1.3),)) for f in (made, ONE[name])))
+    same(*(jax.hessian(f)(point) for f in (made, ONE[name])), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", TWO)
+@pytest.mark.parametrize("y", [0.4, 0.9])
+def test_every_function_of_two_has_the_derivatives_that_jax_takes(name, y):
+    """By each and by both, and where the two are equal."""
+    made, point = scalarize(TWO[name], jnp.asarray(0.4), jnp.asarray(y)), (jnp.asarray(0.4), jnp.asarray(y))
+    for by in (0, 1, (0, 1)):
+        same(*(jax.jacfwd(f, by)(*point) for f in (made, TWO[name])))
+        same(*(jax.jacrev(f, by)(*point) for f in (made, TWO[name])))
+    same(*(jax.hessian(f, (0, 1))(*point) for f in (made, TWO[name])), rtol=1e-12)
+
+
+def test_a_root_is_flat_where_it_is_guarded():
+    """x sqrt(x) has the derivative 0 at 0, where its factors have 0 and infinity."""
+    made = scalarize(lambda x: jnp.maximum(x, 0.0) ** 1.5, jnp.asarray(0.0))
+    assert jax.jvp(made, (jnp.zeros(()),), (jnp.ones(()),))[1] == 0
+    assert jax.grad(made)(jnp.zeros(())) == 0
+
+
+def test_derivatives_cost_what_they_must():
+    """Coefficients are made once, whatever the number of tangents; what does not move costs nothing."""
+    line = PROGRAM._rest
+    derivative = line.derivative((False, False, True, *(False for _ in line.given)))
+    value = line.graph.count(line._flat, line.given).total()
+    slopes = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.given).total()
+    assert 0 < slopes < 3 * value
+    names = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.given)
+    assert set(names) <= {"add", "sub", "mul", "neg", "select"}
+    by_time = line.derivative((False, True, False, *(False for _ in line.given)))
+    names = sorted(everything(NUMBERS, T, Y))
+    assert [name for name, follows in zip(names, by_time.follows, strict=True) if follows] == ["one"]
+
+
+@pytest.mark.parametrize("width", [1, 2])
+def test_one_lane_needs_no_axis(width):
+    program = jax.make_jaxpr(jax.vmap(PROGRAM, (None, None, 0)))(NUMBERS, T, jnp.stack([Y] * width))
+    (line,) = (e for e in program.eqns if e.primitive.name == "straight_line")
+    assert len(line.params["lanes"]) == (width > 1)
+    ys = jnp.stack([Y] * width)
+    same(jax.vmap(PROGRAM, (None, None, 0))(NUMBERS, T, ys), jax.vmap(everything, (None, None, 0))(NUMBERS, T, ys))
+
+
 def test_linear_programs_are_transposed():
     """In lanes too; what does not depend on the linear argument is left alone."""
 
