@@ -2,8 +2,8 @@
 
 To JAX two thousand scalar operations are two thousand objects to trace, to batch and to lower, at a tenth of a
 millisecond each for every time that the program is used. As one operation (`straight_line`) they are none of this until
-the program is compiled: the lowering rule writes them as StableHLO, lanes and all. Derivatives are taken of the same
-operations one by one, as JAX takes them (`StraightLine.by_operations`).
+the program is compiled: the lowering rule writes them as StableHLO, lanes and all. Derivatives, forward and back, are
+straight lines again; see `scalar_derivatives`.
 
 Mapped by `jax.vmap`, the operation gets axes of lanes. They stand last in the arguments that have them, in the order of
 the mappings; a set of axes is an integer with a bit for each.
@@ -21,14 +21,11 @@ import numpy as np
 from jax import Array
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
-from jax.extend.mlir import ir
-from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import ad, batching, mlir
 
+from spherejax.foundations.line_writer import Shape, Writer, sizes
 from spherejax.foundations.scalar_derivatives import Forward, Transposed
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph
-
-Shape = tuple[int, ...]
+from spherejax.foundations.scalar_graph import FLOAT, Graph
 
 
 class StraightLine:
@@ -199,7 +196,7 @@ class StraightLine:
 
     @cached_property
     def by_operations(self) -> Callable[..., list[Array]]:
-        """The same as operations of JAX, one by one: what derivatives are taken of."""
+        """The same as operations of JAX, one by one: what other programs take in, and what runs without a compiler."""
 
         def evaluated(*arguments: Array) -> list[Array]:
             arrays, given = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
@@ -251,11 +248,6 @@ def _joined(sets: Iterable[int]) -> int:
     return reduce(or_, sets, 0)
 
 
-def _sizes(lanes: Shape, axes: int) -> Shape:
-    """Sizes of a set of axes."""
-    return tuple(n for axis, n in enumerate(lanes) if axes >> axis & 1)
-
-
 # Rules ----------------------------------------------------------------------------------------------------------------
 
 
@@ -263,7 +255,7 @@ def _shaped(*avals: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]
     del avals
     _, spread = line.spread(axes)
     return [
-        ShapedArray((*output.shape, *_sizes(lanes, over)), line.dtype(output))
+        ShapedArray((*output.shape, *sizes(lanes, over)), line.dtype(output))
         for output, over in zip(line.outputs, spread, strict=True)
     ]
 
@@ -315,7 +307,7 @@ def _widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
     n_inner = x.ndim - axes.bit_count()
     among = [axis for axis in range(len(lanes)) if wanted >> axis & 1]
     dims = [*range(n_inner), *(n_inner + at for at, axis in enumerate(among) if axes >> axis & 1)]
-    return jax.lax.broadcast_in_dim(x, (*x.shape[:n_inner], *_sizes(lanes, wanted)), dims)
+    return jax.lax.broadcast_in_dim(x, (*x.shape[:n_inner], *sizes(lanes, wanted)), dims)
 
 
 def _in_first_lanes(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
@@ -363,137 +355,8 @@ def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes
     return [next(parts) if moves else None for moves in linear]
 
 
-class _Writer:
-    """Writes the operations of a line as StableHLO.
-
-    A node has the axes of what it depends on, and is spread over more where it meets a node that has them.
-    """
-
-    def __init__(self, context: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...], arguments: Sequence):
-        self.context, self.line, self.graph, self.lanes = context, line, line.graph, lanes
-        self.axes, (self.spread, self.outputs_spread) = axes, line.spread(axes)
-        self.elements = {
-            FLOAT: ir.F64Type.get(), BOOL: ir.IntegerType.get_signless(1), INT: ir.IntegerType.get_signless(64),
-        }  # fmt: skip
-        self.types: dict[tuple[np.dtype, int], Any] = {}
-        self.flat = [self._flat(i, x) for i, x in enumerate(arguments[: len(line.shapes)])]
-        self.values: dict[int, Any] = dict(zip(line.given, arguments[len(line.shapes) :], strict=True))
-        self.wide: dict[tuple[int, int], Any] = {}
-
-    def written(self) -> list:
-        """The outputs."""
-        for node in self.line.nodes:
-            if node not in self.values:
-                self.values[node] = self._node(node)
-        return [self._output(*each) for each in zip(self.line.outputs, self.outputs_spread, strict=True)]
-
-    def _node(self, node: int) -> Any:
-        graph, operation = self.graph, self.graph.operations[node]
-        if operation == "constant":
-            return mlir.ir_constant(np.asarray(graph.value(node), graph.dtypes[node]))
-        if operation == "input":
-            return self._entry(*graph.parameters[node])
-        arguments = [self._over(self.spread[node], a) for a in graph.arguments[node]]
-        name = operation if isinstance(operation, str) else operation.name
-        write = WRITE.get(name)
-        if write is not None and not (name in _OF_FLOATS and graph.dtypes[graph.arguments[node][0]] != FLOAT):
-            return write(*arguments)
-        return self._by_jax(node, operation, arguments)
-
-    def _by_jax(self, node: int, operation: Any, arguments: list) -> Any:
-        """An operation as JAX writes it."""
-        graph, shape = self.graph, _sizes(self.lanes, self.spread[node])
-        primitive = partial(operation.bind, **dict(graph.parameters[node]))
-        avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
-        context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])
-        (found,) = mlir.lower_fun(primitive, multiple_results=False)(context, *arguments)
-        return found
-
-    def _type(self, dtype: np.dtype, axes: int) -> Any:
-        if (dtype, axes) not in self.types:
-            self.types[dtype, axes] = ir.RankedTensorType.get(_sizes(self.lanes, axes), self.elements[dtype])
-        return self.types[dtype, axes]
-
-    def _over(self, axes: int, node: int) -> Any:
-        """The value of a node over a set of axes."""
-        own = self.spread[node]
-        if own == axes:
-            return self.values[node]
-        if (node, axes) not in self.wide:
-            among = [axis for axis in range(len(self.lanes)) if axes >> axis & 1]
-            dims = ir.DenseI64ArrayAttr.get([at for at, axis in enumerate(among) if own >> axis & 1])
-            kind = self._type(self.graph.dtypes[node], axes)
-            self.wide[node, axes] = stablehlo.broadcast_in_dim(kind, self.values[node], dims)
-        return self.wide[node, axes]
-
-    def _flat(self, argument: int, x: Any) -> Any:
-        shape = int(np.prod(self.line.shapes[argument])), *_sizes(self.lanes, self.axes[argument])
-        return stablehlo.reshape(ir.RankedTensorType.get(shape, self.elements[FLOAT]), x)
-
-    def _entry(self, argument: int, index: int) -> Any:
-        lanes = _sizes(self.lanes, self.axes[argument])
-        begin, end = [index, *(0 for _ in lanes)], [index + 1, *lanes]
-        attributes = [ir.DenseI64ArrayAttr.get(each) for each in (begin, end, [1] * len(begin))]
-        return stablehlo.reshape(
-            self._type(FLOAT, self.axes[argument]), stablehlo.slice(self.flat[argument], *attributes)
-        )
-
-    def _output(self, output: np.ndarray, axes: int) -> Any:
-        lanes, element = _sizes(self.lanes, axes), self.elements[self.line.dtype(output)]
-        if output.size == 0:
-            return mlir.ir_constant(np.zeros(output.shape))
-        one = ir.RankedTensorType.get((1, *lanes), element)
-        nodes = [int(node) for node in output.ravel()]
-        rows = {node: stablehlo.reshape(one, self._over(axes, node)) for node in dict.fromkeys(nodes)}
-        parts = [rows[node] for node in nodes]
-        whole = parts[0] if len(parts) == 1 else stablehlo.concatenate(parts, mlir.i64_attr(0))
-        return stablehlo.reshape(ir.RankedTensorType.get((*output.shape, *lanes), element), whole)
-
-
-def _compared(direction: str) -> Callable:
-    def write(a, b):
-        kind = stablehlo.ComparisonTypeAttr.get("FLOAT")
-        return stablehlo.compare(a, b, stablehlo.ComparisonDirectionAttr.get(direction), compare_type=kind)
-
-    return write
-
-
-def _root_guarded_at_zero(a: Any) -> Any:
-    # Its value is the root's; what is guarded is the derivative, which is not taken of what is written here.
-    return stablehlo.sqrt(a)
-
-
-WRITE: dict[str, Callable] = {
-    "add": stablehlo.add,
-    "sub": stablehlo.subtract,
-    "mul": stablehlo.multiply,
-    "div": stablehlo.divide,
-    "neg": stablehlo.negate,
-    "sqrt": stablehlo.sqrt,
-    "pow": stablehlo.power,
-    "root_guarded_at_zero": _root_guarded_at_zero,
-    "select": lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
-    "max": stablehlo.maximum,
-    "min": stablehlo.minimum,
-    "abs": stablehlo.abs,
-    "and": stablehlo.and_,
-    "or": stablehlo.or_,
-    "not": stablehlo.not_,
-    "lt": _compared("LT"),
-    "le": _compared("LE"),
-    "gt": _compared("GT"),
-    "ge": _compared("GE"),
-    "eq": _compared("EQ"),
-    "ne": _compared("NE"),
-}
-"""How the most frequent operations are written; JAX writes the others."""
-
-_OF_FLOATS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "max", "min", "abs"})
-"""Those that are written differently for integers and booleans."""
-
-
 def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
-    return _Writer(context, line, lanes, axes, arguments).written()
+    return Writer(context, line, lanes, axes, arguments).written()
 
 
 def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
