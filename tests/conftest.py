@@ -18,6 +18,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 ROOT = Path(__file__).resolve().parents[1]
+LONG = ROOT / "tests" / "long_tests.txt"
 os.environ["SPHEREJAX_CACHE"] = os.environ.get("SPHEREJAX_TEST_CACHE", str(ROOT / ".jax_cache"))
 
 import spherejax  # noqa: E402, F401 - before any other use of JAX, so that its compiler flags take effect
@@ -31,6 +32,31 @@ def pytest_configure(config):
         os.environ["SPHEREJAX_TEST_OPTIMIZED"] = "1"  # for the workers, which start after this
     # Two workers may write the same entry at the same time; JAX then compiles again, which is all that matters.
     config.addinivalue_line("filterwarnings", "ignore:.*persistent compilation cache.*:UserWarning")
+
+
+def long_tests() -> dict[str, float]:
+    """Processor time [s] of the tests that are slow for that reason alone, by name."""
+    lines = (line.split(" ", 1) for line in LONG.read_text().splitlines() if line and not line.startswith("#"))
+    return {name: float(seconds) for seconds, name in lines}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    known = long_tests()
+    for item in items:
+        if item.nodeid in known:
+            item.add_marker(pytest.mark.slow)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Where `SPHEREJAX_TEST_TIMES` names a file, a line with the processor time of each test is added to it."""
+    start = sum(os.times()[:4])  # with the processes that it starts and waits for
+    result = yield
+    if path := os.environ.get("SPHEREJAX_TEST_TIMES"):
+        with Path(path).open("a") as file:
+            file.write(f"{sum(os.times()[:4]) - start:.1f} {item.nodeid}\n")
+    return result
 
 
 @pytest.fixture
