@@ -8,7 +8,7 @@ from conftest import ROOT, long_tests
 
 
 @lru_cache
-def tests_of(file: str) -> frozenset[str]:
+def names_in(file: str) -> frozenset[str]:
     """Names of the tests in a file."""
     tree = ast.parse((ROOT / file).read_text())
     return frozenset(node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
@@ -17,12 +17,12 @@ def tests_of(file: str) -> frozenset[str]:
 @pytest.mark.parametrize("name", long_tests())
 def test_a_long_test_exists(name):
     file, test = name.split("::")
-    assert test.split("[")[0] in tests_of(file)
+    assert test.split("[")[0] in names_in(file)
 
 
 def test_every_file_has_fast_tests_as_well():
     """The fast tests go through every file: a file of which all is long says so itself, by `pytestmark`."""
     for file in {name.split("::")[0] for name in long_tests()}:
         listed = {name.split("::")[1] for name in long_tests() if name.startswith(f"{file}::")}
-        tests = {name for name in tests_of(file) if name.startswith("test_")}
+        tests = {name for name in names_in(file) if name.startswith("test_")}
         assert tests - listed, file
