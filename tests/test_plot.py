@@ -22,7 +22,7 @@ from spherejax.output.plot.limits import Limit, limits_to_ideal
 from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
-from spherejax.output.plot.style import LAW_COLORS, new_figure, typeset_number
+from spherejax.output.plot.style import LAW_COLORS, new_figure, number_decades, typeset_number
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult
 from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures
@@ -291,6 +291,18 @@ def test_no_figure_needs_pyplot():
 )
 def test_numbers_on_axes_are_typeset(value, shown):
     assert typeset_number(value) == shown
+
+
+@pytest.mark.parametrize(("reach", "shown"), [((0.8, 2.1), {"1", "2"}), ((0.1, 1000.0), {"0.1", "1", "10", "1000"})])
+def test_decades_are_numbered_within_one_too(reach, shown):
+    figure, axes = new_figure(1, 1, 4.0, 3.0, "")
+    ax = axes[0, 0]
+    ax.semilogy(range(2), reach)
+    number_decades(ax.yaxis, np.array(reach))
+    figure.draw_without_rendering()
+    said = [label.get_text() for label in [*ax.get_yticklabels(), *ax.get_yticklabels(minor=True)]]
+    assert shown <= set(said)
+    assert not [text for text in said if r"\times" in text or "10^{0}" in text]
 
 
 def test_a_picture_typesets_its_texts():
