@@ -28,6 +28,12 @@ from spherejax.motion.start.tolerances import Tolerances, component_tolerances, 
 N_SCENES = 64
 """Scenes that are remembered; those not used for longest are let go."""
 
+N_CALLS = 64
+"""Calls of `sj.simulate` that are remembered, of all scenes."""
+
+MOST_TIMES = 4096
+"""Sample times of a call that is remembered: 64 calls then hold a few megabytes."""
+
 N_ANSWERS = 16
 """Choices, tolerances and starts of a scene that are remembered."""
 
@@ -49,7 +55,8 @@ class PreparedScene:
 
     def __init__(self, scene: Scene, track_work: bool, scalar: bool | None):
         compiled = compile_scene(scene, track_work=track_work)
-        self._system = _apart(compiled.system)
+        self._system = own_arrays(compiled.system)
+        self._leaves, self._tree = jax.tree.flatten(self._system)
         self.structure, self.theta = flatten_system(self._system)
         self.path = path_of(self.structure, scalar)
         self.known, self.unknown = split(self._system)
@@ -61,7 +68,7 @@ class PreparedScene:
 
     def system(self) -> System:
         """What the scene calls for."""
-        return _apart(self._system)
+        return jax.tree.unflatten(self._tree, map(_own, self._leaves))
 
     def choice(self, rtol: Any) -> Choice:
         """The method that it calls for."""
@@ -82,7 +89,7 @@ class PreparedScene:
         """The consistent start, where it is known."""
         times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
         found = self._once("start", times, lambda: known_start(self._system, ts))
-        return None if found is None else found._replace(assembly=_apart(found.assembly))
+        return None if found is None else found._replace(assembly=own_arrays(found.assembly))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
         key = None if self.unknown else values_of(numbers)
@@ -101,6 +108,18 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
     return _remembered(
         _scenes, _lock, N_SCENES, (key, track_work, scalar), lambda: PreparedScene(scene, track_work, scalar)
     )
+
+
+def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], Any]) -> Any:
+    """What a call of `sj.simulate` came to when the same was asked before; else what `make` makes of it.
+
+    The same are equal numbers of the scene, times and options: what is traced, or cannot be compared, is made each
+    time, and so is what fails.
+    """
+    if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
+        return make()
+    key = values_of((scene, ts, options))
+    return make() if key is None else _remembered(_calls, _lock, N_CALLS, key, make)
 
 
 def values_of(tree: Any) -> Hashable | None:
@@ -122,9 +141,35 @@ def values_of(tree: Any) -> Hashable | None:
     return structure, tuple(values)
 
 
-def _apart(tree: Any) -> Any:
+def own_arrays(tree: Any) -> Any:
     """The same, in arrays and containers of its own."""
-    return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, np.ndarray) else leaf, tree)
+    return jax.tree.map(_own, tree)
+
+
+def again(make: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that puts leaves of its arguments into a pytree, remembered: from its second call on the leaves go
+    straight to their places, where making an object of many fields costs more than all that is in them.
+
+    Args:
+        make: what it makes has all leaves of its arguments, once each, and depends on nothing else in them.
+    """
+    known: list = []
+
+    def made(*arguments: Any) -> Any:
+        leaves, structure = jax.tree.flatten(arguments)
+        for places, tree, of in known:
+            if of == structure:
+                return jax.tree.unflatten(tree, [leaves[place] for place in places])
+        # Marks take the places of the leaves; what is static is the same for all.
+        places, tree = jax.tree.flatten(make(*jax.tree.unflatten(structure, range(len(leaves)))))
+        known[:] = [(places, tree, structure)]
+        return make(*arguments)
+
+    return made
+
+
+def _own(leaf: Any) -> Any:
+    return leaf.copy() if isinstance(leaf, np.ndarray) else leaf
 
 
 def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
@@ -142,6 +187,7 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
 
 
 _scenes: OrderedDict[Hashable, PreparedScene] = OrderedDict()
+_calls: OrderedDict[Hashable, Any] = OrderedDict()
 _lock = threading.Lock()
 
 
