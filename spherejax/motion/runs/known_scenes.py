@@ -5,6 +5,7 @@ longer than the motion itself. Scenes are told by value, not by identity: whoeve
 within an array, has another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
 """
 
+import struct
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -68,7 +69,15 @@ class PreparedScene:
 
     def system(self) -> System:
         """What the scene calls for."""
-        return jax.tree.unflatten(self._tree, map(_own, self._leaves))
+        return self.system_of(self.leaves())
+
+    def leaves(self) -> list:
+        """Those of the system."""
+        return list(map(_own, self._leaves))
+
+    def system_of(self, leaves: list) -> System:
+        """The system of its leaves."""
+        return jax.tree.unflatten(self._tree, leaves)
 
     def choice(self, rtol: Any) -> Choice:
         """The method that it calls for."""
@@ -127,13 +136,20 @@ def values_of(tree: Any) -> Hashable | None:
     leaves, structure = jax.tree.flatten(tree)
     values = []
     for leaf in leaves:
+        kind = type(leaf)
+        if kind is float:
+            values.append((kind, _DOUBLE.pack(leaf)))  # -0.0 is not 0.0, and NaN is NaN
+            continue
+        if kind is int or kind is bool:
+            values.append((kind, leaf))
+            continue
         if not is_concrete(leaf) or not isinstance(leaf, bool | int | float | np.ndarray | np.generic | jax.Array):
             return None
         array = np.asarray(leaf)
         if array.dtype.hasobject:
             return None
         # A number and an array of no dimension are not the same to whoever checks them.
-        values.append((type(leaf), array.dtype.str, array.shape, array.tobytes()))
+        values.append((kind, array.dtype.str, array.shape, array.tobytes()))
     try:
         hash(structure)
     except TypeError:  # something static in it is not hashable
@@ -185,6 +201,8 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
         start += size
     return np.concatenate(known), tuple(unknown)
 
+
+_DOUBLE = struct.Struct("d")
 
 _scenes: OrderedDict[Hashable, PreparedScene] = OrderedDict()
 _calls: OrderedDict[Hashable, Any] = OrderedDict()

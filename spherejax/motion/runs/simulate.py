@@ -176,13 +176,13 @@ def _call(scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, ma
                 f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
                 "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
             ) from error
-        return made_of(ts, outcome, found.system(), outcome.assembly if assembly is None else own_arrays(assembly))
+        return made_of(ts, outcome, found.leaves(), outcome.assembly if assembly is None else own_arrays(assembly))
 
-    def trajectory(ts, outcome: Outcome, system: System, assembly: Assembly) -> Trajectory:
+    def trajectory(ts, outcome: Outcome, leaves: list, assembly: Assembly) -> Trajectory:
         return Trajectory(
             ts=ts,
             ys=outcome.ys,
-            system=system,
+            system=found.system_of(leaves),
             stats=replace(outcome.stats, explanation=explanation),
             ended=outcome.status,
             t_reached=outcome.t_reached,
