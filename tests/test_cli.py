@@ -2,6 +2,7 @@
 
 import csv
 import gc
+import re
 import subprocess
 import sys
 import time
@@ -177,6 +178,35 @@ def test_an_unknown_word_exits_with_2(words, capsys):
 def test_a_number_is_a_plain_one_or_the_option_says_what_to_write(words, message, capsys):
     assert cli.main(["run", "four-bar", "--joint", "dry", *words]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+
+
+TOLERANCES = ["tolerances", "four-bar", "--of", "position.rocker.z", "--tolerance"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["rigg", "mcpherson"], "invalid choice: 'rigg'; did you mean 'rig'?"),
+        (["modes", "four-bar", "--joint", "bushin"], "invalid choice: 'bushin'; did you mean 'bushing'?"),
+        (["cycle", "piston", "--perod", "0.01"], "is required; unrecognized: --perod; did you mean --period?"),
+        (["cycle", "piston", "--period", "-1"], "argument --period: '-1' must be positive"),
+        (["export", "four-bar", "--outputt", "position.rocker"], "unrecognized: --outputt; did you mean --output?"),
+        (["export", "four-bar", "--output", "position.rocker", "--fmu", "a.txt"], "argument --fmu: 'a.txt' is no FMU"),
+        ([*TOLERANCES, "stiffness=3"], "stiffness=3: say how much, e.g. stiffness=3+-1%"),
+        ([*TOLERANCES, "+-1%"], "+-1%: write NAME=MIDDLE+-WIDTH"),
+    ],
+)
+def test_what_is_misspelled_is_told_before_anything_is_made(words, message, capsys, monkeypatch):
+    monkeypatch.setattr(sj.gallery, "four_bar", lambda *a, **k: pytest.fail("made in vain"))
+    assert cli.main(words) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    said = re.sub(r" \(choose from [^)]*\)", "", said)
+    assert message in said
+
+
+def test_a_warning_of_ours_is_a_sentence_and_not_a_place_in_our_code():
+    assert cli._in_one_line("so\n far", sj.StartWarning, "a.py", 3) == "spherejax: warning: so far\n"
+    assert cli._in_one_line("so", UserWarning, "a.py", 3).startswith("a.py:3: UserWarning: so")
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,19 @@ def measured_in(unit: str) -> Callable[[str], float]:
     return number
 
 
+def positive_in(unit: str) -> Callable[[str], float]:
+    """As `measured_in`, of what must be positive."""
+    measured = measured_in(unit)
+
+    def number(text: str) -> float:
+        value = measured(text)
+        if not value > 0:
+            raise argparse.ArgumentTypeError(f"{text!r} must be positive")
+        return value
+
+    return number
+
+
 def whole(text: str) -> int:
     """A whole number, for `type=` of an option."""
     value = real(text)
