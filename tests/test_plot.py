@@ -180,10 +180,11 @@ def test_the_blend_is_film_before_contact_and_contact_beyond_the_transition():
 
 
 def test_time_ratios_are_annotated():
-    figure = time_ratios(["ideal", "dry"], [1.0, 12.3], [207, 33_000], "time")
+    figure = time_ratios({"ideal": "ideal", "friction": "dry with friction"}, [1.0, 12.3], [207, 33_000], "time")
     check_readable(figure)
     assert figure.axes[0].get_yscale() == "log"
     assert [bar.get_height() for bar in figure.axes[0].patches] == [1.0, 12.3]
+    assert figure.axes[0].get_xticklabels()[1].get_text() == "dry with friction"
     assert "33,000 steps" in figure.axes[0].texts[1].get_text()
 
 
