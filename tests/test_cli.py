@@ -216,7 +216,10 @@ def test_a_warning_of_ours_is_a_sentence_and_not_a_place_in_our_code():
         ("mu=0,1:0.3:4", "--vary mu=0,1:0.3:4: '0,1' is no number; write 0.1"),
         ("mu=0.1:0.3:2.5", "N = 2.5 must be a whole number, at least 1"),
         ("clearance=0.1kg:0.2mm:3", "'0.1kg' is a mass [kg], but a length [m] is expected"),
-        ("friction.v1=1kg:2kg:2", "--vary friction.v1=1kg:2kg:2: '1kg' is a mass [kg], but a velocity [m/s] is expected"),
+        (
+            "friction.v1=1kg:2kg:2",
+            "friction.v1=1kg:2kg:2: '1kg' is a mass [kg], but a velocity [m/s] is expected",
+        ),
         ("mu=0.1 mm:0.3:2", "numbers here are in SI units, without a unit"),
         ("mu=0.1;0.2", "'0.1;0.2' is no number"),
     ],

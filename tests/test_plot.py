@@ -209,9 +209,9 @@ def test_a_comparison_draws_every_figure_of_the_paper(models):
     ]
     found = figures_of(Comparison(2.0, rows, models, {}, studies, limits, 0.5, subject=FOUR_BAR))
     numbers = {name[:5] for name in found if name.startswith("fig")}
-    assert numbers == {f"fig{n:02d}" for n in (6, 7, 8, *range(10, 22))}
+    assert numbers == {f"fig{n:02d}" for n in range(6, 22)}
     assert set(law_figures()) <= set(found)
-    for name in set(found) - set(law_figures()):
+    for name in set(found) - set(law_figures()) - {"fig09_mechanism"}:  # a drawing, no panels with axes
         check_readable(found[name]())
 
 
@@ -294,7 +294,14 @@ def test_numbers_on_axes_are_typeset(value, shown):
     assert typeset_number(value) == shown
 
 
-@pytest.mark.parametrize(("reach", "shown"), [((0.8, 2.1), {"1", "2"}), ((0.1, 1000.0), {"0.1", "1", "10", "1000"})])
+@pytest.mark.parametrize(
+    ("reach", "shown"),
+    [
+        ((0.8, 2.1), {"1", "2"}),
+        ((15.0, 400.0), {"20", "50", "100", "200"}),
+        ((0.1, 1000.0), {"0.1", "1", "10", "1000"}),
+    ],
+)
 def test_decades_are_numbered_within_one_too(reach, shown):
     figure, axes = new_figure(1, 1, 4.0, 3.0, "")
     ax = axes[0, 0]

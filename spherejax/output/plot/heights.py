@@ -30,11 +30,13 @@ def with_height(scene: Scene, body: str, title: str) -> Figure:
     sheet = Sheet(mechanism, [pose], Wishes(title=title))
     view = sheet.views[0]
     top = np.asarray(pose.positions[body], float)
-    foot = top * [1.0, 1.0, 0.0]
-    low, high = view.camera.project(foot), view.camera.project(top)
+    beside = np.array([-7.0 * view.size, 0.0])  # free of the body
+    center = view.camera.project(top)
+    low, high = view.camera.project(top * [1.0, 1.0, 0.0]) + beside, center + beside
     side = 2.5 * view.size
     arrow = {"arrowstyle": "<->", "color": COLOR, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
     view.ax.annotate("", tuple(low), tuple(high), arrowprops=arrow)
+    view.ax.plot([high[0] - 0.5 * side, center[0]], [high[1], center[1]], color=COLOR, lw=0.8)
     view.ax.plot([low[0] - side, low[0] + side], [low[1], low[1]], color=COLOR, lw=0.8)
     middle = 0.5 * (low + high)
     view.ax.text(

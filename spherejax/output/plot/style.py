@@ -12,7 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from spherejax.foundations.errors import SceneError
 
@@ -77,6 +77,8 @@ def number_decades(axis: Axis, shown: np.ndarray) -> None:
     if np.max(shown) < 10 * np.min(shown):
         axis.set_major_locator(MaxNLocator(6))
         axis.set_minor_locator(NullLocator())
+    elif np.max(shown) < 1e3 * np.min(shown):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: typeset_number(float(f"{value:.6g}"))))
     axis.set_minor_formatter(NullFormatter())
 
