@@ -26,17 +26,20 @@ FOLDER = Path(__file__).parent / "pictures"
 MODELS = {
     "ideal": sj.Ideal(),
     "dry": sj.Dry(clearance=1e-4),
-    "dry, friction": sj.Dry(clearance=1e-4, friction=sj.Threlfall(mu=0.1)),
+    "dry with friction": sj.Dry(clearance=1e-4, friction=sj.Threlfall(mu=0.1)),
     "lubricated": sj.Lubricated(clearance=1e-4, viscosity=0.4),
     "bushing": sj.Bushing(stiffness=1e6, damping=1e-3),
 }
+COLORS = dict(zip(MODELS, sj.plot.MODEL_COLORS.values(), strict=True))
+"""Of the joint models, as in all figures of the library."""
+
 LINES = ("black", "#0a7d91", "#8f1f7e", "#c8791a", "#4a7c2a")
 
 
 def four_bar() -> Figure:
     """The four-bar with its dry joint magnified."""
     run = sj.simulate(
-        sj.gallery.four_bar(MODELS["dry, friction"]), jnp.linspace(0.0, 0.2, 2001)
+        sj.gallery.four_bar(MODELS["dry with friction"]), jnp.linspace(0.0, 0.2, 2001)
     )
     return sj.draw(run, t=0.15)
 
@@ -47,11 +50,10 @@ def accelerations() -> Figure:
     figure, panels = plt.subplots(
         len(MODELS), 1, figsize=(7, 7), sharex=True, layout="constrained"
     )
-    for panel, (name, model), color in zip(panels, MODELS.items(), LINES, strict=True):
+    for panel, (name, model) in zip(panels, MODELS.items(), strict=True):
         run = sj.simulate(sj.gallery.four_bar(model), ts, rtol=1e-7)
-        panel.plot(
-            1e3 * ts, run.acceleration("rocker")[:, 2], color=color, linewidth=0.8
-        )
+        acceleration = run.acceleration("rocker")[:, 2]
+        panel.plot(1e3 * ts, acceleration, color=COLORS[name], linewidth=0.8)
         panel.set_title(name, loc="left", fontsize=9)
         panel.margins(x=0)
     figure.supylabel("vertical acceleration of the rocker [m/s$^2$]", fontsize=10)
@@ -62,7 +64,7 @@ def accelerations() -> Figure:
 def orbits() -> Figure:
     """The ball's path in its clearance."""
     ts = jnp.linspace(0.0, 0.2, 4001)
-    names = ("dry", "dry, friction", "lubricated")
+    names = ("dry", "dry with friction", "lubricated")
     figure, panels = plt.subplots(
         1, 3, figsize=(8.4, 3.2), layout="constrained", sharey=True
     )
@@ -73,9 +75,7 @@ def orbits() -> Figure:
         panel.plot(
             100 * np.cos(angle), 100 * np.sin(angle), color="black", linewidth=1.2
         )
-        panel.plot(
-            e[:, 0], e[:, 2], color=LINES[list(MODELS).index(name)], linewidth=0.7
-        )
+        panel.plot(e[:, 0], e[:, 2], color=COLORS[name], linewidth=0.7)
         panel.set(aspect="equal", title=name, xlabel="e$_x$ [µm]")
     panels[0].set_ylabel("e$_z$ [µm]")
     return figure
@@ -227,7 +227,8 @@ def piston() -> Figure:
     angle = np.degrees(np.asarray(ts) * 5000 * 2 * np.pi / 60)
     around = np.linspace(0, 2 * np.pi, 200)
     right.plot(0.5 * np.cos(around), 0.5 * np.sin(around), color="0.6", linewidth=0.8)
-    styles = (("black", 1.4, 3), (LINES[1], 0.7, 1), (LINES[2], 1.2, 2))
+    dry, oil = COLORS["dry"], COLORS["lubricated"]
+    styles = ((COLORS["ideal"], 1.4, 3), (dry, 0.7, 1), (oil, 1.2, 2))
     for (name, model), (color, width, order) in zip(models, styles, strict=True):
         run = sj.simulate(sj.gallery.piston(model), ts)
         moment = np.asarray(run.driving_effort("motor"))
@@ -489,7 +490,7 @@ def report() -> Image.Image:
     sys.path.insert(0, str(FOLDER.parents[1] / "tests"))
     import browsing
 
-    joint = MODELS["dry, friction"]
+    joint = MODELS["dry with friction"]
     scene = sj.gallery.four_bar(joint)
     run = sj.simulate(scene, jnp.linspace(0.0, 0.2, 401))
     with TemporaryDirectory() as folder, browsing.chromium() as driver:

@@ -5,6 +5,7 @@ import difflib
 import os
 import re
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -48,6 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     if runtime.is_command():
         runtime.set_up()
+        warnings.formatwarning = _in_one_line
     from spherejax.files.code import described_error, line_of
 
     try:
@@ -78,8 +80,28 @@ def main(argv: Sequence[str] | None = None) -> int:
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are not buried under the list of all options."""
 
+    _given: Sequence[str] = ()
+
+    def parse_known_args(self, args=None, namespace=None):
+        """As of argparse; what was given is kept for the errors."""
+        self._given = list(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(self._given, namespace)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            near = difflib.get_close_matches(str(value), map(str, action.choices or ()), n=1)
+            error.message += f"; did you mean {near[0]!r}?" if near else ""
+            raise
+
     def error(self, message: str) -> NoReturn:
         """Say what is wrong, and where the options are listed."""
+        if "required" in message:  # perhaps it is there, and misspelled
+            known = self._option_string_actions
+            flags = [word.partition("=")[0] for word in self._given if word.startswith("--")]
+            flags = [flag for flag in flags if not any(one.startswith(flag) for one in known)]
+            message += f"; unrecognized: {' '.join(flags)}{meant(flags, self)}" if flags else ""
         self.exit(BAD_REQUEST, f"{self.prog}: error: {message}\nusage: {self.prog} --help\n")
 
 
@@ -136,10 +158,24 @@ def _read(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argpar
         commands: Any = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
         command = next((commands.choices[word] for word in words if word in commands.choices), parser)
         flags = [each.partition("=")[0] for each in unknown if each.startswith("-")]
-        near = [difflib.get_close_matches(flag, command._option_string_actions, n=1) for flag in flags]
-        meant = "; did you mean " + " and ".join(each[0] for each in near if each) + "?" if any(near) else ""
-        command.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+        command.error(f"unrecognized arguments: {' '.join(unknown)}{meant(flags, command)}")
     return options
+
+
+def meant(flags: Sequence[str], parser: argparse.ArgumentParser) -> str:
+    """The options that are spelled like these, as a question; nothing where there are none."""
+    near = [difflib.get_close_matches(flag, parser._option_string_actions, n=1) for flag in flags]
+    return "; did you mean " + " and ".join(each[0] for each in near if each) + "?" if any(near) else ""
+
+
+def _in_one_line(message: Any, category: type, filename: str, lineno: int, line: str | None = None) -> str:
+    """A warning of ours without the place in our code that gives it."""
+    if category.__module__.partition(".")[0] == "spherejax":
+        return f"spherejax: warning: {' '.join(str(message).split())}\n"
+    return _as_python_does(message, category, filename, lineno, line)
+
+
+_as_python_does = warnings.formatwarning
 
 
 def _leave(code: int) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import gc
+import re
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from spherejax import cli
 from spherejax.command_line import catalog
 from spherejax.command_line.catalog import FRICTION_LAWS, NORMAL_LAWS, SOLVERS
 from spherejax.command_line.models import model_from
+from spherejax.command_line.sweep import grid_of
 from spherejax.output.plot.curves import curves_of
 from spherejax.studies.compare import compare
 from spherejax.studies.subject import Comparison, Row
@@ -179,15 +181,46 @@ def test_a_number_is_a_plain_one_or_the_option_says_what_to_write(words, message
     assert message in " ".join(capsys.readouterr().err.split())
 
 
+TOLERANCES = ["tolerances", "four-bar", "--of", "position.rocker.z", "--tolerance"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["rigg", "mcpherson"], "invalid choice: 'rigg'; did you mean 'rig'?"),
+        (["modes", "four-bar", "--joint", "bushin"], "invalid choice: 'bushin'; did you mean 'bushing'?"),
+        (["cycle", "piston", "--perod", "0.01"], "is required; unrecognized: --perod; did you mean --period?"),
+        (["cycle", "piston", "--period", "-1"], "argument --period: '-1' must be positive"),
+        (["export", "four-bar", "--outputt", "position.rocker"], "unrecognized: --outputt; did you mean --output?"),
+        (["export", "four-bar", "--output", "position.rocker", "--fmu", "a.txt"], "argument --fmu: 'a.txt' is no FMU"),
+        ([*TOLERANCES, "stiffness=3"], "stiffness=3: say how much, e.g. stiffness=3+-1%"),
+        ([*TOLERANCES, "+-1%"], "+-1%: write NAME=MIDDLE+-WIDTH"),
+    ],
+)
+def test_what_is_misspelled_is_told_before_anything_is_made(words, message, capsys, monkeypatch):
+    monkeypatch.setattr(sj.gallery, "four_bar", lambda *a, **k: pytest.fail("made in vain"))
+    assert cli.main(words) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    said = re.sub(r" \(choose from [^)]*\)", "", said)
+    assert message in said
+
+
+def test_a_warning_of_ours_is_a_sentence_and_not_a_place_in_our_code():
+    assert cli._in_one_line("so\n far", sj.StartWarning, "a.py", 3) == "spherejax: warning: so far\n"
+    assert cli._in_one_line("so", UserWarning, "a.py", 3).startswith("a.py:3: UserWarning: so")
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ("mu=0,1:0.3:4", "--vary mu=0,1:0.3:4: '0,1' is no number; write 0.1"),
         ("mu=0.1:0.3:2.5", "N = 2.5 must be a whole number, at least 1"),
+        ("clearance=0.1kg:0.2mm:3", "'0.1kg' is a mass [kg], but a length [m] is expected"),
         (
-            "clearance=0.1mm:0.2mm:3",
-            "'0.1mm' is no number; write it like 0.1; numbers here are in SI units, without a un",
+            "friction.v1=1kg:2kg:2",
+            "friction.v1=1kg:2kg:2: '1kg' is a mass [kg], but a velocity [m/s] is expected",
         ),
+        ("mu=0.1 mm:0.3:2", "numbers here are in SI units, without a unit"),
         ("mu=0.1;0.2", "'0.1;0.2' is no number"),
     ],
 )
@@ -195,6 +228,35 @@ def test_a_number_that_is_varied_is_a_plain_one(given, message, capsys, tmp_path
     words = ["sweep", "four-bar", "--joint", "friction", "--vary", given, "--out", str(tmp_path / "s.zarr")]
     assert cli.main(words) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("clearance=0.1 mm:0.2mm:3", [1e-4, 1.5e-4, 2e-4]),
+        ("clearance=0.1 mm,1e-3", [1e-4, 1e-3]),
+        ("rocker.mass=20 g:30g:2:log", [0.02, 0.03]),
+    ],
+)
+def test_a_number_that_is_varied_may_have_a_unit(given, meant):
+    words = ["sweep", "four-bar", "--joint", "friction", "--vary", given, "--out", "s.zarr"]
+    _, grid = grid_of(cli.parser().parse_args(words))
+    np.testing.assert_allclose(next(iter(grid.axes.values())), meant, rtol=1e-12)
+
+
+def test_where_a_fit_begins_and_what_is_changed_may_have_units(capsys):
+    from spherejax.command_line.fit import _starts
+    from spherejax.command_line.sensitivity import _parameters
+
+    words = ["fit", "four-bar", "--joint", "bushing", "--measured", "x.csv", "--start"]
+    start = _starts(cli.parser().parse_args([*words, "stiffness=10 kN/m:1 kN/m:1e7", "--start", "rocker.mass=20 g"]))
+    assert (start["stiffness"].start, start["stiffness"].lower, start["rocker.mass"].start) == (1e4, 1e3, 0.02)
+    assert cli.main([*words, "rocker.mass=20 mm"]) == 2
+    assert "--start rocker.mass=20 mm: '20 mm' is a length [m], but a mass [kg] is expected" in capsys.readouterr().err
+    words = ["sensitivity", "four-bar", "--joint", "bushing", "--of", "position.rocker", "--by"]
+    assert _parameters(cli.parser().parse_args([*words, "stiffness=10 kN/m"]))[0] == {"stiffness": 1e4}
+    assert cli.main([*words, "rocker.mass=20 mm"]) == 2
+    assert "--by rocker.mass=20 mm: '20 mm' is a length [m]" in capsys.readouterr().err
 
 
 def test_a_failed_run_exits_with_3_and_says_why(capsys):

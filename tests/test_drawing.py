@@ -147,6 +147,32 @@ def test_between_samples_the_motion_is_interpolated_by_its_rates():
         np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
 
 
+def test_springs_and_arrows_carry_their_names():
+    scene = sj.gallery.governor()
+    assert set(scene.forces) <= {text.get_text() for text in labels(sj.draw(scene))}
+    bob = sj.Body(1.0, (1e-2,) * 3, points={"top": (0, 0, 0.3)})
+    joints = {"hinge": sj.Revolute(("ground", "bob"), (0, 0, 0.3), (0, 1, 0))}
+    pull = {"pull": sj.AppliedWrench("bob", force=sj.Constant((9.0, 0.0, 0.0)))}
+    # What turns about a joint and is called like it says so once.
+    damper = {"hinge": sj.TorsionalSpring(("ground", "bob"), (0, 1, 0), damping=1.0)}
+    figure = sj.draw(sj.Scene({"bob": bob}, joints, {**pull, **damper}))
+    assert sorted(text.get_text() for text in labels(figure)) == ["bob", "hinge", "pull"]
+
+
+def test_the_height_of_a_body_is_marked():
+    from spherejax.output.plot.heights import with_height
+
+    scene = sj.gallery.four_bar()
+    figure = with_height(scene, "rocker", "so high")
+    (text,) = [text for text in figure.axes[0].texts if text.get_gid() == "height"]
+    height = float(scene.bodies["rocker"].position[2])  # the assembly moves it by some micrometers
+    assert float(text.get_text().split()[2]) == pytest.approx(1e3 * height, abs=0.02)
+    (mark,) = [one for one in figure.axes[0].texts if getattr(one, "arrow_patch", None) and not one.get_text()]
+    assert np.linalg.norm(np.subtract(mark.xyann, mark.xy)) <= height + 2e-5  # a parallel projection
+    with pytest.raises(sj.SceneError, match="no body 'rokcer'"):
+        with_height(scene, "rokcer", "")
+
+
 def test_labels_are_there_and_do_not_overlap():
     bodies, joints = {}, {}
     for i in range(12):

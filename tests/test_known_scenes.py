@@ -2,8 +2,10 @@
 
 import threading
 import warnings
+from collections import OrderedDict
 from dataclasses import replace
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +13,11 @@ import pytest
 
 import spherejax as sj
 from spherejax.motion.runs import known_scenes
+from spherejax.motion.runs import simulate as simulating
 from spherejax.motion.runs.known_scenes import prepared, values_of
 
 TS = jnp.array([0.0, 0.1, 0.2])
+make = simulating._call
 
 
 @pytest.fixture
@@ -27,7 +31,8 @@ def counted(monkeypatch):
 
     original = known_scenes.compile_scene
     monkeypatch.setattr(known_scenes, "compile_scene", compile_scene)
-    monkeypatch.setattr(known_scenes, "_scenes", type(known_scenes._scenes)())
+    for remembered in ("_scenes", "_calls"):
+        monkeypatch.setattr(known_scenes, remembered, OrderedDict())
     return calls
 
 
@@ -86,6 +91,73 @@ def test_what_is_changed_in_place_changes_no_other_run(counted):
     assert float(again.position("rod")[-1, 2]) == first
     assert len(counted) == 1
     assert float(np.max(again.assembly.y)) < 1.1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"rtol": 1e-5},
+        {"atol": 1e-5},
+        {"solver": diffrax.Tsit5()},
+        {"max_steps": 2},
+        {"track_work": True},
+        {"stepsize_controller": diffrax.PIDController(1e-6, 1e-6, dtmax=0.05)},
+    ],
+    ids=str,
+)
+def test_a_call_that_was_made_before_is_decided_once_and_answers_alike(counted, monkeypatch, options):
+    """Whatever is asked for, after a plain call of the same scene: a call is not taken for another one."""
+    decided = []
+    monkeypatch.setattr(simulating, "_call", lambda *asked: decided.append(asked) or make(*asked))
+    scene = pendulum()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sj.SimulationWarning)
+        height(scene)
+        first, again = (sj.simulate(scene, TS, **options) for _ in range(2))
+        known_scenes._calls.clear()
+        alone = sj.simulate(scene, TS, **options)
+    # A controller holds functions, which are not compared: it is looked at each time.
+    assert len(decided) == (4 if "stepsize_controller" in options else 3 if options else 2)
+    for other in (again, alone):
+        assert jax.tree.structure(other) == jax.tree.structure(first)
+        assert all(map(same, jax.tree.leaves(other), jax.tree.leaves(first)))
+        assert not [1 for one, two in zip(arrays(other), arrays(first), strict=True) if np.shares_memory(one, two)]
+    if options.get("max_steps"):
+        with pytest.raises(sj.SimulationError):
+            sj.simulate(scene, TS, throw=True, **options)
+
+
+def same(one, other):
+    return np.array_equal(one, other, equal_nan=True)
+
+
+def arrays(run):
+    """What somebody could write into."""
+    return [leaf for leaf in jax.tree.leaves(run) if isinstance(leaf, np.ndarray)]
+
+
+def test_other_times_are_another_call(counted):
+    times = np.array([0.0, 0.1, 0.2])
+    scene = pendulum()
+    first = sj.simulate(scene, times).ys[-1]
+    times[-1] = 0.15
+    assert np.abs(first - sj.simulate(scene, times).ys[-1]).max() > 0.1
+    assert len(known_scenes._calls) == 2
+    with pytest.raises(sj.SceneError, match="increase"):
+        sj.simulate(scene, times[::-1])
+    sj.simulate(scene, list(times))  # not remembered: a list is slow to compare
+    assert len(known_scenes._calls) == 2
+
+
+def test_only_so_many_calls_are_kept(monkeypatch, counted):
+    monkeypatch.setattr(known_scenes, "N_CALLS", 2)
+    scene = pendulum()
+    for rtol in (1e-4, 1e-5, 1e-6):
+        height(scene, rtol=rtol)
+    assert len(known_scenes._calls) == 2
+    sj.simulate(scene, jnp.linspace(0.0, 1e-3, known_scenes.MOST_TIMES + 1))
+    assert len(known_scenes._calls) == 2
 
 
 def test_a_scene_that_is_wrong_is_wrong_again(counted):

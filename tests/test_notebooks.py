@@ -113,6 +113,12 @@ def test_notebook_tells_a_story(name):
     assert len(re.findall(r"^\s*assert ", cells[-1].source, re.MULTILINE)) >= 5, "it ends with its claims as numbers"
 
 
+def test_one_notebook_has_the_view_that_turns():
+    shown = [cell for name in NOTEBOOKS for cell in code_of(read(name)) if "sj.view(" in cell.source]
+    assert shown
+    assert all("application/vnd.jupyter.widget-view+json" in kinds_of(cell) for cell in shown)
+
+
 def test_the_index_names_every_notebook():
     found = re.findall(r"\((\w+)\.ipynb\)", (FOLDER / "README.md").read_text())
     assert sorted(found) == NOTEBOOKS

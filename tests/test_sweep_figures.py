@@ -74,6 +74,18 @@ def test_a_map_marks_failed_cells():
         assert "2 failed runs" in panel.get_title(loc="right")
 
 
+def test_a_map_ends_at_the_swept_values_and_a_constant_has_none():
+    result = swept(product({"a": A, "b": B}))
+    result["ends"] = xarray.where(result["axis"] == result["axis"][1], 0.5, result["ends"]).assign_attrs(units="m")
+    result["ends"] = result["ends"].transpose("a", "b", "axis")
+    figure = figures_of_sweep(result, "two")["ends"]
+    assert len(drawn(figure)) == 2
+    assert "is 0.5 in all runs" in figure.get_suptitle()
+    for ax in drawn(figure):
+        assert (ax.get_xlim(), ax.get_ylim()) == ((A.min(), A.max()), (B.min(), B.max()))
+        assert crosses(ax) == int((result["status"] > 0).sum()) > 0
+
+
 @pytest.mark.parametrize("kind", ["product", "samples"])
 def test_many_parameters_are_drawn_in_pairs(kind):
     names = ["a", "b", "c", "d"]

@@ -41,6 +41,8 @@ viewer.turning.turn(30.0, 10.0)
 np.testing.assert_allclose(ring(), expected(0, 30.0, 10.0), atol=1e-9)
 viewer.slider.value = 300
 assert viewer.sheet.figure.get_suptitle() == "t = 0.0200 s"
+assert viewer.seconds.value == "0.0200 s of 0.02 s"
+assert viewer.seconds in viewer.widget.children[1].children
 np.testing.assert_allclose(ring(), expected(20, 30.0, 10.0), atol=1e-9)
 
 # a drag of 50 pixels to the right turns the mechanism with the mouse

@@ -10,7 +10,7 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
-from spherejax.command_line.numbers import measured_in, real, whole
+from spherejax.command_line.numbers import positive_in, real, whole
 from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
@@ -40,7 +40,7 @@ def add_cycle(commands) -> None:
     )
     add_scene(parser)
     add_joint_options(parser)
-    seconds = measured_in("s")
+    seconds = positive_in("s")
     what = parser.add_argument_group("what is asked")
     period = what.add_mutually_exclusive_group(required=True)
     period.add_argument("--period", type=seconds, metavar="S", help="of what drives the mechanism [s]")

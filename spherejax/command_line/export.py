@@ -59,9 +59,15 @@ def add_export(commands) -> None:
         "--step", type=measured_in("s"), default=1e-3, metavar="S", help="suggested communication step [s]"
     )
     files = parser.add_argument_group("files")
-    files.add_argument("--fmu", required=True, metavar="FILE", help="the FMU, with the ending .fmu")
+    files.add_argument("--fmu", required=True, type=_fmu, metavar="FILE", help="the FMU, with the ending .fmu")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.set_defaults(action=export_scene)
+
+
+def _fmu(text: str) -> str:
+    if not text.lower().endswith(".fmu"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no FMU; give it the ending .fmu")
+    return text
 
 
 def export_scene(options: argparse.Namespace) -> int:

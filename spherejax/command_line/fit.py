@@ -15,7 +15,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
-from spherejax.command_line.scene_numbers import number_at, with_number
+from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 
 DESCRIPTION = """\
@@ -106,7 +106,9 @@ def fit_scene(options: argparse.Namespace) -> int:
     check_report(options)
     start = _starts(options)
     found = chosen(_with_starts(options, start))
-    start = _filled(found, found.scene(_with_starts(options, start)), start)
+    scene = found.scene(_with_starts(options, start))
+    start = _filled(found, scene, start)
+    _starts(options, units_in(scene, found.studied))  # a unit of another dimension is refused
     measured = [_measured(path, options) for path in options.measured]
     if folder is not None:
         make_folder(folder)
@@ -134,8 +136,8 @@ def fit_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def _starts(options: argparse.Namespace) -> dict[str, Any]:
-    """Parameters by name; None where the scene's own number is meant."""
+def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> dict[str, Any]:
+    """Parameters by name, in SI units; None where the scene's own number is meant."""
     start = {}
     for text in options.start:
         name, equals, given = text.partition("=")
@@ -147,7 +149,7 @@ def _starts(options: argparse.Namespace) -> dict[str, Any]:
         parts = given.split(":")
         if not name or len(parts) not in (1, 3):
             raise sj.SceneError(f"--start {text}: write NAME=VALUE or NAME=VALUE:LOW:HIGH, e.g. stiffness=1e4:1e3:1e7")
-        numbers = [number_of("--start", text, part) for part in parts]
+        numbers = [number_of("--start", text, part, unit_of(name)) for part in parts]
         bounds = dict(zip(("lower", "upper"), numbers[1:], strict=False))
         start[name] = sj.Parameter(numbers[0], **bounds)
     return start

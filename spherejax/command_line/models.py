@@ -22,6 +22,17 @@ from spherejax.command_line.catalog import (
 from spherejax.command_line.numbers import measured_in, number_of, real
 from spherejax.foundations.errors import one_of
 
+UNITS = {
+    "clearance": "m",
+    "socket_radius": "m",
+    "length": "m",
+    "youngs_modulus": "Pa",
+    "viscosity": "Pa s",
+    "stiffness": "N/m",
+    "damping": "s",
+}
+"""Of the options that have one."""
+
 CONTACT = ("dry", "friction", "lubricated")
 
 
@@ -41,19 +52,27 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         "joints.NAME.model.normal.stiffness=..., forces.NAME.damping=..., gravity=0,0,-1.62; may be repeated",
     )
     gap = parser.add_argument_group("contact and film (dry, friction, lubricated)")
-    gap.add_argument("--clearance", type=measured_in("m"), metavar="M", help="radial clearance [m] (default: 1e-4)")
     gap.add_argument(
-        "--socket-radius", type=measured_in("m"), metavar="M", help="inner radius of the socket [m] (default: 0.010)"
+        "--clearance", type=measured_in(UNITS["clearance"]), metavar="M", help="radial clearance [m] (default: 1e-4)"
+    )
+    gap.add_argument(
+        "--socket-radius",
+        type=measured_in(UNITS["socket_radius"]),
+        metavar="M",
+        help="inner radius of the socket [m] (default: 0.010)",
     )
     gap.add_argument(
         "--length",
-        type=measured_in("m"),
+        type=measured_in(UNITS["length"]),
         metavar="M",
         help="of the bearing, where the studied joint is revolute [m]: contact of cylinders by Johnson, and with "
         "--joint lubricated the film of a short bearing, or --film long",
     )
     gap.add_argument(
-        "--youngs-modulus", type=measured_in("Pa"), metavar="PA", help="of ball and socket [Pa] (default: 207e9)"
+        "--youngs-modulus",
+        type=measured_in(UNITS["youngs_modulus"]),
+        metavar="PA",
+        help="of ball and socket [Pa] (default: 207e9)",
     )
     gap.add_argument(
         "--normal",
@@ -76,7 +95,10 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     )
     film = parser.add_argument_group("film (lubricated)")
     film.add_argument(
-        "--viscosity", type=measured_in("Pa s"), metavar="PAS", help="dynamic viscosity [Pa s] (default: 0.4)"
+        "--viscosity",
+        type=measured_in(UNITS["viscosity"]),
+        metavar="PAS",
+        help="dynamic viscosity [Pa s] (default: 0.4)",
     )
     film.add_argument(
         "--film",
@@ -86,11 +108,14 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
     film.add_argument("--boundary", choices=BOUNDARIES, help="where the film carries pressure (default: guembel)")
     bushing = parser.add_argument_group("bushing")
     bushing.add_argument(
-        "--stiffness", type=measured_in("N/m"), metavar="K", help="stiffness [N/m] (default: 1e6; suspension: 2e7)"
+        "--stiffness",
+        type=measured_in(UNITS["stiffness"]),
+        metavar="K",
+        help="stiffness [N/m] (default: 1e6; suspension: 2e7)",
     )
     bushing.add_argument(
         "--damping",
-        type=measured_in("s"),
+        type=measured_in(UNITS["damping"]),
         metavar="B",
         help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
     )

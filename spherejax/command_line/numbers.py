@@ -35,6 +35,19 @@ def measured_in(unit: str) -> Callable[[str], float]:
     return number
 
 
+def positive_in(unit: str) -> Callable[[str], float]:
+    """As `measured_in`, of what must be positive."""
+    measured = measured_in(unit)
+
+    def number(text: str) -> float:
+        value = measured(text)
+        if not value > 0:
+            raise argparse.ArgumentTypeError(f"{text!r} must be positive")
+        return value
+
+    return number
+
+
 def whole(text: str) -> int:
     """A whole number, for `type=` of an option."""
     value = real(text)
@@ -43,8 +56,14 @@ def whole(text: str) -> int:
     return int(value)
 
 
-def number_of(flag: str, text: str, part: str) -> float:
+def number_of(flag: str, text: str, part: str, unit: str | None = "") -> float:
     """A number that is a part of the text behind a flag.
+
+    Args:
+        flag: the flag.
+        text: all of the text.
+        part: the number.
+        unit: what a number may have as well, in SI; None: any; empty: no unit is understood.
 
     Raises:
         SceneError: naming the flag and the text.
@@ -52,6 +71,11 @@ def number_of(flag: str, text: str, part: str) -> float:
     try:
         return number_in(part)
     except NumberError as error:
+        if unit != "" and any(map(str.isalpha, part)):
+            try:
+                return in_si(part, unit)
+            except UnitError as other:
+                raise sj.SceneError(f"{flag} {text}: {other}") from None
         raise sj.SceneError(f"{flag} {text}: {error}{_without_unit(part)}") from None
 
 

@@ -27,6 +27,9 @@ EPILOG = """examples:
   spherejax rig double-wishbone --of lower_ball --joint dry --clearance 0.1mm --lateral 2kN
 """
 
+FAILED_RUN = 3
+"""The exit code of positions without a result, as of runs that failed (`spherejax.cli`)."""
+
 FILES = ("rig.csv", "rig.nc", "rig.png")
 
 
@@ -84,7 +87,7 @@ def put_on_rig(options: argparse.Namespace) -> int:
         save(found.to_xarray(), folder / "rig.nc", overwrite=options.overwrite)
         found.figure().savefig(folder / "rig.png")
         print(f"wrote {', '.join(str(folder / name) for name in FILES)}")
-    return 0 if np.all(found.is_found) else 1
+    return 0 if np.all(found.is_found) else FAILED_RUN
 
 
 def _range(flag: str, text: str, n: int) -> np.ndarray:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import spherejax as sj
+from spherejax.command_line.models import UNITS, USED_BY
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
 
@@ -38,6 +40,28 @@ def with_number(scene: sj.Scene, path: str, value: Any, studied: str | None = No
     if np.shape(value) != shape:
         raise sj.SceneError(f"{path} is numbers of shape {shape}, not of shape {np.shape(value)}")
     return with_entry(scene, steps, index, value)
+
+
+UnitOf = Callable[[str], str | None]
+"""The SI unit of what a name means; None: not known, any is taken; empty: it has none."""
+
+
+def unit_of_option(name: str) -> str | None:
+    """Of an option of the studied joint; a number of the scene is not known before there is a scene."""
+    key = name.replace("-", "_")
+    return UNITS.get(key, "") if key in USED_BY else None
+
+
+def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
+    """Of options, and of the numbers of a scene by their paths."""
+    from spherejax.files.number_units import unit_at
+    from spherejax.model.numbers import place_at
+
+    def unit(name: str) -> str | None:
+        known = unit_of_option(name)
+        return known if known is not None else unit_at(scene, place_at(scene, name, studied).steps)
+
+    return unit
 
 
 def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scene:

@@ -12,7 +12,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
-from spherejax.command_line.scene_numbers import number_at
+from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.sweep import builder
 
@@ -87,6 +87,7 @@ def find_sensitivities(options: argparse.Namespace) -> int:
     found = chosen(options)
     names = {name.replace(".", "_"): name for name in parameters}
     build = builder(found, options, names, "--by")
+    _parameters(options, units_in(found.scene(options), found.studied))  # a unit of another dimension is refused
     values = {key: _value(found, options, build, names, key, parameters[name]) for key, name in names.items()}
     result = sj.sensitivity(
         build,
@@ -103,7 +104,9 @@ def find_sensitivities(options: argparse.Namespace) -> int:
     return 0
 
 
-def _parameters(options: argparse.Namespace) -> tuple[dict[str, float | None], argparse.Namespace]:
+def _parameters(
+    options: argparse.Namespace, unit_of: UnitOf = unit_of_option
+) -> tuple[dict[str, float | None], argparse.Namespace]:
     """The parameters of `--by` with their values where given, and the options with these values in them."""
     parameters: dict[str, float | None] = {}
     given = dict(vars(options))
@@ -111,7 +114,7 @@ def _parameters(options: argparse.Namespace) -> tuple[dict[str, float | None], a
         name, equals, number = text.partition("=")
         if name in parameters:
             raise sj.SceneError(f"--by {name} is given twice")
-        parameters[name] = number_of("--by", text, number) if equals else None
+        parameters[name] = number_of("--by", text, number, unit_of(name)) if equals else None
         if name in USED_BY and parameters[name] is not None:
             given[name] = parameters[name]
     return parameters, argparse.Namespace(**given)

@@ -14,7 +14,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
-from spherejax.command_line.scene_numbers import with_number
+from spherejax.command_line.scene_numbers import UnitOf, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.foundations.errors import one_of
 
@@ -28,6 +28,7 @@ the same command is given again. Pictures (maps, curves, fan charts) are written
 
 EPILOG = """examples:
   spherejax sweep four-bar --joint friction --vary clearance=1e-5:5e-4:64 --vary mu=0:0.3:16 --out sweep.zarr
+  spherejax sweep four-bar --joint friction --vary "clearance=0.05 mm,0.1 mm,0.2 mm" --out c.nc
   spherejax sweep four-bar --joint bushing --vary stiffness=1e5:1e7:9:log --record position.rocker --out k.nc
   spherejax sweep four-bar --vary rocker.mass=0.02:0.04 --vary coupler.mass=0.1:0.2 --draws 256 --out m.zarr
 """
@@ -50,7 +51,8 @@ def add_sweep(commands) -> None:
         action="append",
         required=True,
         metavar="NAME=VALUES",
-        help="LOW:HIGH:N (evenly spaced), LOW:HIGH:N:log, a list A,B,C, or LOW:HIGH with --draws; once for each name",
+        help="LOW:HIGH:N (evenly spaced), LOW:HIGH:N:log, a list A,B,C, or LOW:HIGH with --draws; once for each name. "
+        'Numbers may have units: "clearance=0.1 mm:0.5 mm:9"',
     )
     grid.add_argument("--draws", type=whole, metavar="N", help="N samples of Sobol's sequence instead of a product")
     grid.add_argument("--seed", type=whole, default=0, help="of the samples (default: 0)")
@@ -97,6 +99,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
     names, grid = grid_of(options)
     found = chosen(_with_first_values(options, names, grid))
     build = builder(found, options, names)
+    grid_of(options, units_in(build(**grid.row(0)), found.studied))  # a unit of another dimension is refused
     record = options.record or _default_record(found, build(**grid.row(0)))
     begin = time.perf_counter()
     result = sj.sweep(
@@ -123,8 +126,8 @@ def sweep_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def grid_of(options: argparse.Namespace) -> tuple[dict[str, str], sj.Grid]:
-    """The grid that `--vary` asks for; names that are no identifiers get one.
+def grid_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> tuple[dict[str, str], sj.Grid]:
+    """The grid that `--vary` asks for, in SI units; names that are no identifiers get one.
 
     Returns:
         What each parameter of the grid is called by the user, and the grid.
@@ -142,21 +145,23 @@ def grid_of(options: argparse.Namespace) -> tuple[dict[str, str], sj.Grid]:
         if options.draws is not None:
             if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
                 raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
-            ranges[key] = (number_of("--vary", text, parts[0]), number_of("--vary", text, parts[1]))
+            low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
+            ranges[key] = (low, high)
             logarithmic += [key] if parts[2:] else []
         else:
-            values[key] = _values(text, parts)
+            values[key] = _values(text, parts, unit_of(name))
     if options.draws is not None:
         return names, sj.sobol_samples(ranges, options.draws, seed=options.seed, logarithmic=logarithmic)
     return names, sj.product(values)
 
 
-def _values(text: str, parts: list[str]) -> np.ndarray:
+def _values(text: str, parts: list[str], unit: str | None) -> np.ndarray:
     if len(parts) == 1:
-        return np.array([number_of("--vary", text, part) for part in parts[0].split(",")])
+        return np.array([number_of("--vary", text, part, unit) for part in parts[0].split(",")])
     if len(parts) not in (3, 4) or parts[3:] not in ([], ["log"]):
         raise sj.SceneError(f"--vary {text}: write LOW:HIGH:N, LOW:HIGH:N:log, or a list A,B,C")
-    low, high, n = (number_of("--vary", text, part) for part in parts[:3])
+    low, high = (number_of("--vary", text, part, unit) for part in parts[:2])
+    n = number_of("--vary", text, parts[2])
     if n != int(n) or n < 1:
         raise sj.SceneError(f"--vary {text}: N = {n:g} must be a whole number, at least 1")
     n = int(n)

@@ -59,6 +59,7 @@ def add_tolerances(commands) -> None:
         "--tolerance",
         action="append",
         required=True,
+        type=_tolerance,
         metavar="NAME=SPREAD",
         help="what scatters: stiffness=1e5+-2e4, rocker.mass=+-0.5g (about its value in the scene), mu=+-10%%, or a "
         "range of equal probability, LOW:HIGH; units as in --set; may be repeated",
@@ -94,6 +95,17 @@ def add_tolerances(commands) -> None:
     files.add_argument("--out", metavar="FOLDER", help=f"write {', '.join(FILES)} and pictures to this folder")
     files.add_argument("--overwrite", action="store_true", help="replace files that exist")
     parser.set_defaults(action=find_tolerances)
+
+
+def _tolerance(text: str) -> str:
+    """A text that has the form of a tolerance, for `type=` of the option."""
+    name, equals, given = (part.strip() for part in text.partition("="))
+    if not (equals and name and given):
+        raise argparse.ArgumentTypeError(f"{text}: write NAME=MIDDLE+-WIDTH, NAME=+-WIDTH or NAME=LOW:HIGH")
+    if "+-" not in given and ":" not in given:
+        middle = given if given[0].isdigit() else ""
+        raise argparse.ArgumentTypeError(f"{text}: say how much, e.g. {name}={middle}+-1%, or a range LOW:HIGH")
+    return text
 
 
 def find_tolerances(options: argparse.Namespace) -> int:
@@ -142,9 +154,7 @@ def _spreads(
     numbers: dict[str, Number] = {}
     spreads: dict[str, Any] = {}
     for text in options.tolerance:
-        name, equals, given = (part.strip() for part in text.partition("="))
-        if not (equals and name and given):
-            raise sj.SceneError(f"--tolerance {text}: write NAME=MIDDLE+-WIDTH, NAME=+-WIDTH or NAME=LOW:HIGH")
+        name, _, given = (part.strip() for part in text.partition("="))
         try:
             number = number_at(scene, full_path(scene, name, found.studied))
         except sj.SceneError as error:
@@ -160,9 +170,7 @@ def _spreads(
 def _spread(text: str, given: str, own: float, unit: str | None, uniform: bool) -> sj.Tolerance | tuple[float, float]:
     """What one text says of a number whose value in the scene is `own`."""
     if "+-" not in given:
-        low, colon, high = given.partition(":")
-        if not colon:
-            raise sj.SceneError(f"--tolerance {text}: say how much, e.g. {given}+-1%, or a range LOW:HIGH")
+        low, _, high = given.partition(":")
         return _number(text, low, unit), _number(text, high, unit)
     middle, _, width = given.partition("+-")
     nominal = _number(text, middle, unit) if middle.strip() else own

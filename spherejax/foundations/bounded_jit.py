@@ -36,6 +36,30 @@ A study that goes round more lengths of records, or mechanisms, than this compil
 environment variable `SPHEREJAX_PROGRAMS` to more before the import, or to less where memory is short."""
 
 
+class _Key:
+    """By what a program is told; its hash is computed once."""
+
+    __slots__ = ("_hash", "parts")
+
+    def __init__(self, *parts: Hashable):
+        self.parts, self._hash = parts, hash(parts)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, _Key) and self.parts == other.parts)
+
+
+class _Place:
+    """Where a computed leaf stands among the results."""
+
+    __slots__ = ("i",)
+
+    def __init__(self, i: int):
+        self.i = i
+
+
 class _Entry:
     """One program: a `jax.jit` of its own, so that it can be let go alone.
 
@@ -52,6 +76,7 @@ class _Entry:
         self.has_been_called = False
         self.name: str = getattr(function, "__name__", "program")
         self._results: Any = None
+        self._whole: Any = None
         self._program: Any = None
         self._shapes: list | None = None
         self._made_from = function, rest, tree, kinds
@@ -157,8 +182,12 @@ class _Entry:
 
     def results(self, leaves: Sequence) -> Any:
         """What the function returned, from the leaves that were computed."""
-        tree, static = self._results
-        return eqx.combine(jax.tree.unflatten(tree, leaves), static)
+        if self._whole is None or self._whole[0] is not self._results:
+            tree, static = self._results
+            places = jax.tree.unflatten(tree, [_Place(i) for i in range(tree.num_leaves)])
+            self._whole = self._results, *jax.tree.flatten(eqx.combine(places, static))
+        _, all, tree = self._whole
+        return jax.tree.unflatten(tree, [leaves[one.i] if type(one) is _Place else one for one in all])
 
 
 @cache
@@ -239,7 +268,15 @@ class BoundedJit:
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Evaluate; what has not been seen is traced and compiled."""
-        entry, leaves = self._entry_for(arguments, named)
+        key, make, leaves = self._key_for(arguments, named)
+        return self._called(self._kept(key, make), leaves)
+
+    def bound(self, *arguments: Any) -> Callable[[], Any]:
+        """A function that evaluates with these arguments, and looks for its program without taking them apart again."""
+        key, make, leaves = self._key_for(arguments, {})
+        return lambda: self._called(self._kept(key, make), leaves)
+
+    def _called(self, entry: _Entry, leaves: list) -> Any:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             with collecting_later():
                 return entry.results(entry.jitted(*leaves))
@@ -281,19 +318,27 @@ class BoundedJit:
                 self._let_go()
 
     def _entry_for(self, arguments: tuple, named: dict) -> tuple[_Entry, list]:
+        key, make, leaves = self._key_for(arguments, named)
+        return self._kept(key, make), leaves
+
+    def _key_for(self, arguments: tuple, named: dict) -> tuple[_Key, Callable[[], _Entry], list]:
+        """By what the program for these arguments is told, how it is made, and what it takes."""
         arrays, rest = eqx.partition((arguments, named), eqx.is_array)
         leaves, tree = jax.tree.flatten(arrays)
         static, static_tree = jax.tree.flatten(rest)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
-        key = (static_tree, tuple(static), tree, kinds)
+        key = _Key(static_tree, tuple(static), tree, kinds)
+        return key, lambda: _Entry(self._function, rest, tree, kinds, self._options), leaves
+
+    def _kept(self, key: _Key, make: Callable[[], _Entry]) -> _Entry:
         with self._lock:
             entry = self._entries.get(key)
             if entry is None:
-                entry = self._entries[key] = _Entry(self._function, rest, tree, kinds, self._options)
+                entry = self._entries[key] = make()
             self._entries.move_to_end(key)
             while len(self._entries) > self._n_programs:
                 self._let_go()
-        return entry, leaves
+        return entry
 
     def _let_go(self) -> None:
         _, entry = self._entries.popitem(last=False)

@@ -50,7 +50,7 @@ def draw(
             path. The angle is that of the projection, the distance from the middle the true |e|.
         traces: bodies (by their centers of mass) and joints whose paths up to t are drawn.
         frames: whether each body's axes are drawn at its center of mass: x red, y green, z blue.
-        labels: whether bodies and joints carry their names, and the symbols a key.
+        labels: whether bodies, joints and force elements carry their names, and the symbols a key.
         title: instead of the time.
 
     Returns:

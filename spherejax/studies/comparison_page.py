@@ -1,9 +1,6 @@
 """The report of a comparison of joint models as a page."""
 
-import numpy as np
-
 from spherejax.model.scene import Scene
-from spherejax.motion.integration.audit import cautions
 from spherejax.output.report.page import Page, Picture, Table, Text
 
 
@@ -15,7 +12,7 @@ def page_of(comparison, title: str, scene: Scene | None) -> Page:
         title: the heading.
         scene: whose numbers are listed; those of the runs when None.
     """
-    from spherejax.output.report.of_runs import add_cited, add_motion, add_numbers, add_versions
+    from spherejax.output.report.of_runs import add_cited, add_motion, add_numbers, add_versions, cautions_of
 
     subject, runs = comparison.subject, comparison.runs
     failed = [name for name, run in runs.items() if not bool(run.succeeded)]
@@ -28,8 +25,7 @@ def page_of(comparison, title: str, scene: Scene | None) -> Page:
                 f"{row.label}: the motion is chaotic; from {row.horizon:.3g} s on its history is one of many that are "
                 "equally right."
             )
-        if said := cautions(np.asarray(runs[row.name].stats.audit)):
-            page.cautions.append(f"{row.label}: {said}")
+        page.cautions += [f"{row.label}: {said}" for said in cautions_of(runs[row.name])]
     labels = {row.name: row.label for row in comparison.rows}
     add_motion(page, {labels[name]: run for name, run in runs.items()}, scene)
     rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]

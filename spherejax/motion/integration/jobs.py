@@ -270,14 +270,15 @@ def is_made_in_a_lane(plan: Plan, options: Options) -> bool:
 
 
 def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`: in a lane or by diffrax, as `is_made_in_a_lane` says."""
-    made = integrate_as_job if is_made_in_a_lane(plan, options) else integrate
-    return made(plan, options, values, known, ts, start, values_are_legal)
+    """As `integrate`: in a lane or by diffrax, as `is_made_in_a_lane` says. `jax.vmap` of a lane is a queue of runs."""
+    return bound_run(plan, options, values, known, ts, start, values_are_legal)()
 
 
-def integrate_as_job(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`, in a lane: `jax.vmap` of it is a queue of runs."""
-    return integrated(plan, _Request.of(options), values, known, ts, start, values_are_legal)
+def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
+    """`run_of` these arguments, to be called again and again."""
+    if is_made_in_a_lane(plan, options):
+        return integrated.bound(plan, _Request.of(options), values, known, ts, start, values_are_legal)
+    return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
 
 
 class JobWithSlopes(NamedTuple):
@@ -347,7 +348,7 @@ class _Request(eqx.Module):
 
 @bounded_jit(what="a run")
 def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
-    """`integrate_as_job` with everything decided."""
+    """As `integrate`, in a lane."""
     job = request.job(plan, values, known, ts, start, values_are_legal)
     return _outcome(request, job, request.made(plan, job, ts, False))
 

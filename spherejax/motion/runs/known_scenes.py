@@ -5,6 +5,7 @@ longer than the motion itself. Scenes are told by value, not by identity: whoeve
 within an array, has another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
 """
 
+import struct
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -28,6 +29,12 @@ from spherejax.motion.start.tolerances import Tolerances, component_tolerances, 
 N_SCENES = 64
 """Scenes that are remembered; those not used for longest are let go."""
 
+N_CALLS = 64
+"""Calls of `sj.simulate` that are remembered, of all scenes."""
+
+MOST_TIMES = 4096
+"""Sample times of a call that is remembered: 64 calls then hold a few megabytes."""
+
 N_ANSWERS = 16
 """Choices, tolerances and starts of a scene that are remembered."""
 
@@ -49,7 +56,8 @@ class PreparedScene:
 
     def __init__(self, scene: Scene, track_work: bool, scalar: bool | None):
         compiled = compile_scene(scene, track_work=track_work)
-        self._system = _apart(compiled.system)
+        self._system = own_arrays(compiled.system)
+        self._leaves, self._tree = jax.tree.flatten(self._system)
         self.structure, self.theta = flatten_system(self._system)
         self.path = path_of(self.structure, scalar)
         self.known, self.unknown = split(self._system)
@@ -61,7 +69,15 @@ class PreparedScene:
 
     def system(self) -> System:
         """What the scene calls for."""
-        return _apart(self._system)
+        return self.system_of(self.leaves())
+
+    def leaves(self) -> list:
+        """Those of the system."""
+        return list(map(_own, self._leaves))
+
+    def system_of(self, leaves: list) -> System:
+        """The system of its leaves."""
+        return jax.tree.unflatten(self._tree, leaves)
 
     def choice(self, rtol: Any) -> Choice:
         """The method that it calls for."""
@@ -82,7 +98,7 @@ class PreparedScene:
         """The consistent start, where it is known."""
         times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
         found = self._once("start", times, lambda: known_start(self._system, ts))
-        return None if found is None else found._replace(assembly=_apart(found.assembly))
+        return None if found is None else found._replace(assembly=own_arrays(found.assembly))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
         key = None if self.unknown else values_of(numbers)
@@ -103,18 +119,37 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
     )
 
 
+def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], Any]) -> Any:
+    """What a call of `sj.simulate` came to when the same was asked before; else what `make` makes of it.
+
+    The same are equal numbers of the scene, times and options: what is traced, or cannot be compared, is made each
+    time, and so is what fails.
+    """
+    if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
+        return make()
+    key = values_of((scene, ts, options))
+    return make() if key is None else _remembered(_calls, _lock, N_CALLS, key, make)
+
+
 def values_of(tree: Any) -> Hashable | None:
     """All there is in a pytree, to be compared; None where something in it is traced, or cannot be compared."""
     leaves, structure = jax.tree.flatten(tree)
     values = []
     for leaf in leaves:
+        kind = type(leaf)
+        if kind is float:
+            values.append((kind, _DOUBLE.pack(leaf)))  # -0.0 is not 0.0, and NaN is NaN
+            continue
+        if kind is int or kind is bool:
+            values.append((kind, leaf))
+            continue
         if not is_concrete(leaf) or not isinstance(leaf, bool | int | float | np.ndarray | np.generic | jax.Array):
             return None
         array = np.asarray(leaf)
         if array.dtype.hasobject:
             return None
         # A number and an array of no dimension are not the same to whoever checks them.
-        values.append((type(leaf), array.dtype.str, array.shape, array.tobytes()))
+        values.append((kind, array.dtype.str, array.shape, array.tobytes()))
     try:
         hash(structure)
     except TypeError:  # something static in it is not hashable
@@ -122,9 +157,35 @@ def values_of(tree: Any) -> Hashable | None:
     return structure, tuple(values)
 
 
-def _apart(tree: Any) -> Any:
+def own_arrays(tree: Any) -> Any:
     """The same, in arrays and containers of its own."""
-    return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, np.ndarray) else leaf, tree)
+    return jax.tree.map(_own, tree)
+
+
+def again(make: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that puts leaves of its arguments into a pytree, remembered: from its second call on the leaves go
+    straight to their places, where making an object of many fields costs more than all that is in them.
+
+    Args:
+        make: what it makes has all leaves of its arguments, once each, and depends on nothing else in them.
+    """
+    known: list = []
+
+    def made(*arguments: Any) -> Any:
+        leaves, structure = jax.tree.flatten(arguments)
+        for places, tree, of in known:
+            if of == structure:
+                return jax.tree.unflatten(tree, [leaves[place] for place in places])
+        # Marks take the places of the leaves; what is static is the same for all.
+        places, tree = jax.tree.flatten(make(*jax.tree.unflatten(structure, range(len(leaves)))))
+        known[:] = [(places, tree, structure)]
+        return make(*arguments)
+
+    return made
+
+
+def _own(leaf: Any) -> Any:
+    return leaf.copy() if isinstance(leaf, np.ndarray) else leaf
 
 
 def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
@@ -141,7 +202,10 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     return np.concatenate(known), tuple(unknown)
 
 
+_DOUBLE = struct.Struct("d")
+
 _scenes: OrderedDict[Hashable, PreparedScene] = OrderedDict()
+_calls: OrderedDict[Hashable, Any] = OrderedDict()
 _lock = threading.Lock()
 
 

@@ -1,8 +1,10 @@
 """Simulate a scene: the adapter between the equations of motion and diffrax."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -19,14 +21,15 @@ from spherejax.model.system import System
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
-from spherejax.motion.integration.integrate import Options, Plan, integrate
-from spherejax.motion.integration.jobs import is_made_in_a_lane
+from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
+from spherejax.motion.integration.jobs import bound_run, is_made_in_a_lane
 from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_scenes import PreparedScene, prepared
+from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
 from spherejax.runtime import require_float64
@@ -100,20 +103,39 @@ def simulate(
         SimulationError: with `throw=True`, for a run that did not reach its end.
     """
     require_float64()
+    asked = rtol, atol, solver, stepsize_controller, adjoint, max_steps, track_work, scalar
+    call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
+    for change in call.changes:
+        warnings.warn(change, StartWarning, stacklevel=2)
+    return _reported(call.run(), throw)
+
+
+class _Call(NamedTuple):
+    """A call of `simulate` of which everything is decided.
+
+    Attributes:
+        changes: what the start changes of what the scene describes.
+        run: makes the run; its arrays and containers belong to nobody else.
+    """
+
+    changes: tuple[str, ...]
+    run: Callable[[], Trajectory]
+
+
+def _call(scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, max_steps, track_work, scalar) -> _Call:
+    """Check what is asked for and decide what is left open; arguments as of `simulate`."""
     ts = checked_times(ts)
     check_tolerances(rtol, atol)
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     found = prepared(scene, track_work, scalar)
-    system, path, unknown = found.system(), found.path, found.unknown
-    choice = found.choice(rtol) if solver is None else choice_for(system, rtol, solver)
+    path, unknown = found.path, found.unknown
+    choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
     if stepsize_controller is None:
         controller, said = _control(found, choice.solver, rtol, atol)
     else:
         controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
     start = found.start(ts)
-    for change in () if start is None else start.changes:
-        warnings.warn(change, StartWarning, stacklevel=2)
     assembly = None if start is None else start.assembly
     plan = Plan(found.structure, unknown, path.scalar)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
@@ -124,7 +146,6 @@ def simulate(
             f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
             "or leave adjoint= out"
         )
-    run_of = integrate_with_sensitivities if by_sensitivities else integrate
     options = Options(with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget)
     if stepsize_controller is None:
         # diffrax's own loop has no better one to begin with; see `LandingController.init`.
@@ -135,29 +156,45 @@ def simulate(
     conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
     values = jnp.asarray(found.theta)[np.array(unknown, int)] if unknown else np.zeros(0)
-    try:
-        outcome = run_of(plan, options, values, found.known, ts, assembly, values_are_legal)
-    except TypeError as error:
-        if "forward-mode" not in str(error):
-            raise
-        raise TypeError(
-            f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
-            "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
-        ) from error
-    run = Trajectory(
-        ts=ts,
-        ys=outcome.ys,
-        system=system,
-        stats=replace(outcome.stats, explanation="; ".join(filter(None, [choice.reason, said, path.reason]))),
-        ended=outcome.status,
-        t_reached=outcome.t_reached,
-        y_reached=outcome.y_reached,
-        assembly=outcome.assembly if assembly is None else assembly,
-        choice=choice.reason,
-        scalar=path.scalar,
-        asked=_asked(choice.solver, rtol, atol, max_steps) if stepsize_controller is None and budget is None else None,
-    )
-    return _reported(run, throw)
+    arguments = plan, options, values, found.known, ts, assembly, values_are_legal
+    if not by_sensitivities:
+        outcome_of = integrate.bound(*arguments)
+    elif unknown:
+        outcome_of = partial(integrate_with_sensitivities, *arguments)
+    else:
+        outcome_of = bound_run(*arguments)
+    explanation = "; ".join(filter(None, [choice.reason, said, path.reason]))
+    described = _asked(choice.solver, rtol, atol, max_steps) if stepsize_controller is None and budget is None else None
+
+    def run() -> Trajectory:
+        try:
+            outcome = outcome_of()
+        except TypeError as error:
+            if "forward-mode" not in str(error):
+                raise
+            raise TypeError(
+                f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
+                "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
+            ) from error
+        return made_of(ts, outcome, found.leaves(), outcome.assembly if assembly is None else own_arrays(assembly))
+
+    def trajectory(ts, outcome: Outcome, leaves: list, assembly: Assembly) -> Trajectory:
+        return Trajectory(
+            ts=ts,
+            ys=outcome.ys,
+            system=found.system_of(leaves),
+            stats=replace(outcome.stats, explanation=explanation),
+            ended=outcome.status,
+            t_reached=outcome.t_reached,
+            y_reached=outcome.y_reached,
+            assembly=assembly,
+            choice=choice.reason,
+            scalar=path.scalar,
+            asked=described,
+        )
+
+    made_of = again(trajectory)
+    return _Call(() if start is None else start.changes, run)
 
 
 def _asked(solver: diffrax.AbstractSolver, rtol, atol, max_steps: int) -> Asked | None:
@@ -250,13 +287,13 @@ def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -
 
 
 def _reported(run: Trajectory, throw: bool) -> Trajectory:
-    if not (is_concrete(run.status) and is_concrete(run.t_reached)):
+    if not (is_concrete(run.ended) and is_concrete(run.t_reached)):
         if throw:
             return eqx.error_if(
-                run, run.status != Status.SUCCEEDED, "a simulation did not reach its end; see Trajectory.status"
+                run, run.ended != Status.SUCCEEDED, "a simulation did not reach its end; see Trajectory.status"
             )
         return run
-    if int(run.status) != Status.SUCCEEDED:
+    if int(run.ended) != Status.SUCCEEDED:
         if throw:
             raise SimulationError(run.diagnosis)
         warnings.warn(run.diagnosis, SimulationWarning, stacklevel=3)

@@ -82,8 +82,20 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
     if system.is_driven:
         refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
     refuse_unsolvable_friction(system, t, np.asarray(start.y))
+    return KnownStart(start, start_changes(system, t, start))
+
+
+def start_changes(system: System, t: float, start: Assembly) -> tuple[str, ...]:
+    """What a start changes of the positions and velocities that a scene describes, in sentences; of known numbers.
+
+    Args:
+        system: the system.
+        t: time of the start [s]; what is not driven starts alike at any time.
+        start: the consistent start.
+    """
+    structure, theta = flatten_system(as_ideal(system))
     common = system, structure, theta, t, start
-    return KnownStart(start, tuple(filter(None, (moved_bodies(*common), removed_velocities(*common)))))
+    return tuple(filter(None, (moved_bodies(*common), removed_velocities(*common))))
 
 
 LOOKED_AT = 16

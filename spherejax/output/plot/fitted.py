@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, legend_below, letter, new_figure, note
+from spherejax.output.plot.style import LAW_COLORS, legend_below, letter, new_figure, note, number_decades
 
 LARGEST_SHEET = 12
 """Panels of a sheet; components beyond are left out, and the sheet says so."""
@@ -75,6 +75,7 @@ def _distribution(ax: Axes, residuals: np.ndarray) -> None:
     ax.plot(at, normal, color=LAW_COLORS[1], linewidth=1.2, label="normal noise")
     ax.set_xlabel("residual / noise")
     ax.set_ylabel("density")
+    ax.set_title("how often each size occurs", loc="left")
     ax.legend(fontsize=7, frameon=False)
     note(ax, f"standard deviation {np.std(residuals):.3g}", place=(0.02, 0.98))
 
@@ -91,7 +92,9 @@ def correlation_figure(correlation: np.ndarray, names: Sequence[str], title: str
     for (row, column), value in np.ndenumerate(correlation):
         color = "white" if abs(value) > 0.6 else "black"
         ax.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=8, color=color)
-    figure.colorbar(image, ax=ax, shrink=0.8, label="correlation")
+    bar = figure.colorbar(image, ax=ax, shrink=0.8)
+    bar.set_label("correlation", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
     return figure
 
 
@@ -118,6 +121,7 @@ def history_figure(costs: np.ndarray, ends: np.ndarray, values: np.ndarray, name
         right.plot(steps, shown[:, i], ".-", markersize=4, color=LAW_COLORS[i % len(LAW_COLORS)], label=name)
     if positive:
         right.set_yscale("log")
+        number_decades(right.yaxis, shown)
     right.set_ylabel("parameter / estimate")
     right.set_title("parameters", loc="left")
     for ax in (left, right):
@@ -125,7 +129,7 @@ def history_figure(costs: np.ndarray, ends: np.ndarray, values: np.ndarray, name
         for step in np.nonzero(np.diff(np.nan_to_num(ends, posinf=np.finfo(float).max)))[0]:
             ax.axvline(step + 0.5, color="0.6", linewidth=0.8, linestyle=":")
     if np.any(np.isfinite(ends)):
-        note(left, "dotted: the record that is looked at grows")
+        note(left, "dotted: the record that is looked at grows", place=(0.99, 0.98))
     letter([left, right])
     if len(names) <= len(LAW_COLORS):
         legend_below(figure, right)

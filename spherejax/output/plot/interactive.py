@@ -111,6 +111,7 @@ class Viewer:
         sheet: what is drawn.
         turning: turns the spatial view; `viewer.turning.turn(azimuth, elevation)` does so without the mouse.
         slider: the time as a step from 0 to `N_STEPS`.
+        seconds: the same in seconds, beside the slider.
         widget: canvas, player and slider.
     """
 
@@ -128,13 +129,17 @@ class Viewer:
         self.slider.observe(lambda change: self.show(change["new"]), names="value")
         player = ipywidgets.Play(value=0, min=0, max=N_STEPS, interval=FRAME)
         ipywidgets.jslink((player, "value"), (self.slider, "value"))
-        below = [ipywidgets.HBox([player, self.slider])] if len(sheet.mechanism.ts) > 1 else []
+        self.seconds = ipywidgets.Label()
+        below = [ipywidgets.HBox([player, self.slider, self.seconds])] if len(sheet.mechanism.ts) > 1 else []
         self.widget = ipywidgets.VBox([self.canvas, *below])
+        self.show(0)
 
     def show(self, step: int) -> None:
         """Move the drawing to a step of the slider."""
         first, last = self.sheet.mechanism.ts[[0, -1]]
-        self.sheet.update(self.sheet.mechanism.pose(float(first + (last - first) * step / N_STEPS)))
+        t = float(first + (last - first) * step / N_STEPS)
+        self.seconds.value = f"{t:.4f} s of {last:.4g} s"
+        self.sheet.update(self.sheet.mechanism.pose(t))
         self.canvas.draw_idle()
 
     def _repr_mimebundle_(self, **options):

@@ -4,19 +4,20 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from spherejax.output.plot.curves import Curves
 from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, limit_by_bulk, new_figure
 
 
-def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20) -> Figure:
+def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 1) -> Figure:
     """Position against velocity, and velocity against acceleration; a row for each joint model.
 
     Args:
         models: what `curves_of` returns, by model name (`"ideal"`, `"dry"`, ...), drawn from top to bottom on common
             axes.
         title: what is shown, with the values of the parameters.
-        every: every how many samples the path has a point; a portrait has no time axis along which to keep the peaks.
+        every: every how many samples the path has a point; an impact is a loop of some ten of them.
 
     The ideal motion lies behind every portrait in grey, so that each one can be judged by itself.
     """
@@ -31,6 +32,7 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 20
             right.plot(curves.velocity[::every], curves.acceleration[::every], **style)
         left.set_ylabel("velocity [m/s]")
         right.set_ylabel("acceleration [m/s$^2$]")
+        right.xaxis.set_major_locator(MaxNLocator(5))
         left.set_title(one.label, loc="left", fontsize=9)
         right.set_title(one.label, loc="left", fontsize=9)
     body = next(iter(models.values())).body

@@ -8,18 +8,19 @@ from matplotlib.figure import Figure
 from spherejax.output.plot.style import MODEL_COLORS, legend_below, new_figure
 
 
-def time_ratios(names: Sequence[str], ratios: Sequence[float], steps: Sequence[int], title: str) -> Figure:
+def time_ratios(models: Mapping[str, str], ratios: Sequence[float], steps: Sequence[int], title: str) -> Figure:
     """A bar for each model on a logarithmic axis, annotated with ratio and steps.
 
     Args:
-        names: names of the models, the ideal one among them.
+        models: what each model is called in figures, by its name, the ideal one among them.
         ratios: computing time divided by that of the ideal model.
         steps: steps of the integrator.
         title: what is shown.
     """
     figure, axes = new_figure(1, 1, 6.8, 4.0, title)
     ax = axes[0, 0]
-    ax.bar(names, ratios, color=[MODEL_COLORS.get(name, "0.5") for name in names], width=0.6)
+    colors = [MODEL_COLORS.get(name, "0.5") for name in models]
+    ax.bar(list(models.values()), ratios, color=colors, width=0.6)
     for position, (ratio, n_steps) in enumerate(zip(ratios, steps, strict=True)):
         text = f"{ratio:.3g}\n{n_steps:,} steps"
         ax.annotate(text, (position, ratio), (0, 3), textcoords="offset points", ha="center", fontsize=8)
@@ -49,11 +50,11 @@ HATCHES = ("", "////", "....")
 """A hatch for each method."""
 
 
-def time_ratios_by_method(names: Sequence[str], methods: Mapping[str, Sequence[Bar]], title: str) -> Figure:
+def time_ratios_by_method(models: Mapping[str, str], methods: Mapping[str, Sequence[Bar]], title: str) -> Figure:
     """For each model a bar for each method, annotated with ratio, steps and time.
 
     Args:
-        names: names of the models.
+        models: what each model is called in figures, by its name.
         methods: by the name of the method, a bar for each model.
         title: what is shown.
     """
@@ -61,8 +62,8 @@ def time_ratios_by_method(names: Sequence[str], methods: Mapping[str, Sequence[B
     ax = axes[0, 0]
     width = 0.8 / len(methods)
     for place, (method, bars) in enumerate(methods.items()):
-        middles = [position + (place - (len(methods) - 1) / 2) * width for position in range(len(names))]
-        colors = [MODEL_COLORS.get(name, "0.5") for name in names]
+        middles = [position + (place - (len(methods) - 1) / 2) * width for position in range(len(models))]
+        colors = [MODEL_COLORS.get(name, "0.5") for name in models]
         heights = [bar.ratio for bar in bars]
         ax.bar(middles, heights, 0.92 * width, color=colors, hatch=HATCHES[place], edgecolor="white", lw=0.5)
         ax.bar([0], [0], color="0.6", hatch=HATCHES[place], edgecolor="white", label=method)
@@ -70,7 +71,7 @@ def time_ratios_by_method(names: Sequence[str], methods: Mapping[str, Sequence[B
             text = f"{bar.ratio:.3g}\n{_count(bar.n_steps)} steps\n{_duration(bar.seconds)}"
             ax.annotate(text, (middle, bar.ratio), (0, 3), textcoords="offset points", ha="center", fontsize=7.5)
     ratios = [bar.ratio for bars in methods.values() for bar in bars]
-    ax.set_xticks(range(len(names)), names)
+    ax.set_xticks(range(len(models)), list(models.values()))
     ax.set_yscale("log")
     ax.set_ylim(min(0.5, 0.5 * min(ratios)), 6.0 * max(ratios))
     ax.set_ylabel("time of a warm run / that of the ideal joint [-]")

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from spherejax.foundations.errors import SceneError
 from spherejax.output.plot import key
 from spherejax.output.plot.camera import Camera, best_camera, camera_from, three_projections
+from spherejax.output.plot.elements import FORCE_COLOR, force_strokes
 from spherejax.output.plot.labels import Label, place_labels
 from spherejax.output.plot.magnified import MagnifiedView, joints_to_magnify
 from spherejax.output.plot.mechanism import Mechanism, Pose
@@ -111,7 +112,7 @@ class Sheet:
             one.update(pose)
 
     def write_names(self, pose: Pose) -> None:
-        """Names of bodies and joints in the spatial view, where they are at a pose."""
+        """Names of bodies, joints and force elements in the spatial view, where they are at a pose."""
         view = self.views[0]
         covered = [] if view.corner is None else view.corner.boxes()
         place_labels(view.ax, labels_of(view, pose), [*view.artists, *view.trace_lines], covered)
@@ -200,7 +201,7 @@ def traces_of(mechanism: Mechanism, names: Sequence[str]) -> list[Trace]:
 
 
 def labels_of(view: SpaceView, pose: Pose) -> list[Label]:
-    """Names of bodies and joints, where they are at a pose."""
+    """Names of bodies, joints and force elements, where they are at a pose."""
     found = []
     for joint in view.mechanism.joints.values():
         ends = [pose.point(body, place) for body, place in zip(joint.bodies, joint.places, strict=True)]
@@ -212,4 +213,11 @@ def labels_of(view: SpaceView, pose: Pose) -> list[Label]:
         places = body.places if len(body.places) > 1 else np.vstack([body.places, np.zeros((1, 3))])
         anchor = view.camera.project(pose.point(body.name, places.mean(axis=0)))
         found.append(Label(body.name, anchor, 0.6 * view.size, view.colors[body.name], True, f"body:{body.name}"))
+    named = {label.text for label in found}
+    for name in view.mechanism.forces:
+        strokes = force_strokes(name, view.mechanism, pose, view.camera, view.size)
+        strokes = [stroke for stroke in strokes if stroke.name.startswith("force:")]
+        if strokes and name not in named:  # a robot's joint and its damper share a name
+            anchor = np.nanmean(strokes[0].points, axis=0)
+            found.append(Label(name, anchor, 0.8 * view.size, FORCE_COLOR, False, f"force:{name}"))
     return found

@@ -8,9 +8,11 @@ from itertools import cycle, islice
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from spherejax.foundations.errors import SceneError
 
@@ -63,6 +65,22 @@ def typeset_number(value: float) -> str:
         return f"{value:g}"
     mantissa, _, exponent = f"{value:.5e}".partition("e")
     return typeset(f"{float(mantissa):g}e{exponent}")
+
+
+def number_decades(axis: Axis, shown: np.ndarray) -> None:
+    """Ticks of a logarithmic axis as plain numbers; within one decade at round numbers, not at its powers of ten.
+
+    Args:
+        axis: one of a panel's two.
+        shown: what is drawn along it, positive.
+    """
+    if np.max(shown) < 10 * np.min(shown):
+        axis.set_major_locator(MaxNLocator(6))
+        axis.set_minor_locator(NullLocator())
+    elif np.max(shown) < 1e3 * np.min(shown):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: typeset_number(float(f"{value:.6g}"))))
+    axis.set_minor_formatter(NullFormatter())
 
 
 class Picture(Figure):
@@ -142,14 +160,14 @@ def repeated(looks: Sequence, n: int) -> list:
 
 
 def letter(axes: Sequence[Axes]) -> None:
-    """Put letters (a), (b), ... in front of the panels' titles, which stand on the left.
+    """Put letters (a), (b), ... in front of the panels' titles, which stand on the left; a single panel needs none.
 
     Args:
         axes: the panels in reading order, e.g. `list(axes.flat)` of what `new_figure` returns; at most 16.
     """
     for character, ax in zip("abcdefghijklmnop", axes, strict=False):
         title = ax.get_title(loc="left")
-        ax.set_title(f"({character}) {title}".rstrip(), loc="left", fontsize=9)
+        ax.set_title(f"({character}) {title}".rstrip() if len(axes) > 1 else title, loc="left", fontsize=9)
 
 
 def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 97.0, margin: float = 0.35) -> None:

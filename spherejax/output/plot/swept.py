@@ -48,7 +48,10 @@ def _figures_of(swept: "xarray.Dataset", name: str, title: str) -> dict[str, Fig
     wide = wide_parameters(swept)
     if len(further) > 1 or not wide:
         return {}
-    panels = _panels(swept, name, further[0]) if further else [(name, variable)]
+    panels = [(name, variable)]
+    if further:
+        panels, constant = _varying(_panels(swept, name, further[0]))
+        title = "\n".join(filter(None, [title, constant]))
     if over_time:
         return {name: fan_figure(swept, panels, wide, title)}
     if len(wide) == 1:
@@ -66,6 +69,19 @@ def _squeezed(values, wide: list[str]):
 def _panels(swept: "xarray.Dataset", name: str, dim: str) -> list[tuple[str, Any]]:
     labels = [str(each) for each in np.asarray(swept[dim])] if dim in swept.coords else range(swept.sizes[dim])
     return [(f"{name} {each}", swept[name].isel({dim: i})) for i, each in enumerate(labels)]
+
+
+def _varying(panels: list[tuple[str, Any]]) -> tuple[list[tuple[str, Any]], str]:
+    """The components that are not the same number in all runs, and what is said of the others; all, if none varies."""
+    same = {}
+    for name, values in panels:
+        finite = np.asarray(values, float)
+        finite = finite[np.isfinite(finite)]
+        if finite.size and np.ptp(finite) == 0:
+            same[name] = f"{with_unit(name, values)} is {finite[0]:.6g} in all runs"
+    if len(same) == len(panels):
+        return panels, ""
+    return [panel for panel in panels if panel[0] not in same], "; ".join(same.values())
 
 
 def _sheet(panels, title: str, width: float = 4.2, height: float = 3.4) -> tuple[Figure, np.ndarray]:
@@ -101,6 +117,9 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
         label(ax, across, up)
         logarithmic_where_even(ax, values[across], "x")
         logarithmic_where_even(ax, values[up], "y")
+        # The outer cells would reach beyond what was swept.
+        ax.set_xlim(float(values[across].min()), float(values[across].max()))
+        ax.set_ylim(float(values[up].min()), float(values[up].max()))
         n_failed = mark_failures(ax, swept, across, up)
         if n_failed:
             ax.set_title(f"crosses: {n_failed} failed runs", loc="right", fontsize=8)

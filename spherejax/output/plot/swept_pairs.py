@@ -146,5 +146,7 @@ def mark_failures(ax: Axes, swept, across: str, up: str) -> int:
     others = [dim for dim in swept["status"].dims if dim not in (across, up)]
     rows, columns = np.nonzero(np.asarray(has_failed(swept).any(dim=others).transpose(up, across)))
     if len(rows):
-        ax.plot(np.asarray(swept[across])[columns], np.asarray(swept[up])[rows], label="failed", **FAILED)
+        ax.plot(
+            np.asarray(swept[across])[columns], np.asarray(swept[up])[rows], label="failed", clip_on=False, **FAILED
+        )
     return len(rows)

@@ -7,9 +7,18 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, dress, legend_below, letter, new_figure, note
+from spherejax.output.plot.style import (
+    LAW_COLORS,
+    MODEL_COLORS,
+    dress,
+    legend_below,
+    letter,
+    new_figure,
+    note,
+    number_decades,
+)
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """A marker for each solver: points stay apart in a print without color."""
@@ -106,6 +115,8 @@ def steps_figure(diagram: WorkDiagram) -> Figure:
     by_steps, by_tolerance = axes[0]
     _draw_errors(by_steps, diagram, quantity, lambda curve: curve.steps)
     by_steps.set_xlabel("steps tried")
+    every = np.concatenate([np.asarray(curve.steps, float) for curve in diagram.curves] or [np.ones(1)])
+    number_decades(by_steps.xaxis, every[np.isfinite(every) & (every > 0)])
     by_steps.set_title("error and steps", loc="left", fontsize=9)
     _draw_errors(by_tolerance, diagram, quantity, lambda curve: curve.rtols)
     _tolerance_axis(by_tolerance)
@@ -244,7 +255,9 @@ def _seconds_axis(ax: Axes) -> None:
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_minor_formatter(NullFormatter())
     low, high = ax.get_xlim()
-    if high / low > 1e3:
+    if high / low < 3:
+        ax.xaxis.set_major_locator(MaxNLocator(3))
+    elif high / low > 1e3:
         ax.xaxis.set_major_locator(LogLocator(numticks=6))
     elif high / low > 12:
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))

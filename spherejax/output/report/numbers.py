@@ -1,5 +1,6 @@
 """Every physical number of a scene or a run with its unit, as the classes describe themselves."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -31,6 +32,10 @@ DIRECTIONS = ("axis", "axes", "across", "pointer", "normals", "right_angles", "f
 
 PRESCRIBED = {"angle": "rad", "travel": "m", "length": "m", "position": "m"}
 """Units of what placed drivers prescribe by time."""
+
+
+_SYMBOL = re.compile(r"[A-Za-z]{1,3}(_\w+)?")
+"""What a class says of a number that has no more than its letter in the formula."""
 
 
 class Used(NamedTuple):
@@ -72,7 +77,10 @@ def _of(name: str, made: Any, context: Context) -> Iterator[Used]:
         value = getattr(made, one.name, None)
         if one.name.startswith("_"):  # what a class keeps for itself follows from the others
             continue
-        yield from _value(f"{name}.{one.name}", value, known.get(one.name), told.get(one.name, ""), inside, made)
+        meaning = told.get(one.name, "")
+        if _SYMBOL.fullmatch(meaning):
+            meaning += f", as in the formula of {cls.__name__}"
+        yield from _value(f"{name}.{one.name}", value, known.get(one.name), meaning, inside, made)
 
 
 def _value(name: str, value: Any, field: Field | None, meaning: str, context: Context, owner: Any) -> Iterator[Used]:

@@ -20,6 +20,7 @@ from spherejax.motion.integration.audit import CHECKS, FINDINGS, NOT_MADE, WARNI
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.impacts import peaks
 from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.start.start_now import start_changes
 from spherejax.output.citations import cite
 from spherejax.output.drawing import draw
 from spherejax.output.plot.run_figures import figures_of_run
@@ -52,7 +53,7 @@ def page_of_run(run: Trajectory, title: str, scene: Scene | None) -> Page:
     page = Page(title or f"Motion of {', '.join(run.system.bodies)}", _verdict(run))
     if not bool(run.succeeded):
         page.failed += run.diagnosis.splitlines()
-    page.cautions += _cautions(run)
+    page.cautions += cautions_of(run)
     add_motion(page, {"": run}, scene)
     page.add("The run", pairs(_summary(run)), _audit(run))
     with _heard(page):
@@ -79,12 +80,12 @@ def _verdict(run: Trajectory) -> str:
     return f"FAILED ({name}): the run stopped at t = {float(run.t_reached):.9g} s of {last:.9g} s."
 
 
-def _cautions(run: Trajectory) -> list[str]:
-    """What a run of any outcome is to be read with."""
-    found, shares = [cautions(np.asarray(run.stats.audit))], np.asarray(run.stats.audit)
+def cautions_of(run: Trajectory) -> list[str]:
+    """What a run of any outcome is to be read with; first what its start has changed of the scene."""
+    shares = np.asarray(run.stats.audit)
+    found = [*start_changes(run.system, float(run.ts[0]), run.assembly), cautions(shares)]
     if shares[CHECKS.index("energy")] == NOT_MADE:
         found.append("Energy was not audited: the method knows too coarsely what drivers, forces or bristles put in.")
-    # What the assembly has moved is told by `sj.simulate` as a warning; a report cannot look at it twice.
     return [each for each in found if each]
 
 
@@ -287,6 +288,7 @@ def _page_of_lanes(runs: Trajectory, title: str, scene: Scene | None) -> Page:
     heads = ("lane", "status", "time reached [s]", "steps", "repeated", "contact onsets")
     page.add("All lanes", Table(heads, rows, numeric=True))
     one = jax.tree.map(lambda leaf: leaf[chosen], flat)
+    page.cautions += [f"lane {chosen}: {said}" for said in start_changes(one.system, float(one.ts[0]), one.assembly)]
     why = "the first that failed" if bad.size else "the first"
     page.add(f"Lane {chosen}", Text([f"What follows is lane {chosen}, {why}. {_verdict(one)}"]))
     add_motion(page, {f"lane {chosen}": one}, scene)

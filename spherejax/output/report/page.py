@@ -10,6 +10,7 @@ import html
 import io
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
@@ -39,6 +40,14 @@ def escaped(value: Any) -> str:
     return html.escape(str(value), quote=True)
 
 
+def breakable(value: Any) -> str:
+    """Text for a cell: names such as `joints.elbow.model.clearance` go on in the next line behind a dot or a dash."""
+    return _BETWEEN_WORDS.sub(r"\1<wbr>", escaped(value))
+
+
+_BETWEEN_WORDS = re.compile(r"(?<=\w)([._])(?=[A-Za-z])")
+
+
 @dataclass(frozen=True)
 class Table:
     """A table.
@@ -60,7 +69,7 @@ class Table:
         caption = f"<caption>{escaped(self.caption)}</caption>" if self.caption else ""
         heads = "".join(f'<th scope="col">{escaped(head)}</th>' for head in self.heads)
         rows = "".join(
-            f"<tr>{''.join(f'<td>{escaped(cell)}</td>' for cell in row)}</tr>\n" for row in self.rows[:MOST_ROWS]
+            f"<tr>{''.join(f'<td>{breakable(cell)}</td>' for cell in row)}</tr>\n" for row in self.rows[:MOST_ROWS]
         )
         left = len(self.rows) - MOST_ROWS
         more = f"<p>The first {MOST_ROWS:,} of {len(self.rows):,} rows.</p>" if left > 0 else ""

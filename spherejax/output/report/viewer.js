@@ -67,8 +67,9 @@ class Viewer {
     if (this.all.length > 1) this.addChoice();
     this.addTime();
     this.addSwitches();
-    element("p", { class: "says" }, place, "Drag: turn. Shift and drag: move. Wheel: zoom. Double click: as at the start. "
-      + "Circles on the right: the ball's center in its socket, magnified; the angle is that of the view, the distance true.");
+    const circles = " Circles on the right: the ball's center in its socket, magnified; the angle is that of the view, the distance true.";
+    element("p", { class: "says" }, place, "Drag: turn. Shift and drag: move. Wheel: zoom. Double click: as at the start."
+      + (this.all.some(one => one.joints.length) ? circles : ""));
     this.choose(0);
     this.listen();
   }

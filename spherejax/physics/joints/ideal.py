@@ -36,7 +36,7 @@ class Ideal(AbstractSphericalModel):
         preload_force: friction force without load, of joints that slide along their axis [N].
         length: of the bearing, which then carries moments across its axis at its two ends [m]; left out, they press
             nothing.
-        passes: of the fixed point (static).
+        passes: of the fixed point in which friction and reactions are made to agree (static).
     """
 
     is_ideal: ClassVar[bool] = True

@@ -7,7 +7,7 @@ import numpy as np
 from spherejax.model.scene import Scene
 from spherejax.motion.runs.many import built
 from spherejax.output.report.page import Page, Picture, Table, Text
-from spherejax.studies.fit.report import report
+from spherejax.studies.fit.report import deviation_of, headline, report
 
 
 def page_of(fit, title: str, scene: Scene | None) -> Page:
@@ -18,7 +18,7 @@ def page_of(fit, title: str, scene: Scene | None) -> Page:
         title: the heading.
         scene: whose numbers are listed; that of the first experiment at the estimates when None.
     """
-    from spherejax.output.report.of_runs import add_motion, add_sources, add_versions
+    from spherejax.output.report.of_runs import add_motion, add_sources, add_versions, cautions_of
 
     names = ", ".join(fit.names)
     verdict = f"Succeeded: {fit.status}." if fit.succeeded else f"FAILED: {fit.status}."
@@ -29,7 +29,8 @@ def page_of(fit, title: str, scene: Scene | None) -> Page:
         add_versions(page)
         return page
     page.cautions += [*fit.warnings, *(each.explanation for each in fit.undetermined)]
-    page.add("Estimates", _estimates(fit), Text(report(fit).splitlines(), fixed=True))
+    page.cautions += [f"{name}: {said}" for name, run in fit.runs.items() for said in cautions_of(run)]
+    page.add("Estimates", Text([headline(fit)]), _estimates(fit))  # what else `print(fit)` says stands on top
     page.add("Measurements", _measurements(fit), _starts(fit))
     page.add("Figures", *(Picture(figure, f"{name}, {names}") for name, figure in fit.figures(title).items()))
     add_motion(page, fit.runs, scene)
@@ -41,13 +42,14 @@ def page_of(fit, title: str, scene: Scene | None) -> Page:
 def _estimates(fit) -> Table:
     known = fit.knowledge
     rows = [
-        (name, f"{value:.8g}", f"{deviation:.3g}", f"{low:.6g}", f"{high:.6g}")
+        (name, f"{value:.8g}", *deviation_of(value, deviation), f"{low:.6g}", f"{high:.6g}")
         for name, value, deviation, (low, high) in zip(
             fit.names, known.values, known.standard_deviations, known.intervals(fit.level), strict=True
         )
     ]
     level = f"{100 * fit.level:g} %"
-    return Table(("parameter", "estimate", "standard deviation", f"{level} from", f"{level} to"), rows, numeric=True)
+    heads = ("parameter", "estimate", "standard deviation", "percent", f"{level} from", f"{level} to")
+    return Table(heads, rows, numeric=True)
 
 
 def _measurements(fit) -> Table:

@@ -5,7 +5,7 @@ import numpy as np
 
 def report(fit) -> str:
     """Estimates with standard deviations and intervals, how it ended, warnings, what stays open."""
-    lines = [_headline(fit)]
+    lines = [headline(fit)]
     if fit.best.us:
         lines += ["", *_table(fit)]
     if fit.best.us and fit.undetermined:
@@ -15,7 +15,8 @@ def report(fit) -> str:
     return "\n".join(lines)
 
 
-def _headline(fit) -> str:
+def headline(fit) -> str:
+    """What was fitted to what, how it ended, and how far the residuals agree with the noise."""
     n = fit.problem.n_residuals
     experiments = len(fit.problem.experiments)
     of = f"{n} values" + (f" of {experiments} experiments" if experiments > 1 else "")
@@ -47,9 +48,7 @@ def _table(fit) -> list[str]:
     for name, value, deviation, (low, high) in zip(
         fit.names, fit.knowledge.values, fit.knowledge.standard_deviations, intervals, strict=True
     ):
-        share = f"{100 * deviation / abs(value):.2g}" if value and np.isfinite(deviation) else "-"
-        size = f"{deviation:.2g}" if np.isfinite(deviation) else "unknown"
-        rows.append([name, f"{value:.6g}", size, share, f"{low:.6g} to {high:.6g}"])
+        rows.append([name, f"{value:.6g}", *deviation_of(value, deviation), f"{low:.6g} to {high:.6g}"])
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     return [
         "  ".join(
@@ -57,3 +56,10 @@ def _table(fit) -> list[str]:
         )
         for row in rows
     ]
+
+
+def deviation_of(value: float, deviation: float) -> tuple[str, str]:
+    """A standard deviation, and how many percent of the estimate it is."""
+    if not np.isfinite(deviation):
+        return "unknown", "-"
+    return f"{deviation:.2g}", f"{100 * deviation / abs(value):.2g}" if value else "-"

@@ -41,7 +41,7 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     from spherejax.output.plot.style import MODEL_COLORS
 
     models, ideal, parameters = comparison.models, comparison.models["ideal"], comparison.subject.parameters
-    found: dict[str, Callable] = {**law_figures()}
+    found: dict[str, Callable] = {**law_figures(), "fig09_mechanism": _mechanism}
     for result in comparison.studies:
         found[_file_name(result)] = lambda result=result: study_figure(result, comparison)
     others = [one for name, one in models.items() if name != "ideal"]
@@ -56,7 +56,7 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
         models, f"Ball's center in the socket; orange: in contact\n{parameters}"
     )
     found["fig21_time_ratio"] = lambda: ratios.time_ratios(
-        [row.name for row in comparison.rows],
+        {row.name: row.label for row in comparison.rows},
         [row.time_ratio for row in comparison.rows],
         [row.n_steps for row in comparison.rows],
         f"Computing time of {comparison.t_end:g} s of motion (one core, warm, rtol 1e-8)",
@@ -67,6 +67,13 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
             f"Limits to the ideal joint, {comparison.t_limits:g} s of motion",
         )
     return found
+
+
+def _mechanism():
+    """The mechanism, and the height that the other figures show."""
+    from spherejax.output.plot.heights import with_height
+
+    return with_height(four_bar(), "rocker", "Four-bar, at the start; z: height of the rocker's center of mass")
 
 
 def law_figures() -> dict[str, Callable]:

@@ -267,7 +267,7 @@ def _time_ratios(comparison: "Comparison"):
     if fixed:
         methods[f"{type(comparison.subject.fixed_solver).__name__}, the pair of ode45"] = fixed
     title = f"Computing time of {comparison.t_end:g} s of motion (one core, warm, rtol 1e-8)"
-    return time_ratios_by_method([row.name for row in rows], methods, title)
+    return time_ratios_by_method({row.name: row.label for row in rows}, methods, title)
 
 
 SUSPENSION = Subject(
