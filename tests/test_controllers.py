@@ -116,9 +116,6 @@ def test_any_method_lands_on_samples(solver):
     run = sj.simulate(sampled_motor(0.01), TS, rtol=1e-9, solver=method)
     np.testing.assert_allclose(_seen(run), sampled_answer(TS), atol=2e-6)
 
-    if solver == "Kvaerno5":
-        return  # runs that diffrax differentiates step by step refuse derivatives through samples, with a TypeError
-
     def angle(gain):
         return sj.simulate(sampled_motor(0.01, proportional=gain), TS, rtol=1e-9, solver=method).force("motor")[
             "position"

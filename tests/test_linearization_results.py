@@ -8,12 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
+from PIL import Image
+from scipy.spatial.transform import Rotation
 from test_equilibrium import LOADED, loaded
 from test_linearization import G, double_pendulum, on_rubber, pendulum, top
 
 import spherejax as sj
 from spherejax import cli
 from spherejax.model.numbers import full_path, number_at, numbers_at
+from spherejax.output.plot.modes import swing
 from spherejax.studies.linear.eigen import eigen
 
 W = np.sqrt(G * 0.5 / 0.26)
@@ -243,6 +246,47 @@ def test_figures(rubber, tmp_path):
     assert [ax.get_title().split(":")[0] for ax in drawn.axes] == ["mode 0", "mode 2"]
     drawn.savefig(tmp_path / "modes.png")
     assert rubber.modes().figure().axes
+
+
+def test_a_film_swings_as_the_mode_does(hanging):
+    """By A cos(w t) about the hinge's axis, also between the poses that were computed; no jump at its end."""
+    modes = hanging.modes()
+    motion, period = swing(modes, 0, 0.2)
+    assert period == pytest.approx(2 * np.pi / W)
+    y = np.asarray(hanging.point.y)
+    rest = Rotation.from_quat(y[3:7], scalar_first=True)
+    ts = np.linspace(0.0, motion.ts[-1], 77)
+    turned = [Rotation.from_quat(motion.pose(t).quaternions["bob"], scalar_first=True) for t in ts]
+    angles = np.array([(each * rest.inv()).as_rotvec() for each in turned])
+    amplitude = angles[0, 1]
+    assert 0.05 < abs(amplitude) < 1.5
+    wanted = amplitude * np.cos(W * ts)
+    np.testing.assert_allclose(angles, wanted[:, None] * [0.0, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(period - motion.ts[-1], np.diff(motion.ts), rtol=1e-9)
+    moved = np.array([motion.pose(t).positions["bob"] for t in ts]) - y[:3]
+    np.testing.assert_allclose(moved, wanted[:, None] * np.cross([0.0, 1.0, 0.0], y[:3]), atol=1e-6)
+
+
+def test_a_film_of_a_mode(hanging, tmp_path):
+    modes = hanging.modes()
+    path = modes.animate(tmp_path / "films" / "mode.gif", fps=10, reach=0.2)
+    with Image.open(path) as film:
+        assert (film.n_frames, film.info["duration"], film.info["loop"]) == (20, 100, 0)
+        frames = []
+        for k in range(20):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("L"), float)[60:])  # below the line with the time
+    # Both ways through the rest look alike but for rounding, and the ends of the swing do not.
+    assert np.mean(frames[5] != frames[15]) < 1e-3 < np.mean(frames[0] != frames[10])
+    assert np.mean(frames[3] != frames[17]) < 1e-3
+    with pytest.raises(sj.SceneError, match="exists"):
+        modes.animate(path)
+    with pytest.raises(sj.SceneError, match="no mode 1 that moves a body"):
+        modes.animate(path, 1, overwrite=True)
+    for draw in (lambda: modes.animate(tmp_path / "no.gif", reach=0.0), lambda: sj.plot.modes(modes, reach=np.nan)):
+        with pytest.raises(sj.SceneError, match=r"reach = .* must be positive"):
+            draw()
+    assert not (tmp_path / "no.gif").exists()
 
 
 def test_the_command_names_no_unit_of_a_pure_number(capsys):

@@ -382,7 +382,6 @@ def test_a_dry_ball_lies_at_the_wall():
     """Loaded to both sides, the tie rod's outer ball takes its clearance: toe differs by what the lever makes of it."""
     clearance = 1e-4
     model = sj.Dry(clearance=clearance)
-    np.array([-2000.0, 2000.0])
     loose = sj.rig(
         sj.gallery.double_wishbone(tie_rod_joint=model), [0.0, 0.0], loads=sj.WheelLoads(aligning=[-50.0, 50.0])
     )

@@ -25,16 +25,7 @@ def runner(scene: sj.Scene, add_forces: AddForces | None = None) -> Callable[[fl
     from exudyn.utilities import SensorBody
 
     start = start_of(scene)
-    container = exu.SystemContainer()
-    model = container.AddSystem()
-    numbers = _bodies(model, start)
-    for name in scene.joints:
-        _joint(model, numbers, start, scene.joints[name], name)
-    if add_forces is not None:
-        add_forces(model, numbers, start)
-    else:
-        for name, force in scene.forces.items():
-            _spring(model, numbers, scene, force, name)
+    _container, model, numbers = _model(scene, start, add_forces)
     sensors = {
         name: model.AddSensor(
             SensorBody(bodyNumber=numbers[name], storeInternal=True, outputVariableType=exu.OutputVariableType.Position)
@@ -62,6 +53,38 @@ def runner(scene: sj.Scene, add_forces: AddForces | None = None) -> Callable[[fl
         }
 
     return run
+
+
+def eigenvalues(scene: sj.Scene) -> np.ndarray:
+    """All eigenvalues [1/s] about the start, which must be at rest: of the equations in the null space of constraints.
+
+    Forces of constraints are left out of account there, and what their change with the position does to the stiffness:
+    right where no joint that constrains is loaded. Derivatives are Exudyn's differences.
+
+    Raises:
+        NoCounterpartError: for a joint or force that this translator does not know.
+    """
+    _container, model, _ = _model(scene, start_of(scene), None)
+    model.Assemble()
+    values, _vectors = model.ComputeODE2Eigenvalues(computeComplexEigenvalues=True, useAbsoluteValues=False)
+    return np.asarray(values)
+
+
+def _model(scene: sj.Scene, start: Start, add_forces: AddForces | None):
+    """Exudyn's container (which owns the model), the model, and its numbers of the bodies."""
+    import exudyn as exu
+
+    container = exu.SystemContainer()
+    model = container.AddSystem()
+    numbers = _bodies(model, start)
+    for name in scene.joints:
+        _joint(model, numbers, start, scene.joints[name], name)
+    if add_forces is not None:
+        add_forces(model, numbers, start)
+    else:
+        for name, force in scene.forces.items():
+            _spring(model, numbers, scene, force, name)
+    return container, model, numbers
 
 
 def _bodies(model, start: Start) -> dict[str, object]:

@@ -212,14 +212,16 @@ def _places(drawn: Mapping[str, tuple[float, float, float]], given: Mapping[str,
     given = {} if given is None else given
     if not isinstance(given, Mapping):
         raise SceneError(f'hardpoints = {shown(given)} must be places by name, e.g. {{"upper_ball": (0.0, 0.65, 0.5)}}')
+    at = {name: numbers(place) for name, place in drawn.items()}
     for name, place in given.items():
         if name not in drawn:
             raise SceneError(f"there is no hardpoint {name!r}; {one_of(drawn, str(name))}")
         if shape_of(place) != (3,):
             raise SceneError(f"hardpoint {name!r} = {shown(place)} must be three numbers x, y, z [m]")
-        if is_concrete(place) and not np.all(np.isfinite(np.asarray(numbers(place)))):
+        at[name] = numbers(place)
+        if is_concrete(at[name]) and not np.all(np.isfinite(np.asarray(at[name]))):
             raise SceneError(f"hardpoint {name!r} = {shown(place)} must be finite [m]")
-    return {name: numbers(given.get(name, place)) for name, place in drawn.items()}
+    return at
 
 
 def _or_ideal(model: AbstractSphericalModel | None) -> AbstractSphericalModel:

@@ -150,6 +150,7 @@ def integrate(
     correct = correction_for(plan)
     taken = samples_of(plan.structure, plan.scalar)
     solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
+    solver = with_loop_of(options.adjoint, solver)
     solution = diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
         wrapped(solver, correct, contacts, taken, audit_of(plan)),
@@ -174,6 +175,18 @@ def integrate(
     ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
     y_reached = jax.lax.stop_gradient(sampled[1][0])
     return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def with_loop_of(adjoint: diffrax.AbstractAdjoint, solver: Any) -> Any:
+    """A Runge-Kutta method with the loop over its stages that an adjoint can differentiate.
+
+    diffrax does so itself, to solvers that are not wrapped: without, there is no forward mode.
+    """
+    kinds = {diffrax.ForwardMode: "lax", diffrax.DirectAdjoint: "bounded"}
+    kind = next((kind for each, kind in kinds.items() if isinstance(adjoint, each)), None)
+    if kind is None or not isinstance(solver, diffrax.AbstractRungeKutta) or solver.scan_kind is not None:
+        return solver
+    return eqx.tree_at(lambda s: s.scan_kind, solver, kind, is_leaf=lambda x: x is None)
 
 
 def landing_controller(

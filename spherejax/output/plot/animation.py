@@ -114,8 +114,9 @@ def write_animation(
     slow: float | None,
     dpi: float,
     report: Report | None,
+    pace: str | None = None,
 ) -> Path:
-    """Draw and write all frames; `spherejax.animate` explains the arguments."""
+    """Draw and write all frames; `spherejax.animate` explains the arguments, `pace` what `Sheet` writes of it."""
     for name, value in (("fps", fps), ("slow", slow), ("dpi", dpi)):
         if value is not None and not 0 < value < np.inf:
             raise SceneError(f"{name} = {value:g} must be positive and finite")
@@ -125,7 +126,8 @@ def write_animation(
     is_gif = path.suffix.lower() == ".gif"
     seconds = GIF_TICK * max(FEWEST_TICKS, round(1 / (fps * GIF_TICK))) if is_gif else 1 / fps
     times = frame_times(mechanism, seconds, slow)
-    sheet = Sheet(mechanism, poses_of(mechanism), wishes, pace=pace_in_words(slow), dpi=dpi)
+    pace = pace_in_words(slow) if pace is None else pace
+    sheet = Sheet(mechanism, poses_of(mechanism), wishes, pace=pace, dpi=dpi)
     few = times[np.linspace(0, len(times) - 1, PALETTE_FRAMES).astype(int)]
     palette = Palette(list(drawn_frames(sheet, few, None))) if is_gif else None
     frames = drawn_frames(sheet, times, report)

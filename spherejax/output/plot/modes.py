@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spherejax.foundations.errors import SceneError
-from spherejax.output.plot.animation import animation_path, write_animation
+from spherejax.output.plot.animation import animation_path, pace_in_words, write_animation
 from spherejax.output.plot.elements import mechanism_strokes
 from spherejax.output.plot.mechanism import Mechanism
 from spherejax.output.plot.reading import mechanism_at
@@ -25,8 +25,8 @@ MOST = 6
 REACH = 0.14
 """Largest displacement that is drawn, as a share of the drawing's size."""
 
-INSTANTS = 96
-"""Poses of a swing in a film, between which it is interpolated."""
+INSTANTS = 200
+"""Poses of a swing in a film, between which it is interpolated; the last is left out, for the film begins anew."""
 
 FILM_SECONDS = 2.0
 """How long a swing lasts in a film, whatever its frequency."""
@@ -57,10 +57,12 @@ def modes(
         title: what is shown; the state by default.
 
     Raises:
-        SceneError: for something that has no modes, a mode that does not exist, or none that moves a body.
+        SceneError: for something that has no modes, a mode that does not exist, none that moves a body, or a `reach`
+            that is not positive.
     """
     if not hasattr(found, "shapes") or not hasattr(found, "linear"):
         raise SceneError(f"modes: {type(found).__name__} has no modes; give sj.linearize(scene).modes()")
+    require_reach(reach)
     numbers = _numbers(found, which)
     point = found.linear.point
     still = mechanism_at(point.system, point.t, point.y)
@@ -80,6 +82,12 @@ def modes(
     for one in views:
         one.fit(max(each.least_scale for each in views))
     return figure
+
+
+def require_reach(reach: float) -> None:
+    """Raise `SceneError` for a displacement that cannot be drawn."""
+    if not 0 < reach < np.inf:
+        raise SceneError(f"reach = {reach:g} must be positive: a share of the drawing's size, e.g. {REACH:g}")
 
 
 def _numbers(found: Any, which: int | Sequence[int] | None) -> list[int]:
@@ -119,25 +127,41 @@ def film(
     overwrite: bool,
 ) -> Path:
     """Write a mode as a film; arguments as of `Modes.animate`."""
+    require_reach(reach)
     (mode,) = _numbers(found, mode)
     path = animation_path(path, overwrite=overwrite)
+    frequency = float(found.damped_frequency[mode])
+    moved, period = swing(found, mode, reach)
+    value = found.eigenvalues[mode]
+    if frequency > 0:
+        title = f"mode {mode}, {frequency:.4g} Hz, damping {found.damping_ratio[mode]:.2g} left out"
+    else:
+        change = "grows" if value.real > 0 else "dies away"
+        title = f"mode {mode}, {change} by {abs(value.real):.4g} 1/s; no oscillation"
+    slow = FILM_SECONDS / period
+    pace = pace_in_words(float(f"{slow:.3g}")) if frequency > 0 else ""
+    wishes = Wishes(view=view, magnified=(), title=title, labels=False)
+    return write_animation(moved, path, wishes, fps=fps, slow=slow, dpi=100.0, report=None, pace=pace)
+
+
+def swing(found: Any, mode: int, reach: float) -> tuple[Mechanism, float]:
+    """A mode without its damping as a motion, and how long it lasts [s]: `FILM_SECONDS` where it does not oscillate."""
     point, frequency = found.linear.point, float(found.damped_frequency[mode])
     still = mechanism_at(point.system, point.t, point.y)
-    period = 1 / frequency if frequency > 0 else 1.0
-    ts = np.linspace(0.0, period, INSTANTS + 1)
-    moves = _largest_moves(still, found.shapes[mode], reach)
-    poses = [_moved(still, (moves * np.exp(2j * np.pi * t / period)).real) for t in ts]
-    moved = replace(
+    period = 1 / frequency if frequency > 0 else FILM_SECONDS
+    ts = np.linspace(0.0, period, INSTANTS, endpoint=False)
+    moves = _largest_moves(still, found.shapes[mode], reach) * np.exp(2j * np.pi * ts / period)[:, None, None]
+    rates = (2j * np.pi / period * moves).real
+    poses = [_moved(still, one.real) for one in moves]
+    motion = replace(
         still,
         ts=ts,
         positions=np.concatenate([one.positions for one in poses]),
         quaternions=np.concatenate([one.quaternions for one in poses]),
-        velocities=np.zeros((len(ts), *still.velocities.shape[1:])),
-        angular_velocities=np.zeros((len(ts), *still.angular_velocities.shape[1:])),
+        velocities=rates[..., :3],
+        angular_velocities=rates[..., 3:],  # but for a turn that changes its axis, by its square; only between poses
     )
-    title = f"mode {mode}: {found.frequency[mode]:.4g} Hz, damping {found.damping_ratio[mode]:.2g} (drawn undamped)"
-    wishes = Wishes(view=view, magnified=(), title=title, labels=False)
-    return write_animation(moved, path, wishes, fps=fps, slow=FILM_SECONDS / period, dpi=100.0, report=None)
+    return motion, period
 
 
 def _displaced(still: Mechanism, shape: np.ndarray, reach: float) -> Mechanism:

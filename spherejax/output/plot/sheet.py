@@ -118,7 +118,8 @@ class Sheet:
         place_labels(view.ax, labels_of(view, pose), [*view.artists, *view.trace_lines], covered)
 
     def _say(self, pose: Pose) -> None:
-        time = "assembled start" if self.mechanism.run is None else f"t = {pose.t:.4f} s"
+        is_start = self.mechanism.run is None and len(self.mechanism.ts) == 1
+        time = "assembled start" if is_start else f"t = {pose.t:.4f} s"
         if self.pace:
             time = f"{time}, {self.pace}"
         if self.wishes.title is None:

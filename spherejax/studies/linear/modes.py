@@ -214,6 +214,8 @@ class Modes:
     ) -> "Path":
         """Write a swing of the mechanism in a mode as a film, two seconds long and without its damping.
 
+        Shown again and again it swings on. One that does not oscillate is drawn there and back, and so said.
+
         Args:
             path: where to write, `.gif` or `.mp4`, as of `sj.animate`.
             mode: its number, as the table counts.
@@ -227,7 +229,8 @@ class Modes:
             The path.
 
         Raises:
-            SceneError: for a mode that does not exist or moves no body, and as `sj.animate`.
+            SceneError: for a mode that does not exist or moves no body, a `reach` that is not positive, and as
+                `sj.animate`.
         """
         from spherejax.output.plot.modes import film
 

@@ -23,6 +23,9 @@ from spherejax.studies.rig.kinematics import Statics, statics_of
 UNLOADED = 1e-6
 """Share of the largest reaction below which a joint with clearance counts as unloaded."""
 
+SHALLOW = 1e-9
+"""Clearances by which a ball must be pressed in to count as loaded: where nothing is, reactions are rounding alone."""
+
 ONSET = 1.0
 """Velocity with which a contact is said to have begun [m/s]: at rest no law asks how large it was."""
 
@@ -70,13 +73,14 @@ def rig_displaced(system: System, t: Scalar, numbers) -> Float[Array, " size"]:
 
 @bounded_jit(what="balls at the wall")
 def depths(structure: Structure, names: tuple[str, ...], theta, forces):
-    """How far balls with clearance lie off their sockets' centers under forces [m], one for each joint."""
+    """How far balls with clearance lie off their sockets' centers under forces [m], and by how many clearances they are
+    pressed in; two numbers for each joint."""
     system = structure.system(theta)
     return jnp.stack([_depth_for(system.spherical(name), force) for name, force in zip(names, forces, strict=True)])
 
 
-def _depth_for(joint: PlacedSpherical, force: Scalar) -> Scalar:
-    """Distance |e| at which the contact answers with a force [m], by halving."""
+def _depth_for(joint: PlacedSpherical, force: Scalar) -> Float[Array, "2"]:
+    """Distance |e| at which the contact answers with a force [m], by halving, and |e|/c - 1."""
     zero, pressed = jnp.zeros(3), joint.model.memory_at_onset(jnp.asarray(ONSET))
     model: Any = joint.model
 
@@ -93,7 +97,8 @@ def _depth_for(joint: PlacedSpherical, force: Scalar) -> Scalar:
 
     ends = jnp.asarray(np.log(1e-12)), jnp.asarray(np.log(1e2))
     low, high = jax.lax.fori_loop(0, N_BISECTIONS, halve, ends)
-    return model.clearance * (1.0 + jnp.exp(0.5 * (low + high)))
+    share = jnp.exp(0.5 * (low + high))
+    return jnp.stack([model.clearance * (1.0 + share), share])
 
 
 class Starter:
@@ -136,8 +141,9 @@ class Starter:
         sizes = xp.sqrt(xp.sum(pushes * pushes, 1))
         pressed = sizes > UNLOADED * xp.max(xp.abs(statics.multipliers))
         sizes = xp.where(pressed, sizes, 1.0)
-        far = depths(self.real, self._loose, xp.asarray(real_numbers), sizes)
-        by_ball = (pushes / sizes[:, None]) * (np.asarray(far) if xp is np else far)[:, None]
+        far, share = xp.asarray(depths(self.real, self._loose, xp.asarray(real_numbers), sizes)).T
+        pressed = pressed & (share > SHALLOW)
+        by_ball = (pushes / sizes[:, None]) * far[:, None]
         chosen = np.zeros((self._n_rows, 3 * len(self._balls)))
         chosen[np.concatenate(self._balls), np.arange(chosen.shape[1])] = 1.0
         offsets = chosen @ by_ball.ravel()
