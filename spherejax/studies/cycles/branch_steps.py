@@ -96,7 +96,8 @@ class Stepper:
         if before is not None:
             leads = self._along(shot, before.direction, before.slope) @ tangent
         tangent = tangent if leads >= 0 else -tangent
-        return Point(shot, tangent, Multipliers.of(shot.monodromy, self.knows_time, self.shooting.family.rtol))
+        rtol = self.shooting.family.rtol
+        return Point(shot, tangent, Multipliers.of(shot.monodromy, self.knows_time, rtol, shot.doubt))
 
     @property
     def n_shifts(self) -> int:

@@ -37,21 +37,24 @@ class Multipliers:
         is_free: which of them is 1 because the cycle is its own time's master: a shift in time lasts. None of a driven
             mechanism.
         margin: moduli this near to 1 count as 1.
+        doubt: estimated error of the matrix whose eigenvalues they are, where it was found from disturbed starts; 0
+            where it was integrated beside the motion.
     """
 
     values: Complex[np.ndarray, " k"]
     is_free: np.ndarray
     margin: float
+    doubt: float = 0.0
 
     @classmethod
-    def of(cls, monodromy: Float[np.ndarray, "k k"], is_driven: bool, rtol: float) -> "Multipliers":
-        """Those of a monodromy matrix."""
+    def of(cls, monodromy: Float[np.ndarray, "k k"], is_driven: bool, rtol: float, doubt: float = 0.0) -> "Multipliers":
+        """Those of a monodromy matrix, and by how much it may be wrong."""
         values = np.asarray(np.linalg.eigvals(monodromy), complex)
         values = values[np.lexsort((-np.imag(values), -np.abs(values)))]
         is_free = np.zeros(len(values), bool)
         if not is_driven and len(values):
             is_free[np.argmin(np.abs(values - 1))] = True
-        return cls(values, is_free, margin(rtol))
+        return cls(values, is_free, margin(max(rtol, doubt)), doubt)
 
     @property
     def judged(self) -> Complex[np.ndarray, " k"]:
@@ -180,11 +183,13 @@ class Cycle:
         shown += f" and {more} smaller ones" if more > 0 else ""
         what = "driven" if self.is_driven else "free"
         values = "".join(f", {name} = {value:.6g}" for name, value in self.values.items())
+        doubt = self.multipliers.doubt
+        by = f"; from disturbed starts, their matrix good to {doubt:.1e}" if doubt else ""
         return "\n".join(
             [
                 f"Cycle of {self.period:.9g} s ({self.frequency:.6g} Hz), {what}{values}",
                 self.multipliers.words,
-                f"multipliers: {shown or 'none'}",
+                f"multipliers: {shown or 'none'}{by}",
                 f"closes to {self.error:.1e} of its size after {self.n_steps} Newton steps",
             ]
         )

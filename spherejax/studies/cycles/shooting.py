@@ -1,8 +1,9 @@
 """Shooting: a state that comes back to itself after a period, found by Newton's method on independent coordinates.
 
 With S(x; T, p) the flow over a period T in the independent coordinates x = (x, u, memory) of `linear.coordinates`, a
-cycle is a root of r = S(x) - x. One integration gives S and, as rows beside it, its derivative M (the monodromy matrix)
-and those by a number p. Where the period is unknown, it is one unknown more, with the column T f. Each step
+cycle is a root of r = S(x) - x. One integration gives S with its derivative M (the monodromy matrix) and those by a
+number p, beside it or from disturbed starts (`disturbed`). Where the period is unknown, it is one unknown more, with
+the column T f. Each step
 
     [M - 1, T f, dS/dp] (dx, dT/T, dp) = -r
 
@@ -24,7 +25,8 @@ from jaxtyping import Float
 from spherejax.motion.integration.spans import Jobs
 from spherejax.motion.integration.status import REMEDIES, Status
 from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, length_scale
-from spherejax.studies.cycles.changes import between, changes_of, displaced, slopes_of
+from spherejax.studies.cycles.changes import between, changes_of, displaced
+from spherejax.studies.cycles.disturbed import Deviations, Period, periods
 from spherejax.studies.cycles.family import Family
 from spherejax.studies.linear.coordinates import Coordinates, coordinates_of
 from spherejax.studies.linear.following import yielding
@@ -85,6 +87,7 @@ class Shot(NamedTuple):
         size: of the cycle, the largest distance of a state from the first.
         status: integer of `Status`.
         t_reached: share of the period that was reached.
+        doubt: error of M (the root of the sum of its squares), where it was found by differences; else 0.
     """
 
     place: Place
@@ -100,6 +103,7 @@ class Shot(NamedTuple):
     size: float
     status: int
     t_reached: float
+    doubt: float
 
     @property
     def error(self) -> float:
@@ -160,48 +164,40 @@ class Shooting:
         times = np.full(n, self.begin)
         looked = family.looked_at(theta, times, np.nan_to_num(places.y))
         places = places._replace(y=looked.y)
-        about: list[tuple] = []
+        about: list[tuple[Coordinates, np.ndarray, np.ndarray]] = []
+        deviations: list[Deviations] = []
         for k in range(n):
             geometry = Geometry(*(each[k] for each in looked.geometry))
             coordinates = coordinates_of(geometry, layout.n_memory)
             units, chosen = self._units(coordinates, places.y[k], places.period[k])
-            rows = slopes_of(layout, places.y[k], coordinates.basis[:, chosen] * units)
             number, start = self._number(places.values[k], geometry, coordinates, theta[k], places.y[k])
-            about.append((coordinates, units, chosen, rows, number, start))
-        width = max(len(each[3]) for each in about)
-        # Where constraints leave different numbers of directions free, rows of nothing fill up.
-        rows = np.zeros((n, width + 2, layout.size))
-        directions = np.zeros((n, width + 1, theta.shape[1]))
-        for k, (_, _, _, own, number, start) in enumerate(about):
-            rows[k, 0], rows[k, 1 : 1 + len(own)] = places.y[k], own
-            rows[k, -1] = slopes_of(layout, places.y[k], start[:, None])[0]
-            directions[k, -1] = number
-        rows[:, 0, layout.work_start :] = 0.0
-        jobs = Jobs(theta, rows, directions, times, places.period, made)
-        found = family.flown(jobs, np.linspace(0.0, 1.0, SEEN + 1), with_rows=True)
-        ends = np.where(np.isfinite(found.ys[:, -1]), found.ys[:, -1], rows)
-        rates = family.looked_at(theta, times + places.period, ends[:, 0]).rate
-        return [self._shot(places, k, about[k], found, ends[k], rates[k], bool(made[k])) for k in range(n)]
+            about.append((coordinates, units, chosen))
+            deviations.append(Deviations(coordinates.basis[:, chosen] * units, start, number))
+        shares = np.linspace(0.0, 1.0, SEEN + 1)
+        found = periods(
+            family, places, deviations, begin=self.begin, scale=self.scale, by=self.by, made=made, shares=shares
+        )
+        rates = family.looked_at(theta, times + places.period, np.stack([one.end for one in found])).rate
+        return [self._shot(places, k, *about[k], deviations[k], found[k], rates[k], bool(made[k])) for k in range(n)]
 
-    def _shot(self, places: Place, k: int, about: tuple, found, rows, rate, wanted: bool) -> Shot:
+    def _shot(self, places: Place, k: int, coordinates, units, chosen, deviations, found: Period, rate, wanted) -> Shot:
         layout = self.family.layout
-        coordinates, units, chosen, own, _, start = about
+        start, last = deviations.by_number, found.end
         place = Place(*(each[k] for each in places))
         inverse = coordinates.inverse[chosen] / units[:, None]
-        last = rows[0]
         residual = inverse @ between(layout, place.y, last)
-        columns = inverse @ changes_of(layout, last, rows[1:])
+        columns, doubt = inverse @ found.changes, inverse @ found.doubt
         by_period = inverse @ changes_of(layout, last, rate[None])[:, 0] * place.period
         by_number = columns[:, -1] - inverse @ start
         by_number = by_number + by_period * self._period_slope(place.values) / place.period
-        size = self._size(coordinates, between(layout, place.y, found.ys[k, :, 0]), float(place.period))
-        status = int(found.status[k]) if wanted else int(Status.BAD_VALUE)
+        size = self._size(coordinates, between(layout, place.y, found.ys), float(place.period))
+        status = found.status if wanted else int(Status.BAD_VALUE)
         touching = self.onsets
         if status == Status.SUCCEEDED and np.any((place.y[touching] > 0) != (last[touching] > 0)):
             residual = residual + np.inf  # a ball that touches after the period, and did not before
         return Shot(
-            place, last, coordinates, units, chosen, residual, columns[:, : len(own)], by_period, by_number, start,
-            size, status, float(found.t_reached[k]),
+            place, last, coordinates, units, chosen, residual, columns[:, :-1], by_period, by_number, start, size,
+            status, found.t_reached, float(np.linalg.norm(doubt[:, :-1])),
         )  # fmt: skip
 
     def _size(self, coordinates: Coordinates, changes: np.ndarray, period: float) -> float:
@@ -340,7 +336,7 @@ def newton_step(shot: Shot, unknown_period: bool, by_number: bool) -> np.ndarray
     """The least step of the unknowns: coordinates, then dT/T, then the number, in the unit of its change."""
     J, units = matrix(shot, unknown_period, by_number)
     left, sizes, right = np.linalg.svd(J, full_matrices=False)
-    kept = sizes > SINGULAR * max(1.0, sizes[0] if len(sizes) else 1.0)
+    kept = sizes > max(SINGULAR * max(1.0, sizes[0] if len(sizes) else 1.0), shot.doubt)
     return units * (right[kept].T @ ((left[:, kept].T @ -shot.residual) / sizes[kept]))
 
 

@@ -48,7 +48,8 @@ def steady_cycle(
 
     Any joint, force and driver; redundant constraints too. The state after a period is compared with the first in
     independent coordinates and in what joints remember, and Newton's method makes them equal, with derivatives that are
-    integrated beside the motion, through impacts too. Their eigenvalues, the Floquet multipliers, say whether the
+    integrated beside the motion, through impacts too; of a stiff method they come from disturbed starts, and
+    `.multipliers.doubt` says how good they are. Their eigenvalues, the Floquet multipliers, say whether the
     cycle is stable: they are found for unstable ones as well, which no simulation settles on. A rotation by whole turns
     counts as none.
 
@@ -236,7 +237,7 @@ def made(family: Family, found: Found, request: Request) -> Cycle:
     return Cycle(
         run=run,
         period=float(shot.place.period),
-        multipliers=Multipliers.of(shot.monodromy, family.knows_time, family.rtol),
+        multipliers=Multipliers.of(shot.monodromy, family.knows_time, family.rtol, shot.doubt),
         succeeded=not why,
         diagnosis=why,
         error=shot.error,

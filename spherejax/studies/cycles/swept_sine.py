@@ -272,7 +272,7 @@ def _answers(family: Family, found: list[Found], linear: Linearization, f, a, sa
     inputs = -1j * np.repeat(a, len(f))[:, None]
     first, size = c[1], np.linalg.norm(c[1:], axis=0)
     higher, upper = np.linalg.norm(c[2:], axis=0), np.linalg.norm(c[len(c) // 2 :], axis=0)
-    multipliers = [Multipliers.of(one.shot.monodromy, True, family.rtol) for one in found]
+    multipliers = [Multipliers.of(one.shot.monodromy, True, family.rtol, one.shot.doubt) for one in found]
     notes = _notes(found, linear, upper, size, multipliers, f, a)
     return SweptSine(
         input=linear.inputs[0],
