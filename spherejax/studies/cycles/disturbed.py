@@ -109,7 +109,9 @@ def _integrated(family: Family, places, deviations, *, begin, scale, by, made, s
         chosen = [*range(each.states.shape[1]), width]
         changes = changes_of(layout, ends[k, 0], ends[k, 1:][chosen])
         status, reached = int(found.status[k]), float(found.t_reached[k])
-        periods.append(Period(found.ys[k, :, 0], ends[k, 0], changes, np.zeros(changes.shape), status, reached))
+        periods.append(
+            Period(np.asarray(found.ys[k, :, 0]), ends[k, 0], changes, np.zeros(changes.shape), status, reached)
+        )
     return periods
 
 
@@ -157,7 +159,7 @@ def _disturbed(family: Family, places, deviations, *, begin, scale, by, made, sh
             changes, doubt = (np.concatenate([each, nothing], 1) for each in (changes, doubt))
         worst = at + int(np.argmax(found.status[lanes] != Status.SUCCEEDED))
         status, reached = int(found.status[worst]), float(found.t_reached[worst])
-        periods.append(Period(found.ys[at], lasts[at], changes, doubt, status, reached))
+        periods.append(Period(np.asarray(found.ys[at]), lasts[at], changes, doubt, status, reached))
     return periods
 
 

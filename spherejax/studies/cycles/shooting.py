@@ -164,7 +164,7 @@ class Shooting:
         times = np.full(n, self.begin)
         looked = family.looked_at(theta, times, np.nan_to_num(places.y))
         places = places._replace(y=looked.y)
-        about: list[tuple] = []
+        about: list[tuple[Coordinates, np.ndarray, np.ndarray]] = []
         deviations: list[Deviations] = []
         for k in range(n):
             geometry = Geometry(*(each[k] for each in looked.geometry))
