@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
 from spherejax.foundations.numerics import CONCENTRIC_RADIUS
 from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Function, Listed, Named, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import Body, numbers
-from spherejax.physics.forces.base import AbstractForce, FindPlace, body_of, place_of
-from spherejax.physics.forces.coupler import AbstractCoordinate, Motion, known_geometry, pose_at_start
+from spherejax.physics.forces.base import AbstractForce, FindPlace
+from spherejax.physics.forces.coupler import AbstractCoordinate, AbstractStretch
 from spherejax.physics.forces.line import Attachment, two_ends
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants
 from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
@@ -28,7 +28,7 @@ from spherejax.physics.functions.shapes import Constant, finite
 from spherejax.physics.memory import MemoryEntry
 
 
-class Extension(AbstractCoordinate):
+class Extension(AbstractStretch):
     """How much farther two points are from each other than at the start [m]: the stroke of a cylinder.
 
     Attributes:
@@ -48,30 +48,9 @@ class Extension(AbstractCoordinate):
         self.attachment = None
         self.start = None
 
-    @property
-    def body_names(self):
-        """The two bodies."""
-        return body_of(self.ends[0]), body_of(self.ends[1])
-
-    def motion(self, motions):
-        """The distance, less that of the start."""
-        stretch = known_geometry(self.attachment).stretch(motions)
-        return Motion(stretch.length - known_geometry(self.start), stretch.rate)
-
-    def wrenches(self, motions, force):
-        """A force that pushes the points apart, on both of them."""
-        attachment = known_geometry(self.attachment)
-        return attachment.wrenches(motions, -force * attachment.stretch(motions).direction)
-
     def placed(self, bodies, find):
         """The points in body axes."""
-        places = place_of(self.ends[0], find), place_of(self.ends[1], find)
-        attachment = Attachment(self.body_names, places, None)
-        poses = [pose_at_start(bodies, name) for name in self.body_names]
-        start = concretely(_distance, *poses[0], places[0], *poses[1], places[1])
-        return eqx.tree_at(
-            lambda own: (own.attachment, own.start), self, (attachment, start), is_leaf=lambda x: x is None
-        )
+        return self._attached(bodies, find, None, _distance)
 
     def requirements(self):
         """Two bodies."""

@@ -69,6 +69,11 @@ class AbstractController(AbstractForceWithMemory):
     def _states(self) -> tuple[MemoryEntry, ...]:
         """What the controller computes with."""
 
+    def memory_at_start(self, t, motions):
+        """No effort, nothing integrated, and a filter that has settled: no error is new to it."""
+        seen = self._measured(t, motions, jnp.zeros(len(self.memory)))
+        return jnp.stack([seen.error if entry.name == "filtered" else jnp.zeros(()) for entry in self.memory])
+
     @property
     def _counts_turns(self) -> bool:
         return isinstance(self.coordinate, Turn) and not self.of_rate
@@ -244,11 +249,6 @@ class PID(AbstractController):
     @property
     def _filters(self) -> bool:
         return self.derivative is not None and self.filter_time is not None
-
-    def memory_at_start(self, t, motions):
-        """Nothing integrated, and a filter that has settled."""
-        seen = self._measured(t, motions, jnp.zeros(len(self.memory)))
-        return jnp.stack([seen.error if entry.name == "filtered" else jnp.zeros(()) for entry in self.memory])
 
     def action(self, t, motions, memory):
         """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""

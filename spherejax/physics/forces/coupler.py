@@ -135,7 +135,42 @@ class Turn(AbstractCoordinate):
         ]
 
 
-class Travel(AbstractCoordinate):
+class AbstractStretch(AbstractCoordinate):
+    """The change of a distance between points of two bodies since the start [m]."""
+
+    ends: eqx.AbstractVar[tuple[str, str]]
+    attachment: eqx.AbstractVar[Attachment | None]
+    start: eqx.AbstractVar[Numeric | None]
+
+    @property
+    def body_names(self):
+        """The two bodies."""
+        return body_of(self.ends[0]), body_of(self.ends[1])
+
+    def motion(self, motions):
+        """The distance, less that of the start."""
+        stretch = known_geometry(self.attachment).stretch(motions)
+        return Motion(stretch.length - known_geometry(self.start), stretch.rate)
+
+    def wrenches(self, motions, force):
+        """A force along the distance that lengthens it, and its opposite; of a `Travel` both at the second point."""
+        attachment = known_geometry(self.attachment)
+        return attachment.wrenches(motions, -force * attachment.stretch(motions).direction)
+
+    def _attached(self, bodies: Mapping[str, Body], find: FindPlace, direction, distance, *axis) -> Self:
+        """With its geometry: the points, a direction in the first body or none, and the distance at the start."""
+        places = place_of(self.ends[0], find), place_of(self.ends[1], find)
+        poses = [pose_at_start(bodies, name) for name in self.body_names]
+        start = concretely(distance, *axis, *poses[0], places[0], *poses[1], places[1])
+        return eqx.tree_at(
+            lambda own: (own.attachment, own.start),
+            self,
+            (Attachment(self.body_names, places, direction), start),
+            is_leaf=lambda x: x is None,
+        )
+
+
+class Travel(AbstractStretch):
     """The distance by which a point has moved along a direction of another body since the start [m].
 
     Attributes:
@@ -156,34 +191,10 @@ class Travel(AbstractCoordinate):
         self.attachment = None
         self.start = None
 
-    @property
-    def body_names(self):
-        """The two bodies."""
-        return body_of(self.ends[0]), body_of(self.ends[1])
-
-    def motion(self, motions):
-        """The distance along the direction, less that of the start."""
-        stretch = known_geometry(self.attachment).stretch(motions)
-        return Motion(stretch.length - known_geometry(self.start), stretch.rate)
-
-    def wrenches(self, motions, force):
-        """A force along the direction and its opposite, both at the second point."""
-        attachment = known_geometry(self.attachment)
-        return attachment.wrenches(motions, -force * attachment.stretch(motions).direction)
-
     def placed(self, bodies, find):
         """The points and the direction in body axes."""
-        first, second = self.body_names
-        places = place_of(self.ends[0], find), place_of(self.ends[1], find)
-        direction = concretely(direction_on, self.direction, start_quaternion(bodies, first))
-        poses = [pose_at_start(bodies, name) for name in (first, second)]
-        start = concretely(_distance, self.direction, *poses[0], places[0], *poses[1], places[1])
-        return eqx.tree_at(
-            lambda travel: (travel.attachment, travel.start),
-            self,
-            (Attachment((first, second), places, direction), start),
-            is_leaf=lambda x: x is None,
-        )
+        direction = concretely(direction_on, self.direction, start_quaternion(bodies, self.body_names[0]))
+        return self._attached(bodies, find, direction, _distance, self.direction)
 
     def requirements(self):
         """Two bodies and a direction."""

@@ -119,11 +119,6 @@ class SampledPID(AbstractController):
         filtered = filtered_error(self) if self.derivative is not None else ()
         return (*(MemoryEntry(name, "N", scale) for name in names), *filtered)
 
-    def memory_at_start(self, t, motions):
-        """No effort, nothing integrated, and no error that would be new to the first sample."""
-        seen = self._measured(t, motions, jnp.zeros(len(self.memory)))
-        return jnp.stack([seen.error if entry.name == "filtered" else jnp.zeros(()) for entry in self.memory])
-
     def sampled(self, t, motions, memory):
         """The memory behind a sample."""
         now, seen = self._entries(memory), self._measured(t, motions, memory)
