@@ -160,6 +160,23 @@ def test_only_so_many_calls_are_kept(monkeypatch, counted):
     assert len(known_scenes._calls) == 2
 
 
+@pytest.mark.parametrize(
+    ("of", "is_remembered"),
+    [
+        (lambda a, b: {"b": b, "a": (a, None)}, True),
+        (lambda a, b: {"b": b, "a": a, "more": 1}, False),  # a leaf of its own, which could be taken for a place
+        (lambda a, b: {"b": b}, True),
+        (lambda a, b: [a, a, b], True),
+    ],
+)
+def test_leaves_go_straight_to_their_places_only_where_there_are_no_others(of, is_remembered):
+    made = []
+    function = known_scenes.again(lambda a, b: made.append(1) or of(a, b))
+    for a, b in ((1.0, [2.0, 3.0]), (4.0, [5.0, 6.0]), (7.0, [8.0, 9.0])):
+        assert function(a, b) == of(a, b)
+    assert len(made) == (2 if is_remembered else 6)
+
+
 def test_a_scene_that_is_wrong_is_wrong_again(counted):
     for _ in range(2):
         with pytest.raises(sj.SceneError, match="mass"):

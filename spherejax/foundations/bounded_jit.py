@@ -186,8 +186,8 @@ class _Entry:
             tree, static = self._results
             places = jax.tree.unflatten(tree, [_Place(i) for i in range(tree.num_leaves)])
             self._whole = self._results, *jax.tree.flatten(eqx.combine(places, static))
-        _, all, tree = self._whole
-        return jax.tree.unflatten(tree, [leaves[one.i] if type(one) is _Place else one for one in all])
+        _, parts, tree = self._whole
+        return jax.tree.unflatten(tree, [leaves[part.i] if type(part) is _Place else part for part in parts])
 
 
 @cache

@@ -315,9 +315,9 @@ def _in_first_lanes(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
     if axes == wanted:
         return x
     n_inner = x.ndim - axes.bit_count()
-    sizes = [(axis, n) for axis, n in enumerate(lanes) if wanted >> axis & 1]
-    new = [n_inner + at for at, (axis, _) in enumerate(sizes) if not axes >> axis & 1]
-    padding = [(0, 0, 0)] * n_inner + [(0, 0 if axes >> axis & 1 else n - 1, 0) for axis, n in sizes]
+    among = [(axis, n) for axis, n in enumerate(lanes) if wanted >> axis & 1]
+    new = [n_inner + at for at, (axis, _) in enumerate(among) if not axes >> axis & 1]
+    padding = [(0, 0, 0)] * n_inner + [(0, 0 if axes >> axis & 1 else n - 1, 0) for axis, n in among]
     return jax.lax.pad(jnp.expand_dims(x, new), jnp.zeros((), x.dtype), padding)
 
 
@@ -339,18 +339,15 @@ def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes
     own = [(x, has) for x, has, each in zip(cotangents, spread, told, strict=True) if each]
     widest = _joined(has for _, has in own)
     given = [_in_first_lanes(x, has, widest, lanes) for x, has in own]
-    still = [x for x, moves in zip(arguments, linear, strict=True) if not moves]
+    stays = [not moves for moves in linear]
+    still = [*itertools.compress(arguments, stays)]
     back = line.transposed(linear, told)
-    over = (
-        *(widest for _ in given),
-        *(each for each, moves in zip(axes, linear, strict=True) if not moves),
-    )
+    over = *(widest for _ in given), *itertools.compress(axes, stays)
     _, found_over = back.spread(over)
     found = _straight_line.bind(*given, *still, line=back, lanes=lanes, axes=over)
-    wanted_over = [each for each, moves in zip(axes, linear, strict=True) if moves]
     parts = iter(
         _widened(_narrowed(x, has, has & wanted), has & wanted, wanted, lanes)
-        for x, has, wanted in zip(found, found_over, wanted_over, strict=True)
+        for x, has, wanted in zip(found, found_over, itertools.compress(axes, linear), strict=True)
     )
     return [next(parts) if moves else None for moves in linear]
 

@@ -162,12 +162,22 @@ def own_arrays(tree: Any) -> Any:
     return jax.tree.map(_own, tree)
 
 
+class _Mark:
+    """Stands for a leaf of the arguments of `again`."""
+
+    __slots__ = ("place",)
+
+    def __init__(self, place: int):
+        self.place = place
+
+
 def again(make: Callable[..., Any]) -> Callable[..., Any]:
     """A function that puts leaves of its arguments into a pytree, remembered: from its second call on the leaves go
     straight to their places, where making an object of many fields costs more than all that is in them.
 
     Args:
-        make: what it makes has all leaves of its arguments, once each, and depends on nothing else in them.
+        make: puts leaves of its arguments in places that do not depend on their values. Of one that has other leaves as
+            well nothing is remembered.
     """
     known: list = []
 
@@ -177,8 +187,10 @@ def again(make: Callable[..., Any]) -> Callable[..., Any]:
             if of == structure:
                 return jax.tree.unflatten(tree, [leaves[place] for place in places])
         # Marks take the places of the leaves; what is static is the same for all.
-        places, tree = jax.tree.flatten(make(*jax.tree.unflatten(structure, range(len(leaves)))))
-        known[:] = [(places, tree, structure)]
+        marks = map(_Mark, range(len(leaves)))
+        found, tree = jax.tree.flatten(make(*jax.tree.unflatten(structure, marks)))
+        if all(isinstance(leaf, _Mark) for leaf in found):
+            known[:] = [([mark.place for mark in found], tree, structure)]
         return make(*arguments)
 
     return made
