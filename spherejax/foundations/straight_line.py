@@ -264,7 +264,7 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
     """One more axis of lanes, behind those that are there; one lane needs no axis.
 
     With axes of one lane XLA turns what is spread over lanes into changes of shape, and evaluates what lies behind each
-    of them again (a run with a sensitivity: half of the time to compile it).
+    of them again; `benchmarks/derivative_programs.py` counts it.
     """
     n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
     if n == 1:
