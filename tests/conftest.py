@@ -40,9 +40,15 @@ def long_tests() -> dict[str, float]:
     return {name: float(seconds) for seconds, name in lines}
 
 
+UNKNOWN = pytest.StashKey[list[str]]()
+"""Long tests that are not in the files that were collected."""
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    known = long_tests()
+def pytest_collection_modifyitems(config, items):
+    known, met = long_tests(), {item.nodeid for item in items}
+    whole = set() if any("::" in argument for argument in config.args) else {name.split("::")[0] for name in met}
+    config.stash[UNKNOWN] = [name for name in known if name.split("::")[0] in whole and name not in met]
     for item in items:
         if item.nodeid in known:
             item.add_marker(pytest.mark.slow)

@@ -4,7 +4,7 @@ import ast
 from functools import lru_cache
 
 import pytest
-from conftest import ROOT, long_tests
+from conftest import ROOT, UNKNOWN, long_tests
 
 
 @lru_cache
@@ -18,6 +18,11 @@ def names_in(file: str) -> frozenset[str]:
 def test_a_long_test_exists(name):
     file, test = name.split("::")
     assert test.split("[")[0] in names_in(file)
+
+
+def test_its_case_exists(request):
+    """Of the files that were collected with this one: of all, when all tests are run."""
+    assert request.config.stash[UNKNOWN] == []
 
 
 def test_every_file_has_fast_tests_as_well():
