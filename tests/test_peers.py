@@ -28,7 +28,7 @@ MENDED: dict[str, dict[str, Any]] = {
 }
 EMPTY = ("ur3.urdf",)  # a comment without links
 ONE_BODY = ("quadrotor_base.urdf", "iris_simple.urdf")
-QUICK = ("ur5_robot.urdf", "panda.urdf", "solo12.urdf")
+QUICK = ("ur5_robot.urdf", "solo12.urdf")
 
 
 def files() -> list[Path]:
