@@ -1,6 +1,7 @@
 """`sj.rig`: kinematics and compliance of one corner of a car."""
 
 import warnings
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -258,6 +259,7 @@ def computed(prepared: Prepared, points: Any, path: Path) -> Rig:
     reach = kinematics.along_path(programs, frozen, along, path.ends)
     real = None if prepared.real is None else RealPrograms(prepared.real, prepared.ideal)
 
+    @partial(jax.checkpoint, prevent_cse=False)  # as in `kinematics.followed`
     def at(given):
         y, is_reached, inputs = given
         if real is not None:
