@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -360,6 +361,32 @@ def test_second_derivatives_are_those_of_the_corner_by_hand():
     for found, travel in zip(second, (-0.03, 0.03), strict=True):
         wanted = slope(lambda z, at=travel: slope(lambda x: toe_by_hand(x, at), z, 1e-3), ROD_HEIGHT, 1e-3)
         assert float(found) == pytest.approx(wanted, rel=1e-6)
+
+
+def at_height(height, mass=6.0):
+    scene = sj.gallery.double_wishbone({"tie_rod_inner": (-0.13, 0.365, height)})
+    return eqx.tree_at(lambda s: s.bodies["lower_arm"].mass, scene, mass)
+
+
+@pytest.mark.slow
+def test_samples_are_the_rigs_of_their_numbers():
+    """Run by run; a travel out of reach is told with the first run's numbers."""
+    samples = sj.zipped({"height": [0.235, 0.24], "mass": [6.0, 7.0]})
+    with pytest.warns(sj.RigWarning, match=r"2 of 2 samples .* run 0 \(height = 0.235, mass = 6\) at travel = 0.8 m"):
+        found = sj.rig_samples(at_height, samples, [-0.04, 0.04, 0.8])
+    assert found["toe"].dims == ("run", "travel")
+    assert found["toe"].attrs["units"] == "rad"
+    assert np.isnan(found["toe"][:, 2]).all()
+    for run in (0, 1):
+        one = sj.rig(at_height(**samples.row(run)), [-0.04, 0.04])
+        for name in ("toe", "wheel_rate", "wheel_load"):
+            np.testing.assert_allclose(found[name][run, :2], getattr(one, name), rtol=1e-9)
+    np.testing.assert_array_equal(found["height"], [0.235, 0.24])
+
+
+def test_samples_that_are_not_legal_are_refused():
+    with pytest.raises(sj.SceneError, match=r"mass.*-1"):
+        sj.rig_samples(at_height, {"height": [0.235, 0.24], "mass": [6.0, -1.0]})
 
 
 @pytest.mark.slow

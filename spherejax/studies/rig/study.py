@@ -141,9 +141,14 @@ def prepare(scene: Scene, corner: Corner) -> Prepared:
     Raises:
         SceneError: for a scene that cannot be simulated, and for lubricated joints.
     """
-    system = without_friction(compile_scene(on_rig(scene, corner)).system)
+    compiled = compile_scene(on_rig(scene, corner))
+    system = without_friction(compiled.system)
     _refuse_films(system)
-    ideal = flatten_system(without_models(system))
+    structure, numbers = flatten_system(without_models(system))
+    for legal in compiled.conditions:
+        # A traced number that is not legal cannot be refused; nothing is found with it.
+        numbers = numbers if is_concrete(legal) else jnp.where(jnp.all(legal), numbers, jnp.nan)
+    ideal = structure, numbers
     real = flatten_system(system) if system.force_joints else (None, np.zeros(0))
     return Prepared(*ideal, *real)
 
