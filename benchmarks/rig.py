@@ -3,7 +3,8 @@
     python benchmarks/rig.py                    # 10,000 samples with ideal joints, 1,000 with bushes
     python benchmarks/rig.py --only ideal       # or --only rubber
 
-The program that `sj.rig_samples` makes: one sample after the other, on one core. Writes `results/rig.csv`: samples, positions of each, seconds to compile, seconds of a second call, scatter of toe.
+The program that `sj.rig_samples` makes: one sample after the other, on one core. Writes `results/rig.csv`: samples,
+positions of each, seconds to compile, seconds of a second call, scatter of toe.
 """
 
 import argparse
