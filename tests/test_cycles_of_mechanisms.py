@@ -112,7 +112,9 @@ def bouncing(phase, clearance=2e-4):
         "slide": sj.Prismatic(("ground", "slide"), (0.0, 0.0, 0.0), z),
         "shaker": sj.TranslationDriver(("ground", "slide"), (0.0, 0.0, 0.0), z, shaker),
         "guide": sj.Prismatic(("ground", "ball"), (0.0, 0.0, height), z),
-        "play": sj.Spherical("slide.socket", "ball.center", sj.Dry(clearance, normal=sj.ExactRestitution(RESTITUTION))),
+        "play": sj.Spherical(
+            "slide.socket", "ball.center", sj.Dry(clearance, normal=sj.ExactRestitution(restitution=RESTITUTION))
+        ),
     }
     return sj.Scene(bodies, joints)
 
