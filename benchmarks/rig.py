@@ -3,7 +3,8 @@
     python benchmarks/rig.py                    # 10,000 samples with ideal joints, 1,000 with bushes
     python benchmarks/rig.py --only ideal       # or --only rubber
 
-Writes `results/rig.csv`: samples, positions of each, seconds to compile, seconds of a second call, scatter of toe.
+The program that `sj.rig_samples` makes: one sample after the other, on one core. Writes `results/rig.csv`: samples,
+positions of each, seconds to compile, seconds of a second call, scatter of toe.
 """
 
 import argparse
@@ -23,9 +24,6 @@ HALF_WIDTH = 5e-4
 
 MOVED = ("lower_ball", "upper_ball", "tie_rod_inner", "tie_rod_outer", "lower_arm_front", "upper_arm_front")
 DRAWN = {name: np.asarray(place) for name, place in sj.DOUBLE_WISHBONE.items() if name in MOVED}
-BLOCK = 64
-"""Samples side by side."""
-
 RUBBER = sj.MatrixElastomer.cylindrical(
     (0.0, 0.0, 1.0),
     radial_stiffness=8e6,
@@ -47,7 +45,7 @@ def measured(name, n, bushes):
     """A row of the table."""
     shifts = jnp.asarray(np.random.default_rng(0).uniform(-HALF_WIDTH, HALF_WIDTH, (n, 3 * len(DRAWN))))
     began = time.perf_counter()
-    many = jax.jit(lambda shifts: jax.lax.map(lambda s: toe_of(s, bushes), shifts, batch_size=BLOCK))
+    many = jax.jit(lambda shifts: jax.lax.map(lambda s: toe_of(s, bushes), shifts))
     program = many.lower(shifts).compile()
     compiled = time.perf_counter() - began
     jax.block_until_ready(program(shifts))

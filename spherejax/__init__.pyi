@@ -149,7 +149,7 @@ from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
 from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
-from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig
+from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig, rig_samples
 from .studies.roads import load_road
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
@@ -410,6 +410,7 @@ __all__ = [
     "realized_restitution",
     "report",
     "rig",
+    "rig_samples",
     "runtime",
     "save",
     "save_scene",

@@ -253,60 +253,6 @@ def test_multipliers_from_disturbed_starts_are_as_good_as_they_say():
     assert "from disturbed starts" in str(cycle)
 
 
-class Nodding(eqx.Module):
-    """The height of a pivot that is shaken."""
-
-    amplitude: float
-    frequency: float
-
-    def __call__(self, t):
-        return self.amplitude * jnp.cos(2 * jnp.pi * self.frequency * t)
-
-
-def mathieu(amplitude, frequency, damping=0.05):
-    """A pendulum on a slide that a driver shakes: J theta'' + c theta' + (g - a w^2 cos w t) l theta = 0."""
-    slide = sj.Body(1.0, (1e-2, 1e-2, 1e-2))
-    bob = sj.Body(1.0, (2e-2, 1e-2, 1.5e-2), (0.0, 0.0, -0.5))
-    joints = {
-        "slide": sj.Prismatic(("ground", "slide"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        "shaker": sj.TranslationDriver(
-            ("ground", "slide"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Nodding(amplitude, frequency)
-        ),
-        "pivot": sj.Revolute(("slide", "bob"), (0.0, 0.0, 0.0), Y),
-    }
-    return sj.Scene(
-        {"slide": slide, "bob": bob}, joints, {"drag": sj.TorsionalSpring(("slide", "bob"), Y, 0.0, damping)}
-    )
-
-
-def mathieu_multipliers(amplitude, frequency, damping=0.05):
-    J, w = 1e-2 + 0.25, 2 * np.pi * frequency
-
-    def rate(t, y):
-        stiffness = 0.5 * (9.81 - amplitude * w * w * np.cos(w * t)) / J
-        return (np.array([[0.0, 1.0], [-stiffness, -damping / J]]) @ y.reshape(2, 2)).ravel()
-
-    found = scipy.integrate.solve_ivp(rate, (0.0, 1 / frequency), [1.0, 0.0, 0.0, 1.0], rtol=1e-11, atol=1e-12)
-    return np.linalg.eigvals(found.y[:, -1].reshape(2, 2))
-
-
-@pytest.mark.slow
-def test_a_shaken_pendulum_has_the_multipliers_of_mathieu():
-    """At twice its own frequency it leaves the vertical by period doubling, which is located along the amplitude."""
-    branch = sj.continuation(
-        lambda amplitude: mathieu(amplitude, 1.4), "amplitude", (0.002, 0.06), period=1 / 1.4, settle=0
-    )
-    assert branch.succeeded, branch.diagnosis
-    for k in (0, len(branch) - 1):
-        wanted = mathieu_multipliers(branch.values[k], 1.4)
-        found = branch.points[k].multipliers.values
-        np.testing.assert_allclose(sorted_by_size(found), sorted_by_size(wanted), atol=1e-5)
-    (event,) = branch.events
-    assert event.kind == "period doubling"
-    least = scipy.optimize.brentq(lambda a: np.abs(mathieu_multipliers(a, 1.4)).max() - 1, 0.005, 0.06)
-    assert event.value == pytest.approx(least, rel=1e-4)
-
-
 @pytest.mark.slow
 def test_a_path_of_a_scene_is_a_number_too():
     """The same branch along the cubic stiffness, by its path."""

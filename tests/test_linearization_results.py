@@ -186,6 +186,22 @@ def test_zero_eigenvalues_do_not_hide_slow_ones():
     assert np.abs(left / np.abs(found.left).max(0)[:, None]).max() < 1e-6 * np.abs(A).max()
 
 
+def test_what_rounding_leaves_is_no_mode():
+    """Rods that are let go in the horizontal: gravity has no derivative there but what rounding leaves."""
+    modes = sj.linearize(sj.gallery.chain(5)).modes()
+    assert (len(modes), modes.n_zero) == (0, 10)
+
+
+def test_a_slow_mode_is_no_zero():
+    """A wheel whose center hangs a micrometer below its hinge: w^2 = m g d / (J + m d^2)."""
+    wheel = sj.Body(2.0, (1e-2, 2e-2, 1e-2), (0.0, 0.0, -1e-6))
+    modes = sj.linearize(
+        sj.Scene({"wheel": wheel}, {"hinge": sj.Revolute(("ground", "wheel"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))})
+    ).modes()
+    assert modes.n_zero == 0
+    assert abs(modes.eigenvalues[0]) == pytest.approx(np.sqrt(2.0 * 9.81 * 1e-6 / 2e-2), rel=1e-9)
+
+
 def test_a_free_body_has_twelve_zeros():
     modes = sj.linearize(sj.Scene({"stone": sj.Body(1.0, (1e-2, 2e-2, 2.5e-2))}, gravity=(0.0, 0.0, 0.0))).modes()
     assert (len(modes), modes.n_zero) == (0, 12)

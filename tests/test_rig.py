@@ -1,5 +1,8 @@
 """The suspension rig against corners solved by hand, unit loads, energies, and what it must refuse."""
 
+from functools import partial
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -316,32 +319,74 @@ def test_anti_dive_and_ackermann_by_their_formulas(wishbone):
 # Slow: what is compiled --------------------------------------------------------------------------------------------
 
 
+ROD_HEIGHT = 0.235
+
+
+def with_rod_at(height, xp=jnp):
+    """The rig of a corner whose tie rod starts at another height, at two travels."""
+    scene = sj.gallery.double_wishbone({"tie_rod_inner": (-0.13, 0.365, height)})
+    return sj.rig(scene, xp.array([-0.03, 0.03]))
+
+
+def toe_by_hand(height, travel):
+    hand = DoubleWishbone({**DOUBLE_WISHBONE, "tie_rod_inner": (-0.13, 0.365, height)})
+    return read(hand, travel)["toe"]
+
+
 @pytest.mark.slow
 def test_derivatives_by_hardpoints_agree():
-    """Forward, reverse and second derivatives of toe and roll center against the corner by hand."""
-    travel = jnp.array([-0.03, 0.03])
+    """Forward and in reverse: toe against the corner by hand, roll center and wheel rate against differences."""
 
-    def of(z):
-        found = sj.rig(sj.gallery.double_wishbone({"tie_rod_inner": (-0.13, 0.365, z)}), travel)
-        return jnp.stack([found.toe[0], found.toe[1], found.roll_center_height[1], found.wheel_rate[0]])
+    def of(height, xp=jnp):
+        found = with_rod_at(height, xp)
+        return xp.stack([found.toe[0], found.toe[1], found.roll_center_height[1], found.wheel_rate[0]])
 
-    z = 0.235
-    value, forward = jax.jvp(jax.jit(of), (z,), (1.0,))
-    backward = jax.jit(jax.jacrev(of))(z)
-    assert backward == pytest.approx(np.asarray(forward), rel=1e-8)
+    value, forward = jax.jit(lambda height: jax.jvp(of, (height,), (1.0,)))(ROD_HEIGHT)
+    by_hand = [partial(toe_by_hand, travel=travel) for travel in (-0.03, 0.03)]
+    assert np.asarray(value)[:2] == pytest.approx([each(ROD_HEIGHT) for each in by_hand], abs=1e-10)
+    assert np.asarray(forward)[:2] == pytest.approx([slope(each, ROD_HEIGHT) for each in by_hand], rel=1e-7)
+    assert np.asarray(forward) == pytest.approx(slope(lambda z: of(z, np), ROD_HEIGHT), rel=1e-7)
 
-    def by_hand(z, at):
-        hand = DoubleWishbone({**DOUBLE_WISHBONE, "tie_rod_inner": (-0.13, 0.365, z)})
-        return read(hand, at)["toe"]
+    weights = jnp.array([1.0, -2.0])
+    backward = jax.jit(jax.grad(lambda height: weights @ with_rod_at(height).toe))(ROD_HEIGHT)
+    assert float(backward) == pytest.approx(float(weights @ forward[:2]), rel=1e-10)
 
-    assert np.asarray(value)[:2] == pytest.approx([by_hand(z, -0.03), by_hand(z, 0.03)], abs=1e-10)
-    assert np.asarray(forward)[:2] == pytest.approx(
-        [slope(lambda x, a=a: by_hand(x, a), z) for a in (-0.03, 0.03)], rel=1e-7
-    )
-    second = jax.jit(jax.jacfwd(jax.jacfwd(of)))(z)
-    h = 1e-3
-    expected = (by_hand(z + h, 0.03) - 2 * by_hand(z, 0.03) + by_hand(z - h, 0.03)) / h**2
-    assert float(second[1]) == pytest.approx(expected, rel=1e-4)
+
+@pytest.mark.slow
+def test_second_derivatives_are_those_of_the_corner_by_hand():
+    def first(height):
+        return jax.jvp(lambda z: with_rod_at(z).toe, (height,), (1.0,))[1]
+
+    _, second = jax.jit(lambda height: jax.jvp(first, (height,), (1.0,)))(ROD_HEIGHT)
+    for found, travel in zip(second, (-0.03, 0.03), strict=True):
+        wanted = slope(lambda z, at=travel: slope(lambda x: toe_by_hand(x, at), z, 1e-3), ROD_HEIGHT, 1e-3)
+        assert float(found) == pytest.approx(wanted, rel=1e-6)
+
+
+def at_height(height, mass=6.0):
+    scene = sj.gallery.double_wishbone({"tie_rod_inner": (-0.13, 0.365, height)})
+    return eqx.tree_at(lambda s: s.bodies["lower_arm"].mass, scene, mass)
+
+
+@pytest.mark.slow
+def test_samples_are_the_rigs_of_their_numbers():
+    """Run by run; a travel out of reach is told with the first run's numbers."""
+    samples = sj.zipped({"height": [0.235, 0.24], "mass": [6.0, 7.0]})
+    with pytest.warns(sj.RigWarning, match=r"2 of 2 samples .* run 0 \(height = 0.235, mass = 6\) at travel = 0.8 m"):
+        found = sj.rig_samples(at_height, samples, [-0.04, 0.04, 0.8])
+    assert found["toe"].dims == ("run", "travel")
+    assert found["toe"].attrs["units"] == "rad"
+    assert np.isnan(found["toe"][:, 2]).all()
+    for run in (0, 1):
+        one = sj.rig(at_height(**samples.row(run)), [-0.04, 0.04])
+        for name in ("toe", "wheel_rate", "wheel_load"):
+            np.testing.assert_allclose(found[name][run, :2], getattr(one, name), rtol=1e-9)
+    np.testing.assert_array_equal(found["height"], [0.235, 0.24])
+
+
+def test_samples_that_are_not_legal_are_refused():
+    with pytest.raises(sj.SceneError, match=r"mass.*-1"):
+        sj.rig_samples(at_height, {"height": [0.235, 0.24], "mass": [6.0, -1.0]})
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ A mechanism that can move as a rigid body, or that nothing holds, has pairs of z
 computed as they stand, rounding splits them to +-1e-8 of the fastest rate, among which slow modes are lost. They are
 taken out first, by the staircase: an orthonormal basis [Q0, Q1] whose first part spans the null space makes A block
 triangular, [0, *; 0, A1], and so on with A1 until nothing is left in the null space. Ranks are judged by singular
-values after balancing.
+values after balancing. Balancing makes small entries count, and so what rounding has left of forces that cancel must be
+taken for nothing before.
 """
 
 from typing import Any, NamedTuple
@@ -35,8 +36,14 @@ class Eigen(NamedTuple):
     condition: Float[np.ndarray, " k"]
 
 
-def eigen(A: Float[np.ndarray, "n n"]) -> Eigen:
-    """Eigenvalues and vectors of a state matrix."""
+def eigen(A: Float[np.ndarray, "n n"], rounding: Float[np.ndarray, "n n"] | float = 0.0) -> Eigen:
+    """Eigenvalues and vectors of a state matrix.
+
+    Args:
+        A: state matrix.
+        rounding: entries that are no larger than this are zero.
+    """
+    A = np.where(np.abs(A) > rounding, A, 0.0)
     n = len(A)
     if not n:
         none = np.zeros((0, 0), complex)

@@ -51,6 +51,7 @@ class Linearization:
         kept: which of the coordinates, speeds and entries of memory are states; memory that nothing changes is none.
         rates: derivatives of the rates of displacements, velocities and memory along all of these, world axes, shape
             (12 n + m, 2 f + m).
+        rounding: how large an entry of A may be by rounding alone.
     """
 
     A: Float[np.ndarray, "n_x n_x"]
@@ -70,6 +71,7 @@ class Linearization:
     geometry: Geometry
     kept: Bool[np.ndarray, " n"]
     rates: Float[np.ndarray, "n_z n"]
+    rounding: Float[np.ndarray, "n_x n_x"]
 
     @property
     def degrees_of_freedom(self) -> int:

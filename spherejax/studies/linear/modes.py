@@ -64,7 +64,7 @@ class Modes:
 
     def __init__(self, linear: Any):
         self.linear = linear
-        found = eigen(linear.A)
+        found = eigen(linear.A, linear.rounding)
         chosen, self.n_zero = _one_of_pairs(found), found.n_zero
         self._all, self._eigen = found.values, Eigen(found.n_zero, *(each[..., chosen] for each in found[1:]))
         self.eigenvalues: Complex[np.ndarray, " k"] = self._eigen.values

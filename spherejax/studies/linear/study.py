@@ -112,7 +112,8 @@ def _linearized(point: Point, numbers: list[Number], outputs: Outputs, axes: np.
         forced, shown, held = equations.by_numbers(names, slopes)
         _require_free(numbers, held)
         B, D = (inverse @ forced)[keep], shown
-    nearby = equations.rates(_steps(point, basis)[0])
+    steps, sizes = _steps(point, basis)
+    nearby = equations.rates(steps)
     result = Linearization(
         A=A,
         B=B,
@@ -130,6 +131,7 @@ def _linearized(point: Point, numbers: list[Number], outputs: Outputs, axes: np.
         geometry=found,
         kept=keep,
         rates=rates,
+        rounding=_rounding(point, inverse, rates, nearby[0], sizes)[np.ix_(keep, keep)],
         steadiness=steadiness_of(point, axes, coordinates, rates, nearby[0]),
     )
     _warn_of_kinks(result, nearby)
@@ -226,6 +228,28 @@ def _steps(point: Point, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     sizes = KINK_STEP / np.max(np.abs(basis) / scales[:, None], axis=0, initial=1e-300)
     steps = [share * sign * (basis * sizes).T for share in (1.0, 0.1) for sign in (1, -1)]
     return np.concatenate([np.zeros((1, len(basis))), *steps]), sizes
+
+
+def _rounding(point: Point, inverse: np.ndarray, rates: np.ndarray, now: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """What rounding may leave in entries of A.
+
+    Of derivatives that cancel, and of the accelerations at the state and by gravity, which joints take up: by a change
+    as large as the mechanism they change by as much as themselves.
+
+    Args:
+        point: the state.
+        inverse: coordinates by changes.
+        rates: derivatives of the rates along coordinates.
+        now: rates at the state.
+        sizes: of coordinates that move the mechanism by `KINK_STEP`.
+    """
+    layout = point.system.layout
+    falling = np.concatenate([np.abs(np.asarray(point.system.gravity)), np.zeros(3)])
+    now = np.abs(now)
+    now[: layout.n_velocity] = 0.0
+    now[layout.n_velocity : 2 * layout.n_velocity] += np.tile(falling, layout.n_bodies)
+    by_state = np.outer(np.abs(inverse) @ now, KINK_STEP / sizes)
+    return ROUNDING * (np.abs(inverse) @ np.abs(rates) + by_state)
 
 
 def _warn_of_kinks(result: Linearization, nearby: np.ndarray) -> None:

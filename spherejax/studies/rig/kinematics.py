@@ -247,4 +247,11 @@ def _turn(layout: Layout, first: Any, second: Any, xp: Any = jnp) -> Scalar:
 
 def followed(programs: RigPrograms, theta: Array, y: Array, inputs: Array) -> Array:
     """A position whose derivatives by all numbers are those of the closed mechanism."""
-    return jax.lax.scan(lambda y, _: (programs.closed(theta, y, inputs)[0], None), y, length=N_FOLLOWED)[0]
+
+    # Reverse mode keeps the state alone, not the thousands of numbers that a step's derivative needs: these are cheap,
+    # and as arrays over all steps they would compile for minutes.
+    @partial(jax.checkpoint, prevent_cse=False)
+    def step(y, _):
+        return programs.closed(theta, y, inputs)[0], None
+
+    return jax.lax.scan(step, y, length=N_FOLLOWED)[0]

@@ -1,6 +1,7 @@
 """`sj.rig`: kinematics and compliance of one corner of a car."""
 
 import warnings
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -140,9 +141,14 @@ def prepare(scene: Scene, corner: Corner) -> Prepared:
     Raises:
         SceneError: for a scene that cannot be simulated, and for lubricated joints.
     """
-    system = without_friction(compile_scene(on_rig(scene, corner)).system)
+    compiled = compile_scene(on_rig(scene, corner))
+    system = without_friction(compiled.system)
     _refuse_films(system)
-    ideal = flatten_system(without_models(system))
+    structure, numbers = flatten_system(without_models(system))
+    for legal in compiled.conditions:
+        # A traced number that is not legal cannot be refused; nothing is found with it.
+        numbers = numbers if is_concrete(legal) else jnp.where(jnp.all(legal), numbers, jnp.nan)
+    ideal = structure, numbers
     real = flatten_system(system) if system.force_joints else (None, np.zeros(0))
     return Prepared(*ideal, *real)
 
@@ -258,6 +264,7 @@ def computed(prepared: Prepared, points: Any, path: Path) -> Rig:
     reach = kinematics.along_path(programs, frozen, along, path.ends)
     real = None if prepared.real is None else RealPrograms(prepared.real, prepared.ideal)
 
+    @partial(jax.checkpoint, prevent_cse=False)  # as in `kinematics.followed`
     def at(given):
         y, is_reached, inputs = given
         if real is not None:
