@@ -68,9 +68,9 @@ CASES = {
     "bushing": Case("bushing k 1e6 N/m, b 1e-4 s, 2 s", sj.Bushing(1e6, 1e-4), 2.0, 1e-12, (*_FREE, "Rodas5P")),
     "stiff_bushing": Case("bushing k 1e6 N/m, b 1e-2 s, 2 s", sj.Bushing(1e6, 1e-2), 2.0, 1e-11, ("Rodas5P", *_FREE)),
     "dry_short": Case(
-        "dry, friction, c 0.1 mm, 0.2 s", _friction, 0.2, 1e-12, ("Dopri8", "Rodas5P", "DOP853", "CVODE")
+        "dry with friction, c 0.1 mm, 0.2 s", _friction, 0.2, 1e-12, ("Dopri8", "Rodas5P", "DOP853", "CVODE")
     ),
-    "dry_long": Case("dry, friction, c 0.1 mm, 2 s", _friction, 2.0, 1e-12, ("Dopri8", "DOP853", "CVODE")),
+    "dry_long": Case("dry with friction, c 0.1 mm, 2 s", _friction, 2.0, 1e-12, ("Dopri8", "DOP853", "CVODE")),
     "film_short": Case("lubricated, c 0.1 mm, 0.2 s", _film, 0.2, 1e-11, ("Rodas5P", *_FREE)),
     "film_long": Case("lubricated, c 0.1 mm, 1 s", _film, 1.0, 1e-10, ("Rodas5P", "Dopri8", "DOP853", "CVODE")),
 }

@@ -96,7 +96,7 @@ def films() -> Figure:
     )
     angle = np.linspace(0, 2 * np.pi, 300)
     for (left, right), (name, film), color in zip(
-        panels, kinds.items(), (LINES[3], LINES[1]), strict=True
+        panels, kinds.items(), ("#56B4E9", COLORS["lubricated"]), strict=True
     ):
         model = sj.Lubricated(clearance=1e-4, viscosity=0.4, film=film)
         run = sj.simulate(sj.gallery.four_bar(model), ts, rtol=1e-8)

@@ -22,10 +22,10 @@ from spherejax.output.plot.limits import Limit, limits_to_ideal
 from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
-from spherejax.output.plot.style import LAW_COLORS, new_figure, number_decades, typeset_number
+from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, new_figure, number_decades, typeset_number
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult
-from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures
+from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures, study_figure
 
 TS = np.linspace(0.0, 2.0, 20001)
 
@@ -213,6 +213,15 @@ def test_a_comparison_draws_every_figure_of_the_paper(models):
     assert set(law_figures()) <= set(found)
     for name in set(found) - set(law_figures()) - {"fig09_mechanism"}:  # a drawing, no panels with axes
         check_readable(found[name]())
+
+
+def test_a_film_has_one_color_in_all_figures(models):
+    """The full film is that of the lubricated joint, the paper's is no other model's."""
+    both = next(study for study in parameter_studies() if study.name == "fig15b")
+    result = StudyResult(both, [curves(case.label) for case in both.cases])
+    found = drawn(study_figure(result, Comparison(2.0, [], models, {}, [], [], 0.5, subject=FOUR_BAR)), 0)
+    assert found["full film"].get_color() == MODEL_COLORS["lubricated"]
+    assert found["radial film, the paper's"].get_color() not in MODEL_COLORS.values()
 
 
 def test_axes_name_the_body_that_moves(models):

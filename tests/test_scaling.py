@@ -16,7 +16,9 @@ from spherejax.motion.equations import programs
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.paths import path_of
 from spherejax.motion.equations.programs import made_program, program_for
-from spherejax.motion.integration.integrate import initial_state
+from spherejax.motion.integration import compiling
+from spherejax.motion.integration.integrate import Plan, initial_state
+from spherejax.motion.integration.longest_step import longest_step
 from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.motion.start.start_now import start_now
 
@@ -123,6 +125,26 @@ def test_the_path_follows_from_the_size():
     assert "20000 scalar operations" in path_of(large).reason
     assert path_of(large, True) == (True, "scalar program: as asked for")
     assert path_of(small, False).scalar is False
+
+
+def test_large_scalar_programs_are_compiled_soon_and_a_four_bar_well(monkeypatch):
+    def options(scene, scalar=None):
+        return compiling.options_for(Plan(structure_of(scene)[0], (), scalar))
+
+    four_bar = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))
+    assert options(four_bar) == {}
+    monkeypatch.setattr(compiling, "LARGE", 1_000)
+    assert options(four_bar)["xla_backend_optimization_level"] == 0
+    assert options(four_bar, scalar=False) == {}, "array code needs the compiler"
+
+
+def test_array_code_shows_whether_time_enters():
+    """Else it takes a hundred steps for a motion of nine."""
+    ts = np.linspace(0.0, 1.0, 3)
+    for scalar in (True, False):
+        assert longest_step(structure_of(sj.gallery.chain(3))[0], ts, scalar=scalar) is None
+        driven = structure_of(sj.gallery.suspension())[0]
+        assert longest_step(driven, ts, scalar=scalar) == pytest.approx(0.01)
 
 
 def test_a_run_switches_by_itself_and_says_so(monkeypatch):

@@ -36,6 +36,10 @@ A study that goes round more lengths of records, or mechanisms, than this compil
 environment variable `SPHEREJAX_PROGRAMS` to more before the import, or to less where memory is short."""
 
 
+Options = Mapping[str, Any] | Callable[..., Mapping[str, Any]]
+"""Options of XLA, or a function from the arguments of a call to them."""
+
+
 class _Key:
     """By what a program is told; its hash is computed once."""
 
@@ -260,7 +264,7 @@ def _programs_in(parameters: Iterable) -> Iterator[Any]:
 class BoundedJit:
     """A compiled function; see `bounded_jit`."""
 
-    def __init__(self, function: Callable, n_programs: int, what: str, options: Mapping[str, Any]):
+    def __init__(self, function: Callable, n_programs: int, what: str, options: Options):
         self._function, self._n_programs, self._what, self._options = function, n_programs, what, options
         self._entries: OrderedDict[Hashable, _Entry] = OrderedDict()
         self._lock = threading.RLock()
@@ -328,7 +332,12 @@ class BoundedJit:
         static, static_tree = jax.tree.flatten(rest)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
         key = _Key(static_tree, tuple(static), tree, kinds)
-        return key, lambda: _Entry(self._function, rest, tree, kinds, self._options), leaves
+
+        def made() -> _Entry:
+            options = self._options(*arguments, **named) if callable(self._options) else self._options
+            return _Entry(self._function, rest, tree, kinds, options)
+
+        return key, made, leaves
 
     def _kept(self, key: _Key, make: Callable[[], _Entry]) -> _Entry:
         with self._lock:
@@ -350,7 +359,7 @@ def bounded_jit(
     *,
     n_programs: int = N_PROGRAMS,
     what: str = "",
-    options: Mapping[str, Any] = MappingProxyType({}),
+    options: Options = MappingProxyType({}),
 ) -> Any:
     """Compile a function: arrays are traced, all else is static, as `eqx.filter_jit` does.
 
@@ -361,7 +370,7 @@ def bounded_jit(
         n_programs: how many programs are kept; the one that was used longest ago goes first, and is compiled again when
             it is asked for again.
         what: what whoever waits is told to wait for, e.g. `"a run"`; by default the name of the function.
-        options: of XLA, for programs that are kept on disk.
+        options: of XLA, or a function that says them for the arguments of a call.
     """
     if function is None:
         return partial(bounded_jit, n_programs=n_programs, what=what, options=options)

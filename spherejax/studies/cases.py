@@ -90,6 +90,7 @@ class Study:
         chaotic: whether late histories depend on the tolerance.
         ordered: whether the cases are values of one number.
         close_up: whether the figure shows the instants near zero sliding.
+        of_films: whether the cases are the paper's film and the full one, which have colors of their own.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Study:
     chaotic: bool = False
     ordered: bool = False
     close_up: bool = False
+    of_films: bool = False
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,7 @@ def parameter_studies(film: AbstractFilm | None = None) -> list[Study]:
               tuple(lubricated_case(_gap(c), c, film) for c in CLEARANCES), histories=True, ordered=True),
         Study("fig15b", "Lubricated joint: the paper's film against the full one (c = 0.10 mm; 0.4 Pa s, Guembel)",
               tuple(lubricated_case(film_name(each), film=each) for each in (RadialFilm(), FullFilm())),
-              histories=True),
+              histories=True, of_films=True),
         Study("fig16", "Bushing: stiffness k (b = 1e-2 s)",
               tuple(bushing_case(f"k = {k:.0e} N/m", stiffness=k) for k in (1e5, 1e6, 1e7)),
               histories=True, ordered=True),

@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.foundations import kept_on_disk
 from spherejax.foundations.collecting import collecting_later
@@ -78,6 +79,16 @@ class Program:
                 ArrayPathWarning,
                 stacklevel=2,
             )
+
+    @cached_property
+    def reads_time(self) -> bool:
+        """Whether time enters by itself; of array code as far as its operations show, without their numbers."""
+        if self.scalar is not None:
+            return self.scalar.reads(_TIME)
+        theta, number, state = _shapes(self.structure, None)
+        traced = jax.make_jaxpr(self)(theta, number, state).jaxpr
+        _, is_read = dce_jaxpr(traced, [True] * len(traced.outvars))
+        return is_read[_TIME]
 
     def ahead(self, *leading):
         """What depends on the leading arguments (the parameters first) alone, evaluated once; pass it to `inside`."""
@@ -148,23 +159,33 @@ def made_program(*what) -> Program:
 def _scalar_program(
     function: SystemFunction, structure: Structure, y_size: Sizes, n_ahead: int, limit: int | None
 ) -> ScalarProgram:
-    size = sum(int(np.prod(shape)) for shape in structure.shapes)
+    shapes, number, state = _shapes(structure, y_size)
 
     def of_numbers(theta, t, y):
         return function(structure.system(theta), t, y)
 
     of_numbers.__name__ = function.__name__
+    fixed = {(0, index): value for index, value in structure.special}
+    sizes = jax.tree.map(lambda x: x.shape, state)
+    key = kept_on_disk.key_for("scalar program", function, structure, sizes, n_ahead, limit)
+    program = kept_on_disk.load(key)
+    if program is None:
+        program = scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit)
+        kept_on_disk.save(key, program)
+    return program
+
+
+def _shapes(structure: Structure, y_size: Sizes) -> tuple[Any, Any, Any]:
+    """Of the three arguments of a program."""
+    size = sum(int(np.prod(shape)) for shape in structure.shapes)
     number = jax.ShapeDtypeStruct((), jnp.float64)
     shapes = jax.ShapeDtypeStruct((size,), jnp.float64)
     if y_size is None:
         y_size = jax.eval_shape(structure.system, shapes).layout.size
     sizes = y_size if isinstance(y_size, tuple) else (y_size,)
     vectors = tuple(jax.ShapeDtypeStruct((size,), jnp.float64) for size in sizes)
-    state = vectors if isinstance(y_size, tuple) else vectors[0]
-    fixed = {(0, index): value for index, value in structure.special}
-    key = kept_on_disk.key_for("scalar program", function, structure, sizes, isinstance(y_size, tuple), n_ahead, limit)
-    program = kept_on_disk.load(key)
-    if program is None:
-        program = scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit)
-        kept_on_disk.save(key, program)
-    return program
+    return shapes, number, vectors if isinstance(y_size, tuple) else vectors[0]
+
+
+_TIME = 1
+"""Place of t among the arguments of a program."""

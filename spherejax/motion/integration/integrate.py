@@ -23,6 +23,7 @@ from spherejax.motion.equations.projection import correction_of
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
 from spherejax.motion.integration.auditing import AuditingSolver, of_audited, watch_of
+from spherejax.motion.integration.compiling import options_for_stiff
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import Samples, SamplingSolver, samples_of
@@ -121,14 +122,7 @@ class Outcome(eqx.Module):
     assembly: Assembly
 
 
-FEWER_WORDS = {"xla_llvm_enable_noalias_metadata": False}
-"""A stiff method's program is thousands of scalars, and LLVM is told of each pair that they do not overlap.
-
-Without that the first call of the film's takes a sixth to a quarter less processor time, and runs the same within the
-noise, with the same bits (`benchmarks/fewer_words.py`)."""
-
-
-@bounded_jit(what="a run", options=FEWER_WORDS)
+@bounded_jit(what="a run", options=options_for_stiff)
 def integrate(
     plan: Plan,
     options: Options,

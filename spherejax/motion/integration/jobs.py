@@ -23,6 +23,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import magnitudes
 from spherejax.motion.integration.audit import Limits, limits_of
+from spherejax.motion.integration.compiling import options_for
 from spherejax.motion.integration.implicit_rows import slack_of, solver_of_rows
 from spherejax.motion.integration.integrate import (
     Options,
@@ -346,14 +347,14 @@ class _Request(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
 
 
-@bounded_jit(what="a run")
+@bounded_jit(what="a run", options=options_for)
 def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
     """As `integrate`, in a lane."""
     job = request.job(plan, values, known, ts, start, values_are_legal)
     return _outcome(request, job, request.made(plan, job, ts, False))
 
 
-@bounded_jit(what="a run and its derivatives")
+@bounded_jit(what="a run and its derivatives", options=options_for)
 def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
     def job_of_values(values):
         return request.job(plan, values, known, ts, start, values_are_legal)

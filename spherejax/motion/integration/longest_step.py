@@ -25,9 +25,6 @@ from spherejax.physics.state import unpack
 STEPS_AT_LEAST = 100
 """Steps over the whole motion, at least: what lasts for a fiftieth of it is met."""
 
-_TIME = 1
-"""Place of t among the arguments of a program."""
-
 
 def longest_step(
     structure: Structure, ts: Float[Array, " n"], *, scalar: bool | None = None
@@ -37,11 +34,10 @@ def longest_step(
     Args:
         structure: structure of the system.
         ts: sample times [s].
-        scalar: whether the run is on the scalar program, which shows whether time enters; array code does not, and
-            counts as if it did.
+        scalar: whether the run is on the scalar program.
     """
-    program = program_for(state_rate, structure, scalar).scalar
-    if program is not None and not program.reads(_TIME):
+    program = program_for(state_rate, structure, scalar)
+    if not program.reads_time:
         return None
     return (jnp.asarray(ts)[-1] - jnp.asarray(ts)[0]) / STEPS_AT_LEAST
 

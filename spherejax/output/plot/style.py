@@ -28,6 +28,9 @@ MODEL_COLORS = {
 }
 """A color for each joint model, from the palette of Okabe and Ito (2008), which survives color blindness."""
 
+FILM_COLORS = ("#56B4E9", MODEL_COLORS["lubricated"])
+"""Colors of the paper's film and of the full one, which is that of the lubricated joint in all other figures."""
+
 LAW_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors of things without an order, such as laws; of the same palette."""
 

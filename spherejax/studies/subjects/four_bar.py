@@ -96,10 +96,10 @@ def law_figures() -> dict[str, Callable]:
 def study_figure(result: "StudyResult", comparison: "Comparison"):
     """Figures 10 to 17."""
     from spherejax.output.plot import histories
-    from spherejax.output.plot.style import LAW_COLORS, ordered_colors
+    from spherejax.output.plot.style import FILM_COLORS, LAW_COLORS, ordered_colors
 
     study, ideal = result.study, comparison.models["ideal"]
-    colors = ordered_colors(len(study.cases)) if study.ordered else LAW_COLORS
+    colors = ordered_colors(len(study.cases)) if study.ordered else FILM_COLORS if study.of_films else LAW_COLORS
     horizon = comparison.horizons["dry"] if study.chaotic else None
     if study.histories:
         return histories.four_histories(result.curves, ideal, study.title, colors=colors, horizon=horizon)

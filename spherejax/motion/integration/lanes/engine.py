@@ -107,6 +107,9 @@ class _Queue:
         # And what the audit and the peaks begin with: a lane that takes a job only fetches it.
         self.begun = jax.vmap(self._begun)(y0, parameters)
         self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
+        # A correction is as large as the right-hand side. The samples of one run are corrected after its loop, and the
+        # start with them: one copy of it less, 14,000 operations of a robot arm's 58,000.
+        self.corrects_late = problem.correct is not None and self.n_jobs == 1 and ts.shape[0] > 2 and not capacity
 
     # A lane ------------------------------------------------------------------------------------------------------
 
@@ -218,7 +221,8 @@ class _Queue:
         share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
         instant = jnp.where(bend != 0, t + share * (t_next - t), at)
         y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
-        return y if self.problem.correct is None else self.problem.correct(parameters, at, y)
+        is_raw = self.problem.correct is None or self.corrects_late
+        return y if is_raw else self.problem.correct(parameters, at, y)
 
     # A block -----------------------------------------------------------------------------------------------------
 
@@ -230,7 +234,8 @@ class _Queue:
         is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
         correct = self.problem.correct
         # The start is corrected as all samples are; the integration begins with what it was given.
-        first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
+        is_raw = correct is None or self.corrects_late
+        first = self.y0 if is_raw else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
         ys = jnp.where(is_start, first[:, None], jnp.nan)
         size = self.y0[0].size
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
@@ -262,7 +267,14 @@ class _Queue:
         log = carry[5]
         if log is not None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
-        return self._outcome(carry[3], carry[2], carry[4]), log
+        ys = self._with_corrected_samples(carry[3]) if self.corrects_late else carry[3]
+        return self._outcome(ys, carry[2], carry[4]), log
+
+    def _with_corrected_samples(self, ys):
+        """The samples of the one run, of which the last is the end of a step, and corrected as such."""
+        parameters = jax.tree.map(lambda x: x[0], self.parameters)
+        inside = jax.lax.map(lambda row: self.problem.correct(parameters, *row), (self.ts[:-1], ys[0, :-1]))
+        return jnp.concatenate([inside, ys[0, -1:]])[None]
 
     def block_of(self, jobs) -> Lane:
         """Lanes at the start of jobs."""

@@ -1,0 +1,43 @@
+"""How the compiler is told to make the program of a run: soon, where it is large."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+
+LARGE = 10_000
+"""Scalar operations of a right-hand side from which on a run is compiled soon rather than well.
+
+A four-bar has 2,000 of them, a robot arm of nine joints (Panda) 15,000. LLVM takes more than half of the time that the
+compiler needs for so many, and finds little to improve in them: without
+it Panda's first call takes 13 s of processor time instead of 21, and a run 2.3 ms instead of 2.1."""
+
+FEWER_WORDS = {"xla_llvm_enable_noalias_metadata": False}
+"""A stiff method's program is thousands of scalars, and LLVM is told of each pair that they do not overlap.
+
+Without that the first call of the film's takes a sixth to a quarter less processor time, and runs the same within the
+noise, with the same bits (`benchmarks/fewer_words.py`). So it is with large programs of all methods."""
+
+SOON = {**FEWER_WORDS, "xla_backend_optimization_level": 0}
+"""Options for large programs."""
+
+
+def options_for(plan: Any, *_: Any) -> Mapping[str, Any]:
+    """The compiler's options for a run.
+
+    Args:
+        plan: what the run is compiled for.
+    """
+    return SOON if is_large(plan) else {}
+
+
+def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
+    """As `options_for`, for a run of diffrax's loop."""
+    return SOON if is_large(plan) else FEWER_WORDS
+
+
+def is_large(plan: Any) -> bool:
+    """Whether a run is on a scalar program that takes long to compile; array code does not, and needs the compiler."""
+    scalar = program_for(state_rate, plan.structure, plan.scalar).scalar
+    return scalar is not None and scalar.n_operations > LARGE
