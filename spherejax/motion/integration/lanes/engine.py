@@ -221,8 +221,8 @@ class _Queue:
         share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
         instant = jnp.where(bend != 0, t + share * (t_next - t), at)
         y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
-        is_raw = self.problem.correct is None or self.corrects_late
-        return y if is_raw else self.problem.correct(parameters, at, y)
+        correct = None if self.corrects_late else self.problem.correct
+        return y if correct is None else correct(parameters, at, y)
 
     # A block -----------------------------------------------------------------------------------------------------
 
@@ -232,10 +232,9 @@ class _Queue:
         jobs = jnp.arange(width)
         lanes = self.block_of(jobs) if self.refills else jax.vmap(self._lane, out_axes=-1)(jobs, self._starts)
         is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
-        correct = self.problem.correct
+        correct = None if self.corrects_late else self.problem.correct
         # The start is corrected as all samples are; the integration begins with what it was given.
-        is_raw = correct is None or self.corrects_late
-        first = self.y0 if is_raw else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
+        first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
         ys = jnp.where(is_start, first[:, None], jnp.nan)
         size = self.y0[0].size
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
@@ -273,7 +272,8 @@ class _Queue:
     def _with_corrected_samples(self, ys):
         """The samples of the one run, of which the last is the end of a step, and corrected as such."""
         parameters = jax.tree.map(lambda x: x[0], self.parameters)
-        inside = jax.lax.map(lambda row: self.problem.correct(parameters, *row), (self.ts[:-1], ys[0, :-1]))
+        correct: Any = self.problem.correct
+        inside = jax.lax.map(lambda row: correct(parameters, *row), (self.ts[:-1], ys[0, :-1]))
         return jnp.concatenate([inside, ys[0, -1:]])[None]
 
     def block_of(self, jobs) -> Lane:
