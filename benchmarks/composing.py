@@ -1,6 +1,6 @@
 """What composing costs: a run under jax.vmap, jvp, jacfwd, grad and jit, in units of the run alone.
 
-    python benchmarks/composing.py                            # about 8 minutes
+    python benchmarks/composing.py                            # about 10 minutes
     python benchmarks/composing.py vmap derivatives calls     # these parts
 
 Four-bar, 0.2 s, rtol 1e-8, eleven samples. All is timed in one process: a ratio is of two medians of five. `vmap` is
@@ -21,7 +21,7 @@ import spherejax as sj
 
 TS = jnp.linspace(0.0, 0.2, 11)
 RTOL = 1e-8
-WIDTHS = (64, 256)
+WIDTHS = (64, 256, 1000)
 
 rows: list[dict[str, object]] = []
 

@@ -164,8 +164,10 @@ def _read(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argpar
 
 def meant(flags: Sequence[str], parser: argparse.ArgumentParser) -> str:
     """The options that are spelled like these, as a question; nothing where there are none."""
-    near = [difflib.get_close_matches(flag, parser._option_string_actions, n=1) for flag in flags]
-    return "; did you mean " + " and ".join(each[0] for each in near if each) + "?" if any(near) else ""
+    # Dashes count for nothing: with them every short word resembles every other.
+    options = {option.lstrip("-"): option for option in parser._option_string_actions}
+    near = [difflib.get_close_matches(flag.lstrip("-"), options, n=1) for flag in flags]
+    return "; did you mean " + " and ".join(options[each[0]] for each in near if each) + "?" if any(near) else ""
 
 
 def _in_one_line(message: Any, category: type, filename: str, lineno: int, line: str | None = None) -> str:

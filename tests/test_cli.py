@@ -1,5 +1,6 @@
 """The command line as a user meets it: exit codes, messages, files."""
 
+import argparse
 import csv
 import gc
 import re
@@ -203,6 +204,15 @@ def test_what_is_misspelled_is_told_before_anything_is_made(words, message, caps
     said = " ".join(capsys.readouterr().err.split())
     said = re.sub(r" \(choose from [^)]*\)", "", said)
     assert message in said
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [("--watch", ""), ("--atoll", "; did you mean --atol?"), ("-atol", "; did you mean --atol?")]
+)
+def test_an_option_that_resembles_none_is_taken_for_none(given, said):
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--atol")
+    assert cli.meant([given], parser) == said
 
 
 def test_a_warning_of_ours_is_a_sentence_and_not_a_place_in_our_code():
