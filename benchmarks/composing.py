@@ -34,7 +34,7 @@ def add(case: str, what: str, seconds: float, unit: float, goal: float, compiled
             "what": what,
             "milliseconds": f"{seconds * 1e3:.2f}",
             "ratio": f"{seconds / unit:.2f}",
-            "goal": goal,
+            "goal": "" if np.isnan(goal) else goal,
             "first_call_cpu_s": "" if np.isnan(compiled) else f"{compiled:.1f}",
         }
     )

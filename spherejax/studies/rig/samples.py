@@ -40,7 +40,8 @@ def rig_samples(
         found = sj.rig_samples(build, sj.random_samples(spreads, 10_000), np.linspace(-0.08, 0.08, 9))
         found["toe"].std("run")
 
-    One program for all of them, compiled in each call; ten thousand samples then take seconds.
+    One program for all of them; ten thousand samples then take seconds. It is kept: a further call with as many samples
+    and travels traces it again, and compiles nothing.
 
     Args:
         build: makes a scene from the numbers, given by keyword. It is traced.
