@@ -9,7 +9,7 @@ import pytest
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.solvers.automatic import choose_solver, explicit_rate_limit
-from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
+from spherejax.motion.solvers.joint_rates import fastest_in_clearance, rates_in_clearance, rates_under_load
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.tolerances import component_tolerances
 
@@ -93,18 +93,90 @@ def test_a_film_is_looked_at_under_load_where_the_load_presses_through_it():
     assert rates[1] > 0.0
 
 
-def test_traced_numbers_are_not_looked_at():
+def test_numbers_hidden_by_jit_leave_the_choice_to_the_models_or_to_the_start():
     @jax.jit
     def reasons(k):
         bushing = choose_solver(system_of(sj.Bushing(k, 1e-2)))
         film = choose_solver(system_of(sj.Lubricated(1e-4, viscosity=k)))
+        friction = choose_solver(system_of(sj.Dry(k, friction=sj.Threlfall())))
         assert isinstance(bushing.solver, diffrax.Dopri8)
-        assert "traced" in bushing.reason
-        assert isinstance(film.solver, sj.Rodas5P)
-        assert "traced" in film.reason
+        assert isinstance(bushing.at_start.solver, sj.Ros34PW2)
+        assert bushing.at_start.limit > explicit_rate_limit(1e-6)  # less at a looser tolerance
+        assert "when the run starts" in bushing.reason
+        for choice, solver in ((film, sj.Rodas5P), (friction, diffrax.Dopri8)):
+            assert isinstance(choice.solver, solver)
+            assert choice.at_start is None
+            assert "traced" in choice.reason
         return k
 
     reasons(1e6)
+
+
+def test_numbers_behind_derivatives_and_lanes_are_looked_at():
+    """Outside `jax.jit` JAX knows the numbers: the choice is that of the same numbers without a transformation."""
+    found = []
+
+    def looked(k, b=1e-2):
+        found.append(choose_solver(system_of(sj.Bushing(k, b)), 1e-5))
+        return 1.0 * k
+
+    k = 1e6
+    known = choose_solver(system_of(sj.Bushing(k, 1e-2)), 1e-5)
+    assert isinstance(known.solver, sj.Ros34PW2)
+    jax.jvp(looked, (k,), (1.0,))
+    jax.grad(looked)(k)
+    jax.vjp(looked, k)
+    jax.hessian(looked)(k)
+    jax.vmap(jax.grad(looked))(jnp.array([k, k]))
+    assert [choice.reason for choice in found] == [known.reason] * len(found)
+    found.clear()
+    # One stiff lane of four decides, also where two axes are mapped; none, where none is stiff.
+    jax.vmap(looked)(jnp.array([1e3, 1e3, k, 1e3]))
+    jax.vmap(jax.vmap(looked, (None, 0)), (0, None))(jnp.array([1e3, k]), jnp.array([1e-6, 1e-2]))
+    jax.vmap(looked)(jnp.array([1e3, 1e3]))
+    assert [type(choice.solver) for choice in found] == [sj.Ros34PW2, sj.Ros34PW2, diffrax.Dopri8]
+
+
+@pytest.mark.parametrize(("k", "b"), [(1e3, 1e-6), (1e6, 1e-2), (1e8, 1e-1), (1e6, 0.0)])
+def test_the_rate_at_the_start_of_a_traced_run_is_that_of_a_known_one(k, b):
+    """By powers of matrices instead of eigenvalues: never less, at most 3^(1/16) more."""
+    structure, theta = flatten_system(system_of(sj.Bushing(k, b)))
+    known = float(np.max(rates_in_clearance(structure, theta)))
+    traced = float(fastest_in_clearance(structure, None, jnp.asarray(theta)))
+    assert known * (1 - 1e-9) <= traced <= known * 3 ** (1 / 16)
+
+
+def test_both_methods_are_in_a_run_that_chooses_at_its_start():
+    def simulated(stiffness, solver=None):
+        scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))
+        return sj.simulate(scene, jnp.array([0.0, 0.005]), solver=solver).ys
+
+    def loops(function):
+        return str(jax.make_jaxpr(function)(1e6)).count("= runs[")
+
+    assert loops(jax.jit(simulated)) == 2
+    assert loops(jax.jit(lambda k: simulated(k, diffrax.Dopri8()))) == 1
+
+
+@pytest.mark.slow
+def test_each_lane_of_a_traced_run_takes_the_method_that_its_numbers_call_for():
+    ts = jnp.linspace(0.0, 0.02, 5)
+    dampings = np.array([1e-4, 1e-1, 1e-3, 1.0])
+
+    def run(damping):
+        return sj.simulate(sj.gallery.four_bar(sj.Bushing(1e6, damping)), ts, rtol=1e-6)
+
+    runs = jax.jit(jax.vmap(run))(dampings)
+    stages = np.asarray(runs.stats.n_evaluations) / np.asarray(runs.stats.n_steps)
+    known = [run(float(damping)) for damping in dampings]
+    assert [type(choose_solver(each.system, 1e-6).solver) for each in known] == [
+        diffrax.Dopri8, sj.Ros34PW2, diffrax.Dopri8, sj.Ros34PW2
+    ]  # fmt: skip
+    np.testing.assert_array_equal(stages, [float(each.stats.n_evaluations / each.stats.n_steps) for each in known])
+    assert set(stages) == {13.0, 4.0}
+    assert np.all(np.asarray(runs.status) == 0)
+    for lane, each in enumerate(known):
+        np.testing.assert_allclose(runs.ys[lane], each.ys, rtol=1e-6, atol=1e-9)
 
 
 def test_the_run_explains_method_and_tolerances():

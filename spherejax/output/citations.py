@@ -275,10 +275,11 @@ def cite(motion: Trajectory | Scene, *, bibtex: bool = False) -> str:
         for key in named_in(source_of(cls)):
             cited.setdefault(key, []).append(cls.__name__)
     if isinstance(motion, Trajectory):
-        method = motion.choice.partition(":")[0].strip()
-        own = getattr(rosenbrock, method, None)
-        for key in named_in(source_of(own)) if own is not None else filter(None, [METHODS.get(method)]):
-            cited.setdefault(key, []).append(method)
+        # "Dopri8 or Ros34PW2" where the run chose when it started
+        for method in motion.choice.partition(":")[0].strip().split(" or "):
+            own = getattr(rosenbrock, method, None)
+            for key in named_in(source_of(own)) if own is not None else filter(None, [METHODS.get(method)]):
+                cited.setdefault(key, []).append(method)
     cited["Kidger (2021)"] = ["diffrax, which integrates"]
     cited["Bradbury et al. (2018)"] = ["JAX"]
     found = [(_own(version("spherejax")), []), *((WORKS[key], uses) for key, uses in cited.items())]

@@ -68,7 +68,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     arrays, others = eqx.partition(options, eqx.is_array)
 
     def by_diffrax(values, arrays, *rest) -> tuple[Outcome, Slopes]:
-        options = eqx.combine(arrays, others)
+        options = eqx.combine(arrays, others).decided
         outcome = run(values, arrays, *rest)
         if has_controlled_sensitivities(options.solver):
             return outcome, _controlled_slopes(plan, options, values, *rest)
@@ -76,7 +76,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
 
     @jax.custom_jvp
     def with_slopes(values, arrays, *rest) -> tuple[Outcome, Slopes]:
-        options = eqx.combine(arrays, others)
+        options = eqx.combine(arrays, others).decided
         if not (in_lanes and has_controlled_sensitivities(options.solver)):
             return by_diffrax(values, arrays, *rest)
         scale = scales_of(values)

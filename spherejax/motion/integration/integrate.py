@@ -1,7 +1,7 @@
 """Integrate a compiled system: assemble the start, run diffrax, gather the outcome."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import Samples, SamplingSolver, samples_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, status_of
+from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.landing import (
@@ -73,6 +74,7 @@ class Options(eqx.Module):
         adjoint: diffrax adjoint.
         max_steps: largest number of steps.
         budget: the same as a number that may be traced, so that one program serves all, or None.
+        at_start: another solver, for a run whose numbers call for it when it starts, or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -80,6 +82,12 @@ class Options(eqx.Module):
     adjoint: diffrax.AbstractAdjoint
     max_steps: int = eqx.field(static=True)
     budget: Int[Array, ""] | None = None
+    at_start: AtStart | None = None
+
+    @property
+    def decided(self) -> "Options":
+        """The same with the solver alone."""
+        return replace(self, at_start=None)
 
 
 class Parameters(NamedTuple):

@@ -3,6 +3,7 @@
 With sensitivities as rows below the state, or without; see `sensitivity_rows` for their equations.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -54,6 +55,7 @@ from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.implicit import with_structure
+from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.start.tolerances import controller_for
@@ -312,6 +314,9 @@ class _Request(eqx.Module):
         own: tolerances of a run, or None.
         budget: largest number of steps.
         rest: the solver without its arrays (static).
+        stiff: arrays of the solver of a run whose joints act faster than the limit when it starts.
+        stiff_rest: that solver without its arrays (static); None where there is no choice left.
+        limit: a rate [1/s] (static).
     """
 
     solver: Any
@@ -319,6 +324,9 @@ class _Request(eqx.Module):
     own: Any
     budget: Any
     rest: Any = eqx.field(static=True)
+    stiff: Any = None
+    stiff_rest: Any = eqx.field(static=True, default=None)
+    limit: float = eqx.field(static=True, default=math.inf)
 
     @classmethod
     def of(cls, options: Options) -> "_Request":
@@ -327,9 +335,16 @@ class _Request(eqx.Module):
         controller: Any = options.controller
         tolerances = controller.rtol, controller.atol
         budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
-        if all(is_concrete(each) for each in tolerances):
-            return cls(solver, tolerances, None, budget, rest)
-        return cls(solver, None, tolerances, budget, rest)
+        alike = all(is_concrete(each) for each in tolerances)
+        given = (solver, tolerances, None, budget, rest) if alike else (solver, None, tolerances, budget, rest)
+        if options.at_start is None:
+            return cls(*given)
+        return cls(*given, *eqx.partition(options.at_start.solver, eqx.is_array), options.at_start.limit)
+
+    @property
+    def of_stiff(self) -> "_Request":
+        """The same with the other solver."""
+        return _Request(self.stiff, self.shared, self.own, self.budget, self.stiff_rest)
 
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
@@ -349,9 +364,21 @@ class _Request(eqx.Module):
 
 @bounded_jit(what="a run", options=options_for)
 def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`, in a lane."""
-    job = request.job(plan, values, known, ts, start, values_are_legal)
-    return _outcome(request, job, request.made(plan, job, ts, False))
+    """As `integrate`, in a lane.
+
+    Where the method is chosen by numbers that are seen only now, both are compiled, and the run is made by one: a lane
+    that may not run makes no step. So it is with many lanes, where `jax.lax.cond` would make each run twice.
+    """
+    if request.stiff_rest is None:
+        job = request.job(plan, values, known, ts, start, values_are_legal)
+        return _outcome(request, job, request.made(plan, job, ts, False))
+    is_stiff = fastest_in_clearance(plan.structure, plan.scalar, plan.theta(values, known)) > request.limit
+    outcomes = []
+    for each, is_taken in ((request, ~is_stiff), (request.of_stiff, is_stiff)):
+        job = each.job(plan, values, known, ts, start, values_are_legal)
+        job = job._replace(may_run=job.may_run & is_taken)
+        outcomes.append(_outcome(each, job, each.made(plan, job, ts, False)))
+    return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
 
 
 @bounded_jit(what="a run and its derivatives", options=options_for)

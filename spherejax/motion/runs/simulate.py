@@ -69,8 +69,8 @@ def simulate(
         atol: absolute tolerance of a step, one number for all entries of the state (m, m/s, rad/s, 1). With None each
             kind of entry has its own, by the scales of the scene, and positions are judged against the clearance; see
             `spherejax.motion.start.tolerances`. `run.stats.explanation` says what was used.
-        solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why). An implicit method
-            whose root finder is diffrax's default gets one that converges on stiff mechanisms.
+        solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why), where `jax.jit` hides
+            a bushing's numbers by each run when it starts; see `choose_solver`. An implicit method whose root finder is diffrax's default gets one that converges on stiff mechanisms.
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
             are landed on whichever controller judges the errors.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
@@ -146,8 +146,12 @@ def _call(scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, ma
             f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
             "or leave adjoint= out"
         )
-    options = Options(with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget)
-    if stepsize_controller is None:
+    own_control = stepsize_controller is None
+    at_start = choice.at_start if by_sensitivities and own_control else None
+    options = Options(
+        with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget, at_start
+    )
+    if own_control:
         # diffrax's own loop has no better one to begin with; see `LandingController.init`.
         by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
         said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"

@@ -1,12 +1,15 @@
 """Which integrator a scene gets when the user does not say: the cheaper one by an estimate of what both would cost."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import numpy as np
 
+from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.system import Structure, System, flatten_system
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.force_rates import force_rates
 from spherejax.motion.solvers.friction_rates import friction_rates
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
@@ -21,6 +24,11 @@ FOUR_BAR_TIME = 0.105
 
 LOOSE_RTOL = 1e-6
 """From this tolerance up, a W-method of order 3 with its cheap steps beats Rodas5P."""
+
+
+MOST_FOR_BOTH = 5_000
+"""Scalar operations of a right-hand side up to which an explicit and a stiff method are compiled where numbers that
+decide are hidden by `jax.jit`. The four-bar's 2,000 take 16 s of processor time with both, 6 s with Dopri8 alone."""
 
 
 class StiffMethod(NamedTuple):
@@ -53,16 +61,30 @@ ideal joints. Rodas5P makes some 40 of them on pendulums and chains with bristle
 method makes 1,600; the rest is what it loses elsewhere, in derivatives and the account of the energy."""
 
 
+class AtStart(NamedTuple):
+    """Another method, for a run whose numbers are seen when it starts.
+
+    Attributes:
+        solver: a diffrax solver.
+        limit: it is taken where a joint acts faster than this [1/s].
+    """
+
+    solver: diffrax.AbstractSolver
+    limit: float
+
+
 class Choice(NamedTuple):
     """A solver and the reason for it.
 
     Attributes:
         solver: a diffrax solver.
         reason: one sentence.
+        at_start: what replaces it when a run starts with numbers that call for it; None where all is decided.
     """
 
     solver: diffrax.AbstractSolver
     reason: str
+    at_start: AtStart | None = None
 
 
 def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> Choice:
@@ -72,7 +94,12 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
     joint acts on the bodies that it joins (a film, an elastomer, or the friction of a contact that lasts under load),
     or with which force elements, or friction in ideal joints, act at the start. A stiff method needs the steps of its
     accuracy. Contacts and stops that only come and go are left to the explicit method: they are short, and landed on or
-    passed. Numbers that are traced are not looked at: the choice then rests on the models alone.
+    passed.
+
+    Of numbers that are traced by `jax.jvp`, `jax.grad` or `jax.vmap` the values behind them are looked at; of lanes the
+    first, the last and two in between, and the stiffest decides. `jax.jit` hides numbers: then the choice rests on the
+    models alone, and where a joint has an elastomer (in a scene of less than `MOST_FOR_BOTH` operations) both methods
+    are compiled and the run takes one when it starts; its derivatives are taken by the explicit one.
 
     Args:
         system: the system.
@@ -83,7 +110,13 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
     """
     if explicit_only:
         return Choice(diffrax.Dopri8(), "Dopri8: the linear systems of a stiff method would be dense and too large")
-    known_rtol = float(rtol) if is_concrete(rtol) else 1e-8
+    known_rtol = max(map(float, known_behind(rtol)), default=1e-8)
+    choices = [_choice(known, known_rtol) for known in known_behind(system) or [system]]
+    stiff = [choice for choice in choices if not isinstance(choice.solver, diffrax.AbstractERK)]
+    return (stiff or choices)[0]
+
+
+def _choice(system: System, known_rtol: float) -> Choice:
     by_joints = _choice_by_joints(system, known_rtol)
     if system.friction_joints and isinstance(by_joints.solver, diffrax.Dopri8):
         by_friction = _choice_by_friction(system)
@@ -91,7 +124,7 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
             return by_friction
         usual = "no joint has a film, an elastomer or friction"
         said = "" if by_joints.reason.endswith(usual) else f"; {by_joints.reason}"
-        by_joints = Choice(by_friction.solver, f"{by_friction.reason}{said}")
+        by_joints = by_joints._replace(reason=f"{by_friction.reason}{said}")
     if not system.forces:
         return by_joints
     by_forces = _choice_by_forces(system, known_rtol)
@@ -102,7 +135,7 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
         if not isinstance(by_memory.solver, diffrax.Dopri8):
             return by_memory
         by_forces = Choice(by_forces.solver, f"{by_forces.reason}; {by_memory.reason}")
-    return Choice(by_joints.solver, f"{by_joints.reason}; {by_forces.reason}")
+    return by_joints._replace(reason=f"{by_joints.reason}; {by_forces.reason}")
 
 
 def _choice_by_joints(system: System, known_rtol: float) -> Choice:
@@ -114,11 +147,7 @@ def _choice_by_joints(system: System, known_rtol: float) -> Choice:
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
         resistance = {name: system.spherical(name).model.medium for name in looked_at}
-        fast = [name for name, by in resistance.items() if by is not None and by.is_usually_fast]
-        name = fast[0] if fast else looked_at[0]
-        by = resistance[name]
-        said = f"joint {name!r} has {'friction' if by is None else by.value}; its numbers are traced"
-        return Choice(stiff, f"{name_of_stiff}: {said}") if fast else Choice(diffrax.Dopri8(), f"Dopri8: {said}")
+        return _choice_by_models(resistance, known_rtol, may_have_both=_is_small(structure))
     fastest = max(_rates(system, structure, theta), key=lambda rate: rate.per_second / rate.limit(known_rtol))
     if fastest.per_second == 0:
         return Choice(diffrax.Dopri8(), "Dopri8: no friction acts faster than its contact vibrates under load")
@@ -128,6 +157,30 @@ def _choice_by_joints(system: System, known_rtol: float) -> Choice:
         reason = f"{name_of_stiff}: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
         return Choice(stiff, reason)
     return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol")
+
+
+def _is_small(structure: Structure) -> bool:
+    scalar = program_for(state_rate, structure).scalar
+    return scalar is not None and scalar.n_operations <= MOST_FOR_BOTH
+
+
+def _choice_by_models(resistance: dict[str, Any], rtol: float, *, may_have_both: bool) -> Choice:
+    """The choice for numbers that nobody sees before the run; what resists in each joint, None for friction alone."""
+    fast = [name for name, by in resistance.items() if by is not None and by.is_usually_fast]
+    filled = [name for name, by in resistance.items() if by is not None]
+    name = (fast or filled or list(resistance))[0]
+    by = resistance[name]
+    said = f"joint {name!r} has {'friction' if by is None else by.value}; its numbers are traced"
+    if fast:
+        stiff = stiff_method(rtol).solver
+        return Choice(stiff, f"{type(stiff).__name__}: {said}")
+    if not (filled and may_have_both):
+        return Choice(diffrax.Dopri8(), f"Dopri8: {said}")
+    # The W-method at all tolerances: it compiles in twice the time of the explicit method, Rodas5P in four times.
+    limit = float(STABILITY_BOUND * LOOSE.cost(rtol))
+    stiff = type(LOOSE.solver).__name__
+    said = f"{said}, and decide when the run starts: {stiff} where it acts faster than {limit:.1e} per second"
+    return Choice(diffrax.Dopri8(), f"Dopri8 or {stiff}: {said}", AtStart(LOOSE.solver, limit))
 
 
 def _choice_by_forces(system: System, rtol: float) -> Choice:
