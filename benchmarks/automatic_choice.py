@@ -3,8 +3,8 @@
     python benchmarks/automatic_choice.py
 
 Four-bar, 0.2 s. The methods are those of `METHODS`. Times are those of a compiled call on one core; the ratio is that
-of a method's time to the fastest of those that reach the end; a row is the choice where the numbers are traced. The error is the largest of the rocker's height
-at 5 samples against a run of the same equations at rtol 1e-11.
+of a method's time to the fastest of those that reach the end; a row is the choice where the numbers are traced. The
+error is the largest of the rocker's height at 5 samples against a run of the same equations at rtol 1e-11.
 """
 
 from machine import median_seconds, use_one_core, write

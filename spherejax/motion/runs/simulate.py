@@ -70,7 +70,8 @@ def simulate(
             kind of entry has its own, by the scales of the scene, and positions are judged against the clearance; see
             `spherejax.motion.start.tolerances`. `run.stats.explanation` says what was used.
         solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why), where `jax.jit` hides
-            a bushing's numbers by each run when it starts; see `choose_solver`. An implicit method whose root finder is diffrax's default gets one that converges on stiff mechanisms.
+            a bushing's numbers by each run when it starts; see `choose_solver`. An implicit method whose root finder is
+            diffrax's default gets one that converges on stiff mechanisms.
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
             are landed on whichever controller judges the errors.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
