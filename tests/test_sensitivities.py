@@ -80,8 +80,8 @@ def jacobian_at(sample_times):
     Not under `jax.jit`: the tests then share the compiled parts.
     """
 
-    def at(rtol):
-        states, push = jax.linearize(lambda x: planar_states(x, jnp.asarray(sample_times), rtol), ZERO)
+    def at(rtol, **options):
+        states, push = jax.linearize(lambda x: planar_states(x, jnp.asarray(sample_times), rtol, **options), ZERO)
         slopes = np.stack([push(e) for e in jnp.eye(len(VALUES))], -1)
         shape = (len(IMPACTS), 3, 6)
         return np.asarray(states)[1:].reshape(shape), slopes[1:].reshape(*shape, -1)
@@ -109,6 +109,36 @@ def test_states_by_every_number(jacobian_at, reference_slopes, rtol, agreement):
     _, slopes = jacobian_at(rtol)
     errors = {n: relative(slopes[i, 2, :5], reference_slopes.states[i]).max() for i, n in enumerate(IMPACTS)}
     assert max(errors.values()) < agreement, errors
+
+
+def test_derivatives_have_a_tolerance_of_their_own(jacobian_at, reference_slopes):
+    """Less of it lets more errors in, by the impact; the motion keeps its tolerance."""
+    errors, motions = [], []
+    for factor in (0.2, 20.0, np.inf):
+        states, slopes = jacobian_at(1e-8, derivative_rtol=factor * 1e-8)
+        errors.append(max(relative(slopes[i, 2, :5], reference_slopes.states[i]).max() for i in range(len(IMPACTS))))
+        motions.append(states[:, 2, :5])
+    assert errors[0] < 1e-6
+    assert errors[0] < errors[1] < errors[2] < 1e-2
+    assert errors[2] > 1e-4
+    for motion in motions[1:]:
+        np.testing.assert_allclose(motion / SCALE, motions[0] / SCALE, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"derivative_rtol": 0.0}, "derivative_rtol = 0 must be positive"),
+        ({"derivative_rtol": np.nan}, "derivative_rtol"),
+        ({"derivative_rtol": (1e-6, 1e-6)}, "derivative_rtol"),
+        ({"derivative_rtol": 1e-6, "adjoint": diffrax.DirectAdjoint()}, "adjoint of your own"),
+        ({"derivative_rtol": 1e-6, "stepsize_controller": diffrax.ConstantStepSize()}, "controller"),
+        ({"derivative_rtol": 1e-6, "solver": diffrax.Kvaerno5()}, "explicit or a Rosenbrock"),
+    ],
+)
+def test_a_tolerance_of_derivatives_that_cannot_be(options, said):
+    with pytest.raises(sj.SceneError, match=said):
+        sj.simulate(ball_scene(VALUES), jnp.array([0.0, 1e-3]), **options)
 
 
 def test_times_and_rates_of_impacts_by_every_number(jacobian_at, reference, reference_slopes):

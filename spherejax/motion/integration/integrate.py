@@ -75,6 +75,7 @@ class Options(eqx.Module):
         max_steps: largest number of steps.
         budget: the same as a number that may be traced, so that one program serves all, or None.
         at_start: another solver, for a run whose numbers call for it when it starts, or None.
+        slack: how much larger the errors of sensitivities may be than the state's; None for what the method has.
     """
 
     solver: diffrax.AbstractSolver
@@ -83,6 +84,7 @@ class Options(eqx.Module):
     max_steps: int = eqx.field(static=True)
     budget: Int[Array, ""] | None = None
     at_start: AtStart | None = None
+    slack: Float[Array, ""] | None = None
 
     @property
     def decided(self) -> "Options":

@@ -69,12 +69,14 @@ class Numbers(NamedTuple):
         slopes: their scaled derivatives by the numbers asked for; None without.
         tolerances: relative and absolute, where they depend on the run; None where all share them.
         limits: of the audit.
+        slack: how much larger the errors of sensitivities may be than the state's; None for what the method has.
     """
 
     value: Parameters
     slopes: Any
     tolerances: Any
     limits: Any
+    slack: Any = None
 
     @property
     def theta(self) -> Float[Array, " p"]:
@@ -160,10 +162,15 @@ class JobKind:
 
     def _of_rows(self, problem: LaneProblem, rate) -> LaneProblem:
         """The same for the state and its sensitivities."""
-        watch = problem.watch
+        watch, usual = problem.watch, slack_of(self.solver)
+
+        def slack(numbers):
+            return usual if numbers.slack is None else numbers.slack
+
         return problem._replace(
             solver=solver_of_rows(problem.solver, self.structure, rate),
-            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack_of(self.solver)),
+            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack(numbers)),
+            slack_of=slack,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
             correct=correcting_rows(problem.correct),
             contacts=None if problem.contacts is None else with_rows(problem.contacts, rate),
@@ -314,6 +321,7 @@ class _Request(eqx.Module):
         own: tolerances of a run, or None.
         budget: largest number of steps.
         rest: the solver without its arrays (static).
+        slack: how much larger the errors of sensitivities may be than the state's.
         stiff: arrays of the solver of a run whose joints act faster than the limit when it starts.
         stiff_rest: that solver without its arrays (static); None where there is no choice left.
         limit: a rate [1/s] (static).
@@ -324,6 +332,7 @@ class _Request(eqx.Module):
     own: Any
     budget: Any
     rest: Any = eqx.field(static=True)
+    slack: Any = None
     stiff: Any = None
     stiff_rest: Any = eqx.field(static=True, default=None)
     limit: float = eqx.field(static=True, default=math.inf)
@@ -336,7 +345,9 @@ class _Request(eqx.Module):
         tolerances = controller.rtol, controller.atol
         budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
         alike = all(is_concrete(each) for each in tolerances)
-        given = (solver, tolerances, None, budget, rest) if alike else (solver, None, tolerances, budget, rest)
+        shared, own = (tolerances, None) if alike else (None, tolerances)
+        slack = np.asarray(slack_of(options.solver)) if options.slack is None else options.slack
+        given = solver, shared, own, budget, rest, slack
         if options.at_start is None:
             return cls(*given)
         return cls(*given, *eqx.partition(options.at_start.solver, eqx.is_array), options.at_start.limit)
@@ -344,7 +355,7 @@ class _Request(eqx.Module):
     @property
     def of_stiff(self) -> "_Request":
         """The same with the other solver."""
-        return _Request(self.stiff, self.shared, self.own, self.budget, self.stiff_rest)
+        return _Request(self.stiff, self.shared, self.own, self.budget, self.stiff_rest, self.slack)
 
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
@@ -387,6 +398,7 @@ def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, s
         return request.job(plan, values, known, ts, start, values_are_legal)
 
     job, assembly = with_slopes(job_of_values, values, directions)
+    job = job._replace(numbers=job.numbers._replace(slack=request.slack))
     made = request.made(plan, job, ts, True)
     slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)
     made = made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0])

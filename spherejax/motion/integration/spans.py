@@ -98,6 +98,10 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         assert problem.room is not None
         return problem.room(span.numbers, span.time(x), y) / span.length
 
+    def slack(span: Span):
+        assert problem.slack_of is not None
+        return problem.slack_of(span.numbers)
+
     solver: Any = problem.solver
     if not is_explicit(solver):
         solver = InOwnTime(solver, problem.rate)  # pyright: ignore[reportCallIssue]
@@ -111,6 +115,7 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         longest_step=None if problem.longest_step is None else jnp.asarray(1.0 / (STEPS_AT_LEAST * cycles)),
         audit=None if audit is None else _audit(audit),
         room=None if problem.room is None else room,
+        slack_of=None if problem.slack_of is None else slack,
     )
 
 

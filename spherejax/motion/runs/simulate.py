@@ -22,7 +22,7 @@ from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivit
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
-from spherejax.motion.integration.jobs import bound_run, is_made_in_a_lane
+from spherejax.motion.integration.jobs import bound_run, can_be_a_job, is_made_in_a_lane
 from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call
@@ -53,6 +53,7 @@ def simulate(
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    derivative_rtol: float | None = None,
     max_steps: int = 20_000_000,
     track_work: bool = False,
     scalar: bool | None = None,
@@ -76,17 +77,21 @@ def simulate(
             are landed on whichever controller judges the errors.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
             traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
-            their errors controlled at twice its tolerance: through ten impacts they are good to 1e-6 at an `rtol` of
-            1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about six plain runs.
-            Explicit Runge-Kutta methods do so. Of Rosenbrock methods each step is differentiated beside the motion, and
-            repeated only where the derivatives' errors are a thousand times its tolerance: those of the lubricated
-            four-bar are right to 2e-4 at an `rtol` of 1e-8, to 1e-6 at 1e-10, for about eight values. With a controller
-            of your own they are integrated in a run of their own, of Rosenbrock methods by Ros34PW2, and it judges the
-            state and the sensitivities as rows of one array; a `PIDController` judges the worst row. A sample that the
-            sensitivities do not reach within `max_steps` has the derivative NaN. With any other
-            method each step of the run is differentiated, and nobody controls the error of the derivatives, which
-            behind impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
+            their errors controlled at twice its tolerance (see `derivative_rtol`): through ten impacts they are good to
+            1e-6 at an `rtol` of 1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about six
+            plain runs. Explicit Runge-Kutta methods do so. Of Rosenbrock methods each step is differentiated beside the
+            motion, and repeated only where the derivatives' errors are a thousand times its tolerance: those of the
+            lubricated four-bar are right to 2e-4 at an `rtol` of 1e-8, to 1e-6 at 1e-10, for about eight values. With a
+            controller of your own they are integrated in a run of their own, of Rosenbrock methods by Ros34PW2, and it
+            judges the state and the sensitivities as rows of one array; a `PIDController` judges the worst row. A
+            sample that the sensitivities do not reach within `max_steps` has the derivative NaN. With any other method
+            each step of the run is differentiated, and nobody controls the error of the derivatives, which behind
+            impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
             `sj.sensitivity`.
+        derivative_rtol: relative tolerance of derivatives in a step, each in units of its number; None for twice `rtol`
+            with explicit methods, a thousand times with Rosenbrock methods. The motion keeps its own. More makes them
+            cheaper and coarser, down to the motion's own steps with `inf`, where nobody judges them
+            (`benchmarks/sensitivity_tolerance.py` has what is gained and lost).
         max_steps: largest number of steps; it may be traced, unless an `adjoint` lays out memory by it.
         track_work: integrate the work that each non-ideal joint absorbs. Its error is not judged: the steps are those
             of a run without.
@@ -104,7 +109,7 @@ def simulate(
         SimulationError: with `throw=True`, for a run that did not reach its end.
     """
     require_float64()
-    asked = rtol, atol, solver, stepsize_controller, adjoint, max_steps, track_work, scalar
+    asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
     call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
     for change in call.changes:
         warnings.warn(change, StartWarning, stacklevel=2)
@@ -123,10 +128,13 @@ class _Call(NamedTuple):
     run: Callable[[], Trajectory]
 
 
-def _call(scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, max_steps, track_work, scalar) -> _Call:
+def _call(
+    scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
+) -> _Call:
     """Check what is asked for and decide what is left open; arguments as of `simulate`."""
     ts = checked_times(ts)
     check_tolerances(rtol, atol)
+    check_derivative_tolerance(derivative_rtol)
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     found = prepared(scene, track_work, scalar)
@@ -149,15 +157,22 @@ def _call(scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, ma
         )
     own_control = stepsize_controller is None
     at_start = choice.at_start if by_sensitivities and own_control else None
+    slack = None if derivative_rtol is None else jnp.asarray(derivative_rtol / rtol, jnp.float64)
     options = Options(
-        with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget, at_start
+        with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget, at_start, slack
     )
+    if slack is not None and not (by_sensitivities and can_be_a_job(found.structure, options)):
+        raise SceneError(
+            "derivative_rtol is for derivatives that are integrated beside the motion: by an explicit or a Rosenbrock "
+            "method, without a controller or an adjoint of your own. Leave it, or those, out"
+        )
     if own_control:
         # diffrax's own loop has no better one to begin with; see `LandingController.init`.
         by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
         said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*found.conditions, *traced_tolerances(rtol, atol)]
+    conditions += [] if derivative_rtol is None or is_concrete(derivative_rtol) else [derivative_rtol > 0]
     conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
     values = jnp.asarray(found.theta)[np.array(unknown, int)] if unknown else np.zeros(0)
@@ -259,6 +274,17 @@ def check_tolerances(rtol, atol) -> None:
         raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
     if atol is not None and is_concrete(atol) and not float(atol) < np.inf:
         raise SceneError(f"atol = {float(atol):.3g} allows any error; give a number, or leave it out")
+
+
+def check_derivative_tolerance(derivative_rtol) -> None:
+    """Raise `SceneError` for a tolerance of derivatives that is none."""
+    if derivative_rtol is None:
+        return
+    real_number("derivative_rtol", derivative_rtol)
+    if is_concrete(derivative_rtol) and not float(derivative_rtol) > 0:
+        raise SceneError(
+            f"derivative_rtol = {float(derivative_rtol):.3g} must be positive; use e.g. 1e-6, or leave it out"
+        )
 
 
 def traced_tolerances(rtol, atol) -> list:

@@ -50,14 +50,6 @@ _BEYOND = 1.005
 _NO_STRAY = 10.0
 """Stages within so many tolerances of a step's end have not strayed from it, however short the way."""
 
-SLOPES_TOLERANCE = 2.0
-"""Errors of sensitivities may be this many times those of the state, each in units of their own size.
-
-Through thirty onsets on the four-bar, at an rtol of 1e-8, gradients are good to 3e-8 with 1, 2e-7 with 20, 1e-6 with
-100, 2e-5 with 1,000 and 2e-3 if nobody looks at them; steps are 2.7, 1.75, 1.4, 1.1 and 1 times the plain run's. But a
-ball that bounces ten times in its socket multiplies errors: there 2 gives 1e-6, 5 gives 3e-6, and at an rtol of 1e-6
-50 gives a derivative that is wrong by a tenth."""
-
 
 class Pace(NamedTuple):
     """State of `Landing`.
@@ -306,14 +298,16 @@ class Landing:
     def _scaled_error(self, step: Step) -> Float[Array, " n_lanes"]:
         """The root mean square of the errors by what is tolerated; of rows (`sensitivity_rows`) the worst."""
 
+        slack_of = self.problem.slack_of
+
         def tolerances(parameters):
             controller = self.problem.controller_of(parameters)
-            return controller.atol, controller.rtol
+            return controller.atol, controller.rtol, jnp.asarray(slack_of(parameters) if slack_of else 1.0)
 
-        atol, rtol = in_lanes(tolerances)(step.parameters)
+        atol, rtol, slack = in_lanes(tolerances)(step.parameters)
         scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
         by_row = self._by_row(step.error / scale)
-        error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / SLOPES_TOLERANCE)
+        error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / slack)
         is_right = jnp.logical_not(jnp.isnan(error))
         if self.stray is not None:
             is_right = is_right & self._holds_together(self.stray, step, scale)

@@ -40,6 +40,8 @@ class LaneProblem(NamedTuple):
         room: how soon [s] something comes that no step may pass over (parameters, t, y), or None.
         n_judged: entries of the state whose errors are judged, the first ones; None for all.
         samples: of force elements that sample, or None.
+        slack_of: how much larger the errors of sensitivities may be than the state's, from a run's parameters; None
+            where there are none.
     """
 
     solver: diffrax.AbstractSolver
@@ -54,6 +56,7 @@ class LaneProblem(NamedTuple):
     room: Callable | None = None
     n_judged: int | None = None
     samples: Samples | None = None
+    slack_of: Callable | None = None
 
 
 class StepLog(NamedTuple):
