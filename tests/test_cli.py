@@ -18,7 +18,7 @@ from spherejax import cli
 from spherejax.command_line import catalog
 from spherejax.command_line.catalog import FRICTION_LAWS, NORMAL_LAWS, SOLVERS
 from spherejax.command_line.models import model_from
-from spherejax.command_line.sweep import grid_of
+from spherejax.command_line.sweep import asked_of
 from spherejax.output.plot.curves import curves_of
 from spherejax.studies.compare import compare
 from spherejax.studies.subject import Comparison, Row
@@ -250,7 +250,8 @@ def test_a_number_that_is_varied_is_a_plain_one(given, message, capsys, tmp_path
 )
 def test_a_number_that_is_varied_may_have_a_unit(given, meant):
     words = ["sweep", "four-bar", "--joint", "friction", "--vary", given, "--out", "s.zarr"]
-    _, grid = grid_of(cli.parser().parse_args(words))
+    options = cli.parser().parse_args(words)
+    grid = asked_of(options).grid(options)
     np.testing.assert_allclose(next(iter(grid.axes.values())), meant, rtol=1e-12)
 
 
@@ -260,7 +261,11 @@ def test_where_a_fit_begins_and_what_is_changed_may_have_units(capsys):
 
     words = ["fit", "four-bar", "--joint", "bushing", "--measured", "x.csv", "--start"]
     start = _starts(cli.parser().parse_args([*words, "stiffness=10 kN/m:1 kN/m:1e7", "--start", "rocker.mass=20 g"]))
-    assert (start["stiffness"].start, start["stiffness"].lower, start["rocker.mass"].start) == (1e4, 1e3, 0.02)
+    assert (start["stiffness"].parameter.lower, start["stiffness"].start, start["rocker.mass"].start) == (
+        1e3,
+        1e4,
+        0.02,
+    )
     assert cli.main([*words, "rocker.mass=20 mm"]) == 2
     assert "--start rocker.mass=20 mm: '20 mm' is a length [m], but a mass [kg] is expected" in capsys.readouterr().err
     words = ["sensitivity", "four-bar", "--joint", "bushing", "--of", "position.rocker", "--by"]

@@ -98,7 +98,7 @@ def add_accuracy(commands) -> None:
 
 def show_accuracy(options: argparse.Namespace) -> int:
     """Run, print table and advice, write files."""
-    from spherejax.output.io import make_folder, require_free
+    from spherejax.output.paths import make_folder, require_free
 
     scenes = scenes_from(options)
     check_report(options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,18 +97,20 @@ def add_fit(commands) -> None:
 
 def fit_scene(options: argparse.Namespace) -> int:
     """Fit, print the report, write everything."""
-    from spherejax.output.io import make_folder, require_free
-    from spherejax.studies.fit import Ending, Whole
+    from spherejax.output.paths import make_folder, require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
         require_free(folder / FILES[0], overwrite=options.overwrite)
     check_report(options)
-    start = _starts(options)
-    found = chosen(_with_starts(options, start))
-    scene = found.scene(_with_starts(options, start))
-    start = _filled(found, scene, start)
-    _starts(options, units_in(scene, found.studied))  # a unit of another dimension is refused
+    asked = _starts(options)
+    found = chosen(_with_starts(options, asked))
+    scene = found.scene(_with_starts(options, asked))
+    own = _own_numbers(found, scene, asked)
+    asked = _starts(options, units_in(scene, found.studied))  # a unit of another dimension is refused
+    from spherejax.studies.fit import Ending, Whole  # it takes long: names and units have been judged
+
+    start = {name: sj.Parameter(own[name]) if begin is None else begin.parameter for name, begin in asked.items()}
     measured = [_measured(path, options) for path in options.measured]
     if folder is not None:
         make_folder(folder)
@@ -136,9 +138,21 @@ def fit_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> dict[str, Any]:
-    """Parameters by name, in SI units; None where the scene's own number is meant."""
-    start = {}
+class Begin(NamedTuple):
+    """What `--start` says of a parameter, in SI units; as `sj.Parameter`, which takes long to import."""
+
+    start: float
+    bounds: tuple[float, ...] = ()
+
+    @property
+    def parameter(self) -> sj.Parameter:
+        """For the fit."""
+        return sj.Parameter(self.start, **dict(zip(("lower", "upper"), self.bounds, strict=False)))
+
+
+def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> dict[str, Begin | None]:
+    """Parameters by name; None where the scene's own number is meant."""
+    start: dict[str, Begin | None] = {}
     for text in options.start:
         name, equals, given = text.partition("=")
         if name in start:
@@ -150,12 +164,11 @@ def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> di
         if not name or len(parts) not in (1, 3):
             raise sj.SceneError(f"--start {text}: write NAME=VALUE or NAME=VALUE:LOW:HIGH, e.g. stiffness=1e4:1e3:1e7")
         numbers = [number_of("--start", text, part, unit_of(name)) for part in parts]
-        bounds = dict(zip(("lower", "upper"), numbers[1:], strict=False))
-        start[name] = sj.Parameter(numbers[0], **bounds)
+        start[name] = Begin(numbers[0], tuple(numbers[1:]))
     return start
 
 
-def _with_starts(options: argparse.Namespace, start: dict[str, Any]) -> argparse.Namespace:
+def _with_starts(options: argparse.Namespace, start: dict[str, Begin | None]) -> argparse.Namespace:
     """Options of the studied joint with the starts in their place."""
     of_joint = {}
     for name, parameter in start.items():
@@ -170,18 +183,19 @@ def _with_starts(options: argparse.Namespace, start: dict[str, Any]) -> argparse
     return argparse.Namespace(**{**vars(options), **of_joint})
 
 
-def _filled(found: Chosen, scene: sj.Scene, start: dict[str, Any]) -> dict[str, Any]:
-    """Starts with the scene's own numbers where none is given; a wrong path is refused."""
-    filled = {}
-    for name, parameter in start.items():
+def _own_numbers(found: Chosen, scene: sj.Scene, start: dict[str, Begin | None]) -> dict[str, Any]:
+    """The scene's own numbers, by the paths that are fitted; a wrong path is refused."""
+    own = {}
+    for name, begin in start.items():
         if name.replace("-", "_") in USED_BY:
-            filled[name] = parameter
             continue
-        own = number_at(scene, name, found.studied)
-        filled[name] = sj.Parameter(own) if parameter is None else parameter
-        if parameter is not None and own.ndim:
-            raise sj.SceneError(f"--start {name}: it is an array of shape {own.shape}; give the name alone")
-    return filled
+        try:
+            own[name] = number_at(scene, name, found.studied)
+        except sj.SceneError as error:
+            raise sj.SceneError(f"--start {error}") from None
+        if begin is not None and own[name].ndim:
+            raise sj.SceneError(f"--start {name}: it is an array of shape {own[name].shape}; give the name alone")
+    return own
 
 
 def _builder(found: Chosen, options: argparse.Namespace):

@@ -14,6 +14,7 @@ from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
+from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
 
 DESCRIPTION = """\
@@ -86,8 +87,7 @@ def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
     import jax
 
-    from spherejax.motion.equations.quantities import quantity
-    from spherejax.output.io import save, writable
+    from spherejax.output.paths import writable
 
     found = chosen(options)
     scene = found.scene(options)
@@ -98,9 +98,8 @@ def run_scene(options: argparse.Namespace) -> int:
     for path in filter(None, (options.out, options.impacts)):
         writable(path, overwrite=options.overwrite)
     check_report(options)
+    require_quantities(scene, options.peak)
     system = sj.compile_scene(scene).system
-    for name in options.peak:
-        quantity(name, system)
     joint = found.studied if options.impacts is None else _with_contact(found.studied, system.contact_joints)
     solver = SOLVERS[options.solver]() if options.solver else None
     start = time.perf_counter()
@@ -125,6 +124,8 @@ def run_scene(options: argparse.Namespace) -> int:
         ("quantity", "value"),
         [*_summary(run, seconds), *_peaks(run, options.peak)],
     )
+    from spherejax.output.io import save
+
     if options.impacts is not None:
         table = run.impacts(str(joint))
         print(f"wrote {save(table, options.impacts, overwrite=options.overwrite)}: {table.sizes['contact']} contacts")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -64,13 +64,36 @@ def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
     return unit
 
 
+def require_quantities(scene: sj.Scene, names: Iterable[str]) -> None:
+    """Refuse names of quantities that mean nothing in a scene, before what takes long is imported or computed.
+
+    Args:
+        scene: the scene.
+        names: quantities, also as sweeps keep them: "final position.rocker", "peak reaction.elbow". What a sweep
+            counts, "onsets.elbow", is left to it.
+
+    Raises:
+        SceneError: for a name that means nothing, naming those that exist.
+    """
+    from spherejax.motion.equations.quantities import quantity
+
+    wanted = [name for name in names if name.partition(".")[0] not in ("onsets", "time_in_contact")]
+    if not wanted:
+        return
+    system = sj.compile_scene(scene).system
+    for name in wanted:
+        words = name.split(" ")
+        while len(words) > 1 and words[0] in ("sensitivity", "final", "peak"):
+            words = words[1:]
+        quantity(" ".join(words).strip(), system)
+
+
 def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scene:
     """The scene with what `--set PATH=VALUE` says; a value is a number, `0.1 mm`, or numbers with commas.
 
     Raises:
         SceneError: for a path that leads nowhere, a value that is no number, or one of another dimension or shape.
     """
-    from spherejax.files.number_units import unit_at
     from spherejax.model.numbers import place_at
 
     path, equals, given = text.partition("=")
@@ -81,6 +104,8 @@ def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scen
         found = place_at(scene, path, studied)
     except sj.SceneError as error:
         raise sj.SceneError(f"--set {error}") from None
+    from spherejax.files.number_units import unit_at  # it looks at every class that files know
+
     unit, shape = unit_at(scene, found.steps), () if found.value is None else np.shape(found.value)
     entries = given.strip().removeprefix("[").removesuffix("]").split(",")
     numbers = np.array([_in_unit(text, entry, unit) for entry in entries])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
-from spherejax.command_line.scene_numbers import UnitOf, unit_of_option, units_in, with_number
+from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.foundations.errors import one_of
 
@@ -86,7 +87,7 @@ def add_sweep(commands) -> None:
 
 def sweep_scene(options: argparse.Namespace) -> int:
     """Run the sweep, print a summary, write everything."""
-    from spherejax.output.io import SUFFIXES, writable
+    from spherejax.output.paths import SUFFIXES, writable
 
     path = Path(options.out).expanduser()
     if path.suffix not in SUFFIXES:
@@ -96,11 +97,14 @@ def sweep_scene(options: argparse.Namespace) -> int:
     if path.suffix != ".zarr":
         writable(path, overwrite=options.overwrite)
     check_report(options)
-    names, grid = grid_of(options)
-    found = chosen(_with_first_values(options, names, grid))
+    asked = asked_of(options)
+    names = asked.names
+    found = chosen(_with_first_values(options, asked))
     build = builder(found, options, names)
-    grid_of(options, units_in(build(**grid.row(0)), found.studied))  # a unit of another dimension is refused
-    record = options.record or _default_record(found, build(**grid.row(0)))
+    scene = build(**asked.first)  # names are judged by it, before what takes long is imported
+    require_quantities(scene, options.record or [])
+    grid = asked_of(options, units_in(scene, found.studied)).grid(options)  # a unit of another dimension is refused
+    record = options.record or _default_record(found, scene)
     begin = time.perf_counter()
     result = sj.sweep(
         build,
@@ -121,38 +125,60 @@ def sweep_scene(options: argparse.Namespace) -> int:
         save(result, path, overwrite=options.overwrite)
     _print(found, options, names, result, seconds)
     pictures = [] if options.no_pictures else _draw(result, found, path)
-    write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", build(**grid.row(0)))
+    write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", scene)
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
     return 0
 
 
-def grid_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> tuple[dict[str, str], sj.Grid]:
-    """The grid that `--vary` asks for, in SI units; names that are no identifiers get one.
+class Asked(NamedTuple):
+    """What `--vary` asks for, in SI units.
 
-    Returns:
-        What each parameter of the grid is called by the user, and the grid.
+    Attributes:
+        names: what each parameter of the grid is called by the user; names that are no identifiers get one.
+        values: of a product, by parameter.
+        ranges: of samples, by parameter.
+        logarithmic: parameters whose ranges are.
     """
-    values, ranges, logarithmic, names = {}, {}, [], {}
+
+    names: dict[str, str]
+    values: dict[str, np.ndarray]
+    ranges: dict[str, tuple[float, float]]
+    logarithmic: list[str]
+
+    @property
+    def first(self) -> dict[str, float]:
+        """Values of one run, to see what they make of the scene; of ranges the middles."""
+        middles = {key: float(np.mean(ends)) for key, ends in self.ranges.items()}
+        return {**{key: float(values[0]) for key, values in self.values.items()}, **middles}
+
+    def grid(self, options: argparse.Namespace) -> sj.Grid:
+        """All runs."""
+        if options.draws is None:
+            return sj.product(self.values)
+        return sj.sobol_samples(self.ranges, options.draws, seed=options.seed, logarithmic=self.logarithmic)
+
+
+def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> Asked:
+    """What `--vary` asks for; it takes no long import."""
+    asked = Asked({}, {}, {}, [])
     for text in options.vary:
         name, equals, given = text.partition("=")
         if not equals or not name or not given:
             raise sj.SceneError(f"--vary {text}: write NAME=VALUES, e.g. clearance=1e-5:5e-4:64")
-        if name in names.values():
+        if name in asked.names.values():
             raise sj.SceneError(f"--vary {name} is given twice")
         key = name.replace(".", "_")
-        names[key] = name
+        asked.names[key] = name
         parts = given.split(":")
-        if options.draws is not None:
-            if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
-                raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
-            low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
-            ranges[key] = (low, high)
-            logarithmic += [key] if parts[2:] else []
-        else:
-            values[key] = _values(text, parts, unit_of(name))
-    if options.draws is not None:
-        return names, sj.sobol_samples(ranges, options.draws, seed=options.seed, logarithmic=logarithmic)
-    return names, sj.product(values)
+        if options.draws is None:
+            asked.values[key] = _values(text, parts, unit_of(name))
+            continue
+        if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
+            raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
+        low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
+        asked.ranges[key] = (low, high)
+        asked.logarithmic.extend([key] if parts[2:] else [])
+    return asked
 
 
 def _values(text: str, parts: list[str], unit: str | None) -> np.ndarray:
@@ -170,12 +196,12 @@ def _values(text: str, parts: list[str], unit: str | None) -> np.ndarray:
     return np.geomspace(low, high, n) if parts[3:] else np.linspace(low, high, n)
 
 
-def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid: sj.Grid) -> argparse.Namespace:
+def _with_first_values(options: argparse.Namespace, asked: Asked) -> argparse.Namespace:
     """Options with the first run's values, to check that they mean something together."""
-    first = {key: float(value) for key, value in grid.row(0).items() if names[key] in USED_BY}
+    first = {key: value for key, value in asked.first.items() if asked.names[key] in USED_BY}
     for key in first:
         if getattr(options, key) is not None:
-            raise sj.SceneError(f"--{names[key]} is given, and varied as well; leave one out")
+            raise sj.SceneError(f"--{asked.names[key]} is given, and varied as well; leave one out")
     return argparse.Namespace(**{**vars(options), **first})
 
 

@@ -12,6 +12,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
+from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
@@ -110,7 +111,7 @@ def _tolerance(text: str) -> str:
 
 def find_tolerances(options: argparse.Namespace) -> int:
     """Compute, print, write."""
-    from spherejax.output.io import require_free
+    from spherejax.output.paths import require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     for name in FILES if folder is not None else ():
@@ -119,6 +120,7 @@ def find_tolerances(options: argparse.Namespace) -> int:
         raise sj.SceneError(f"--runs {options.runs} means nothing with --method budget; add --method sobol or samples")
     found = chosen(options)
     scene = found.scene(options)
+    require_quantities(scene, options.observables)
     numbers, spreads = _spreads(options, found, scene)
 
     def build(**values) -> sj.Scene:
@@ -197,7 +199,8 @@ def _number(text: str, part: str, unit: str | None) -> float:
 
 
 def _write(result: Any, folder: Path, overwrite: bool) -> None:
-    from spherejax.output.io import make_folder, save
+    from spherejax.output.io import save
+    from spherejax.output.paths import make_folder
 
     make_folder(folder)
     dataset = result.to_xarray() if hasattr(result, "to_xarray") else result.runs
