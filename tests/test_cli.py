@@ -95,7 +95,8 @@ def test_numbers_may_have_units():
 def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     path = tmp_path / "impacts.csv"
     command = ["run", "four-bar", "--joint", "dry", "--t1", "0.02", "--samples", "3", "--impacts", str(path)]
-    assert cli.main([*command, "--peak", "reaction.coupler_rocker"]) == 0
+    more = ("--peak", "reaction.coupler_rocker [kN]")
+    assert cli.main([*command, "--peak", "reaction.coupler_rocker", *more]) == 0
     rows = list(csv.DictReader(path.read_text().splitlines()))
     said = capsys.readouterr().out
     assert f"{len(rows)} contacts" in said
@@ -103,6 +104,9 @@ def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     largest = max(float(row["peak_force [N]"]) for row in rows)
     assert largest > 50
     assert f"{largest:.5g}"[:4] in said.split("largest reaction.coupler_rocker [N]")[1]
+    assert f"{largest / 1e3:.5g}"[:4] in said.split("largest reaction.coupler_rocker [kN]")[1]
+    assert cli.main([*command, "--peak", "reaction.coupler_rocker [mm]"]) == 2
+    assert "'mm' is a length [m], but a force [N] is expected" in capsys.readouterr().err
     assert float(rows[0]["release [s]"]) > float(rows[0]["onset [s]"]) > 0
 
 
@@ -251,7 +255,9 @@ def test_a_number_that_is_varied_is_a_plain_one(given, message, capsys, tmp_path
 def test_a_number_that_is_varied_may_have_a_unit(given, meant):
     words = ["sweep", "four-bar", "--joint", "friction", "--vary", given, "--out", "s.zarr"]
     options = cli.parser().parse_args(words)
-    grid = asked_of(options).grid(options)
+    asked = asked_of(options)
+    assert asked.shown.popitem()[1].unit == given.partition("=")[2].split()[1].partition(":")[0].partition(",")[0]
+    grid = asked.grid(options)
     np.testing.assert_allclose(next(iter(grid.axes.values())), meant, rtol=1e-12)
 
 

@@ -17,6 +17,7 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Shown, shown_in
 
 DESCRIPTION = """\
 Estimate numbers of a mechanism from measurements of its motion, by Levenberg-Marquardt on
@@ -107,7 +108,8 @@ def fit_scene(options: argparse.Namespace) -> int:
     found = chosen(_with_starts(options, asked))
     scene = found.scene(_with_starts(options, asked))
     own = _own_numbers(found, scene, asked)
-    asked = _starts(options, units_in(scene, found.studied))  # a unit of another dimension is refused
+    unit_of = units_in(scene, found.studied)
+    asked = _starts(options, unit_of)  # a unit of another dimension is refused
     from spherejax.studies.fit import Ending, Whole  # it takes long: names and units have been judged
 
     start = {name: sj.Parameter(own[name]) if begin is None else begin.parameter for name, begin in asked.items()}
@@ -126,9 +128,10 @@ def fit_scene(options: argparse.Namespace) -> int:
         solver=SOLVERS[options.solver]() if options.solver else None,
         level=options.level,
     )
-    _print(fitted)
+    shown = _shown(options, unit_of)
+    _print(fitted, shown)
     if folder is not None and fitted.best.us:
-        names = _write(fitted, folder, found.title or found.name, pictures=not options.no_pictures)
+        names = _write(fitted, shown, folder, found.title or found.name, pictures=not options.no_pictures)
         print(f"wrote {', '.join(names)} to {folder}")
     write_report(options, fitted, "")
     if fitted.best.ending is Ending.INTERRUPTED:
@@ -166,6 +169,12 @@ def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> di
         numbers = [number_of("--start", text, part, unit_of(name)) for part in parts]
         start[name] = Begin(numbers[0], tuple(numbers[1:]))
     return start
+
+
+def _shown(options: argparse.Namespace, unit_of: UnitOf) -> dict[str, Shown]:
+    """In which units the parameters are told."""
+    given = (text.partition("=") for text in options.start)
+    return {name: shown_in(texts.split(":"), unit_of(name)) for name, _, texts in given}
 
 
 def _with_starts(options: argparse.Namespace, start: dict[str, Begin | None]) -> argparse.Namespace:
@@ -244,21 +253,26 @@ def _noise(options: argparse.Namespace) -> Any:
     return noise
 
 
-def _print(fitted: sj.Fit) -> None:
-    print(str(fitted))
+def _print(fitted: sj.Fit, shown: dict[str, Shown]) -> None:
+    from spherejax.studies.fit.report import report
+
+    print(report(fitted, shown))
     if len(fitted.courses) > 1:
+        told = {name: shown.get(name, Shown()) for name in fitted.names}
         rows = [
-            (*(f"{v:.5g}" for v in (each["end"] or dict.fromkeys(fitted.names, np.nan)).values()),
+            (*(f"{v / told[name].factor:.5g}" for name, v in (each["end"] or dict.fromkeys(told, np.nan)).items()),
              f"{each['cost']:.6g}", each["status"])
             for each in fitted.starts
         ]  # fmt: skip
-        print_table("starts", (*fitted.names, "cost", "status"), rows)
+        print_table("starts", (*(one.head(name) for name, one in told.items()), "cost", "status"), rows)
 
 
-def _write(fitted: sj.Fit, folder: Path, title: str, *, pictures: bool) -> list[str]:
+def _write(fitted: sj.Fit, shown: dict[str, Shown], folder: Path, title: str, *, pictures: bool) -> list[str]:
     """Table, report, data set and figures; returns their names."""
-    _write_estimates(fitted, folder / FILES[0])
-    (folder / FILES[1]).write_text(f"{fitted}\n", encoding="utf-8")
+    from spherejax.studies.fit.report import report
+
+    _write_estimates(fitted, shown, folder / FILES[0])
+    (folder / FILES[1]).write_text(f"{report(fitted, shown)}\n", encoding="utf-8")
     fitted.save(folder / FILES[2], overwrite=True)
     names: list[str] = [*FILES]
     for name, figure in fitted.figures(title).items() if pictures else ():
@@ -267,12 +281,14 @@ def _write(fitted: sj.Fit, folder: Path, title: str, *, pictures: bool) -> list[
     return names
 
 
-def _write_estimates(fitted: sj.Fit, path: Path) -> None:
+def _write_estimates(fitted: sj.Fit, shown: dict[str, Shown], path: Path) -> None:
     known = fitted.knowledge
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["parameter", "estimate", "standard_deviation", "low", "high", "level"])
+        writer.writerow(["parameter", "estimate", "standard_deviation", "low", "high", "level", "unit"])
         for name, value, deviation, (low, high) in zip(
             fitted.names, known.values, known.standard_deviations, known.intervals(fitted.level), strict=True
         ):
-            writer.writerow([name, *(repr(float(v)) for v in (value, deviation, low, high)), fitted.level])
+            unit, factor = shown.get(name, Shown())
+            numbers = (repr(float(v) / factor) for v in (value, deviation, low, high))
+            writer.writerow([name, *numbers, fitted.level, unit])

@@ -16,6 +16,7 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
+from spherejax.command_line.shown import Wanted
 
 DESCRIPTION = """\
 Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
@@ -67,7 +68,8 @@ def add_run(commands) -> None:
     times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")
     times.add_argument(
         "--peak", action="append", default=[], metavar="NAME",
-        help="largest magnitude of a quantity over all steps, as reaction.NAME or acceleration.NAME; may be repeated",
+        help='largest magnitude of a quantity over all steps, as reaction.NAME, acceleration.NAME or "reaction.NAME '
+        '[kN]"; may be repeated',
     )  # fmt: skip
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
@@ -98,7 +100,7 @@ def run_scene(options: argparse.Namespace) -> int:
     for path in filter(None, (options.out, options.impacts)):
         writable(path, overwrite=options.overwrite)
     check_report(options)
-    require_quantities(scene, options.peak)
+    peaks = require_quantities(scene, options.peak, units=True)
     system = sj.compile_scene(scene).system
     joint = found.studied if options.impacts is None else _with_contact(found.studied, system.contact_joints)
     solver = SOLVERS[options.solver]() if options.solver else None
@@ -122,7 +124,7 @@ def run_scene(options: argparse.Namespace) -> int:
     print_table(
         title,
         ("quantity", "value"),
-        [*_summary(run, seconds), *_peaks(run, options.peak)],
+        [*_summary(run, seconds), *_peaks(run, peaks)],
     )
     from spherejax.output.io import save
 
@@ -182,13 +184,14 @@ def _with_contact(studied: str | None, contacts: tuple[str, ...]) -> str:
     )
 
 
-def _peaks(run: sj.Trajectory, names: list[str]) -> list[tuple[str, str]]:
+def _peaks(run: sj.Trajectory, wanted: list[Wanted]) -> list[tuple[str, str]]:
     from spherejax.motion.equations.quantities import quantity
 
     system, found = run.system, []
-    for name in names:
-        peak = run.peak(name)
-        found.append((f"largest {name} [{quantity(name, system).unit}]", f"{peak.value:.6g} at {peak.time:.6g} s"))
+    for one in wanted:
+        peak = run.peak(one.name)
+        shown = one.shown(quantity(one.name, system).unit)
+        found.append((shown.head(f"largest {one.name}"), f"{peak.value / shown.factor:.6g} at {peak.time:.6g} s"))
     return found
 
 

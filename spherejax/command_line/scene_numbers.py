@@ -9,6 +9,7 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import UNITS, USED_BY
+from spherejax.command_line.shown import Wanted, wanted
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
 
@@ -64,28 +65,33 @@ def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
     return unit
 
 
-def require_quantities(scene: sj.Scene, names: Iterable[str]) -> None:
-    """Refuse names of quantities that mean nothing in a scene, before what takes long is imported or computed.
+def require_quantities(scene: sj.Scene, texts: Iterable[str], *, units: bool = False) -> list[Wanted]:
+    """Judge names of quantities, before what takes long is imported or computed.
 
     Args:
         scene: the scene.
-        names: quantities, also as sweeps keep them: "final position.rocker", "peak reaction.elbow". What a sweep
-            counts, "onsets.elbow", is left to it.
+        texts: quantities, also as sweeps keep them, "peak reaction.elbow". What a sweep counts, "onsets.elbow", is
+            left to it.
+        units: whether units are understood: "position.rocker.z [mm]".
+
+    Returns:
+        The same without units, and the units.
 
     Raises:
-        SceneError: for a name that means nothing, naming those that exist.
+        SceneError: for a name that means nothing, naming those that exist, and for a unit of another dimension.
     """
     from spherejax.motion.equations.quantities import quantity
 
-    wanted = [name for name in names if name.partition(".")[0] not in ("onsets", "time_in_contact")]
-    if not wanted:
-        return
-    system = sj.compile_scene(scene).system
-    for name in wanted:
-        words = name.split(" ")
+    found = [wanted(text) if units else Wanted(text) for text in texts]
+    named = [one for one in found if one.name.partition(".")[0] not in ("onsets", "time_in_contact")]
+    system = sj.compile_scene(scene).system if named else None
+    for one in named:
+        words = one.name.split(" ")
         while len(words) > 1 and words[0] in ("sensitivity", "final", "peak"):
             words = words[1:]
-        quantity(" ".join(words).strip(), system)
+        assert system is not None
+        one.shown(quantity(" ".join(words).strip(), system).unit)
+    return found
 
 
 def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scene:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +18,8 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Shown, Wanted, in_units, shown_in, wanted
+from spherejax.files.units import PURE
 from spherejax.foundations.errors import one_of
 
 DESCRIPTION = """\
@@ -62,7 +65,8 @@ def add_sweep(commands) -> None:
         "--record",
         action="append",
         metavar="QUANTITY",
-        help='e.g. "position.rocker", "final position.rocker", "peak acceleration.rocker", "onsets.coupler_rocker"; '
+        help='e.g. "position.rocker", "final position.rocker", "peak acceleration.rocker [km/s^2]", '
+        '"onsets.coupler_rocker"; '
         "may be repeated (default: peak reaction of the studied joint, where the last body ends, contacts)",
     )
     kept.add_argument("--samples", type=whole, default=101, metavar="N", help="sample times (default: 101)")
@@ -102,15 +106,16 @@ def sweep_scene(options: argparse.Namespace) -> int:
     found = chosen(_with_first_values(options, asked))
     build = builder(found, options, names)
     scene = build(**asked.first)  # names are judged by it, before what takes long is imported
-    require_quantities(scene, options.record or [])
-    grid = asked_of(options, units_in(scene, found.studied)).grid(options)  # a unit of another dimension is refused
-    record = options.record or _default_record(found, scene)
+    recorded = _recorded(found, options, scene)
+    unit_of = units_in(scene, found.studied)
+    asked = asked_of(options, unit_of)  # a unit of another dimension is refused
+    grid = asked.grid(options)
     begin = time.perf_counter()
     result = sj.sweep(
         build,
         grid,
         np.linspace(0.0, options.t1, number_of_samples(options.samples)),
-        record=record,
+        record=[one.name for one in recorded],
         rtol=options.rtol,
         max_steps=options.max_steps,
         solver=SOLVERS[options.solver]() if options.solver else None,
@@ -122,8 +127,12 @@ def sweep_scene(options: argparse.Namespace) -> int:
     if path.suffix != ".zarr":
         from spherejax.output.io import save
 
-        save(result, path, overwrite=options.overwrite)
-    _print(found, options, names, result, seconds)
+        of_si = {key: Shown(unit_of(name) or "") for key, name in names.items()}
+        save(in_units(result, of_si), path, overwrite=options.overwrite)
+    result = in_units(result, asked.shown)
+    for one, name in zip(recorded, list(result.data_vars), strict=False):
+        result = result.assign({name: one.shown(result[name].attrs["units"]).of(result[name])})
+    _print(found, options, asked, result, seconds)
     pictures = [] if options.no_pictures else _draw(result, found, path)
     write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", scene)
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
@@ -138,12 +147,14 @@ class Asked(NamedTuple):
         values: of a product, by parameter.
         ranges: of samples, by parameter.
         logarithmic: parameters whose ranges are.
+        shown: in which units they are told.
     """
 
     names: dict[str, str]
     values: dict[str, np.ndarray]
     ranges: dict[str, tuple[float, float]]
     logarithmic: list[str]
+    shown: dict[str, Shown]
 
     @property
     def first(self) -> dict[str, float]:
@@ -160,7 +171,7 @@ class Asked(NamedTuple):
 
 def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> Asked:
     """What `--vary` asks for; it takes no long import."""
-    asked = Asked({}, {}, {}, [])
+    asked = Asked({}, {}, {}, [], {})
     for text in options.vary:
         name, equals, given = text.partition("=")
         if not equals or not name or not given:
@@ -172,12 +183,13 @@ def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> A
         parts = given.split(":")
         if options.draws is None:
             asked.values[key] = _values(text, parts, unit_of(name))
-            continue
-        if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
+        elif len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
             raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
-        low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
-        asked.ranges[key] = (low, high)
-        asked.logarithmic.extend([key] if parts[2:] else [])
+        else:
+            low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
+            asked.ranges[key] = (low, high)
+            asked.logarithmic.extend([key] if parts[2:] else [])
+        asked.shown[key] = shown_in(re.split("[:,]", given), unit_of(name))
     return asked
 
 
@@ -227,6 +239,16 @@ def builder(found: Chosen, options: argparse.Namespace, names: dict[str, str], f
     return build
 
 
+def _recorded(found: Chosen, options: argparse.Namespace, scene: sj.Scene) -> list[Wanted]:
+    """What is kept, judged by the scene of the first run; if no such mechanism can be, the sweep judges the others."""
+    texts = options.record or _default_record(found, scene)
+    try:
+        sj.compile_scene(scene)
+    except sj.SceneError:
+        return [wanted(text) for text in texts]
+    return require_quantities(scene, texts, units=True)
+
+
 def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     joint = found.studied or next(iter(scene.joints), None)
     ends = [f"final position.{body}" for body in list(scene.bodies)[-1:]]
@@ -235,10 +257,10 @@ def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     return [*([f"peak reaction.{joint}"] if joint else []), *ends, *events]
 
 
-def _print(found: Chosen, options: argparse.Namespace, names: dict[str, str], result, seconds: float) -> None:
+def _print(found: Chosen, options: argparse.Namespace, asked: Asked, result, seconds: float) -> None:
     facts = result.attrs
     # Said, because "mu=0,3" is a list of two numbers, where somebody may mean 0.3.
-    varied = {name: np.unique(result[key]) for key, name in names.items()}
+    varied = {asked.shown[key].head(name): np.unique(result[key]) for key, name in asked.names.items()}
     rows = [
         *(
             (name, f"{len(values):,} value{'s' * (len(values) > 1)}, {_range(values)}")
@@ -271,7 +293,13 @@ def _print_failures(result) -> None:
             continue
         words = kind.name.lower().replace("_", " ")
         where = [
-            f"{name} {_range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so])}"
+            " ".join(
+                (
+                    name,
+                    _range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so]),
+                    result[name].attrs["units"].removeprefix(PURE),
+                )
+            ).rstrip()
             for name in map(str, status.coords)
             if name != "run"
         ]

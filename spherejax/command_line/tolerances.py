@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Shown, shown_in
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
 
@@ -130,7 +132,7 @@ def find_tolerances(options: argparse.Namespace) -> int:
         return made
 
     result = _study(options, build, spreads)
-    print(result)
+    print(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.ToleranceBudget) else result)
     if folder is not None:
         _write(result, folder, options.overwrite)
     return 0
@@ -167,6 +169,17 @@ def _spreads(
         numbers[key] = number
         spreads[key] = _spread(text, given, number.value(scene), unit_at(scene, number.steps), options.uniform)
     return numbers, spreads
+
+
+def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene) -> dict[str, Shown]:
+    """In which units the numbers are told."""
+    from spherejax.files.number_units import unit_at
+
+    texts = (re.split(r"\+-|:", text.partition("=")[2]) for text in options.tolerance)
+    return {
+        key: shown_in((each for each in given if not each.strip().endswith("%")), unit_at(scene, number.steps))
+        for (key, number), given in zip(numbers.items(), texts, strict=True)
+    }
 
 
 def _spread(text: str, given: str, own: float, unit: str | None, uniform: bool) -> sj.Tolerance | tuple[float, float]:
