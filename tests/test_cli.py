@@ -95,7 +95,8 @@ def test_numbers_may_have_units():
 def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     path = tmp_path / "impacts.csv"
     command = ["run", "four-bar", "--joint", "dry", "--t1", "0.02", "--samples", "3", "--impacts", str(path)]
-    more = ("--peak", "reaction.coupler_rocker [kN]")
+    more = ("--peak", "reaction.coupler_rocker [kN]", "--spectrum", f"reaction.coupler_rocker={tmp_path / 's.png'}")
+    more += ("--spectrum", f"reaction.coupler_rocker.z={tmp_path / 's.csv'}")
     assert cli.main([*command, "--peak", "reaction.coupler_rocker", *more]) == 0
     rows = list(csv.DictReader(path.read_text().splitlines()))
     said = capsys.readouterr().out
@@ -107,6 +108,14 @@ def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     assert f"{largest / 1e3:.5g}"[:4] in said.split("largest reaction.coupler_rocker [kN]")[1]
     assert cli.main([*command, "--peak", "reaction.coupler_rocker [mm]"]) == 2
     assert "'mm' is a length [m], but a force [N] is expected" in capsys.readouterr().err
+    lines = list(csv.DictReader((tmp_path / "s.csv").read_text().splitlines()))
+    assert float(lines[0]["frequency [Hz]"]) == pytest.approx(1 / 0.02)
+    assert max(float(line["amplitude [N]"]) for line in lines) > 1.0
+    assert (tmp_path / "s.png").stat().st_size > 10_000
+    assert cli.main([*command, "--spectrum", "reaction.coupler_rockr.z=x.csv"]) == 2
+    assert "did you mean 'reaction.coupler_rocker'" in capsys.readouterr().err
+    assert cli.main([*command, "--spectrum", "reaction.coupler_rocker"]) == 2
+    assert "write QUANTITY=FILE" in capsys.readouterr().err
     assert float(rows[0]["release [s]"]) > float(rows[0]["onset [s]"]) > 0
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
+from spherejax.command_line.draw import PICTURES
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
@@ -40,6 +42,7 @@ EPILOG = """examples:
   spherejax run four-bar --joint friction --t1 0.2 --report run.html
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
   spherejax run four-bar --joint dry --t1 0.2 --impacts impacts.csv --peak reaction.coupler_rocker
+  spherejax run four-bar --joint dry --t1 0.2 --spectrum reaction.coupler_rocker=spectrum.png
 """
 
 
@@ -80,6 +83,11 @@ def add_run(commands) -> None:
     files.add_argument(
         "--impacts", metavar="FILE", help="write each contact of the studied joint: .csv, .nc, .zarr or .h5"
     )
+    files.add_argument(
+        "--spectrum", action="append", default=[], metavar="QUANTITY=FILE",
+        help='amplitudes of a quantity by frequency, from all steps: "reaction.NAME.z=spectrum.png", or .csv, '
+        ".nc, .zarr, .h5; may be repeated",
+    )  # fmt: skip
     add_report(files, "the motion")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.set_defaults(action=run_scene)
@@ -99,6 +107,7 @@ def run_scene(options: argparse.Namespace) -> int:
     ts = sample_times(options)
     for path in filter(None, (options.out, options.impacts)):
         writable(path, overwrite=options.overwrite)
+    spectra = _spectra(options, scene)
     check_report(options)
     peaks = require_quantities(scene, options.peak, units=True)
     system = sj.compile_scene(scene).system
@@ -131,6 +140,8 @@ def run_scene(options: argparse.Namespace) -> int:
     if options.impacts is not None:
         table = run.impacts(str(joint))
         print(f"wrote {save(table, options.impacts, overwrite=options.overwrite)}: {table.sizes['contact']} contacts")
+    for name, path in spectra:
+        _write_spectrum(run, name, path, overwrite=options.overwrite)
     if options.out is not None:
         print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
     write_report(options, run, title, scene)
@@ -182,6 +193,37 @@ def _with_contact(studied: str | None, contacts: tuple[str, ...]) -> str:
         f"--impacts: the studied joint, {studied!r}, has no clearance; joints with contact: {known}. Choose its model "
         "by --joint dry, friction or lubricated, or another joint by --of"
     )
+
+
+def _spectra(options: argparse.Namespace, scene: sj.Scene) -> list[tuple[str, Path]]:
+    """Quantities whose spectra are asked for, and where they go; judged before anything is computed."""
+    from spherejax.output.paths import make_folder, require_free, writable
+
+    found = []
+    for text in options.spectrum:
+        name, equals, path = (part.strip() for part in text.partition("="))
+        if not (name and equals and path):
+            raise sj.SceneError(f"--spectrum {text}: write QUANTITY=FILE, e.g. reaction.elbow.z=spectrum.png")
+        require_quantities(scene, [name])
+        target = Path(path).expanduser()
+        if target.suffix.lower() in PICTURES:
+            require_free(target, overwrite=options.overwrite)
+            make_folder(target.parent)
+        else:
+            writable(target, overwrite=options.overwrite)
+        found.append((name, target))
+    return found
+
+
+def _write_spectrum(run: sj.Trajectory, name: str, path: Path, *, overwrite: bool) -> None:
+    from spherejax.output.io import save
+
+    found = run.spectrum(name)
+    if path.suffix.lower() in PICTURES:
+        sj.plot.spectrum(found).savefig(path)
+    else:
+        save(found, path, overwrite=overwrite)
+    print(f"wrote {path}")
 
 
 def _peaks(run: sj.Trajectory, wanted: list[Wanted]) -> list[tuple[str, str]]:
