@@ -55,12 +55,16 @@ def unit_of_option(name: str) -> str | None:
 
 def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
     """Of options, and of the numbers of a scene by their paths."""
-    from spherejax.files.number_units import unit_at
     from spherejax.model.numbers import place_at
 
     def unit(name: str) -> str | None:
         known = unit_of_option(name)
-        return known if known is not None else unit_at(scene, place_at(scene, name, studied).steps)
+        if known is not None:
+            return known
+        place = place_at(scene, name, studied)
+        from spherejax.files.number_units import unit_at  # it looks at every class that files know
+
+        return unit_at(scene, place.steps)
 
     return unit
 

@@ -88,8 +88,8 @@ def find_sensitivities(options: argparse.Namespace) -> int:
     names = {name.replace(".", "_"): name for name in parameters}
     build = builder(found, options, names, "--by")
     _parameters(options, units_in(found.scene(options), found.studied))  # a unit of another dimension is refused
-    require_quantities(found.scene(options), options.observables)
     values = {key: _value(found, options, build, names, key, parameters[name]) for key, name in names.items()}
+    require_quantities(found.scene(options), options.observables)
     result = sj.sensitivity(
         build,
         values,

@@ -122,8 +122,9 @@ def find_tolerances(options: argparse.Namespace) -> int:
         raise sj.SceneError(f"--runs {options.runs} means nothing with --method budget; add --method sobol or samples")
     found = chosen(options)
     scene = found.scene(options)
+    numbers = _numbers(options, found, scene)
     require_quantities(scene, options.observables)
-    numbers, spreads = _spreads(options, found, scene)
+    spreads = _spreads(options, numbers, scene)  # which takes long to import: names have been judged
 
     def build(**values) -> sj.Scene:
         made = scene
@@ -148,27 +149,39 @@ def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any]) -> 
     return study(build, spreads, ts, record=options.observables, n=n, seed=options.seed, **how)
 
 
-def _spreads(
-    options: argparse.Namespace, found: Chosen, scene: sj.Scene
-) -> tuple[dict[str, Number], dict[str, sj.Tolerance | tuple[float, float]]]:
-    """The numbers that scatter, and how, by names that are identifiers."""
-    from spherejax.files.number_units import unit_at
+def _numbers(options: argparse.Namespace, found: Chosen, scene: sj.Scene) -> dict[str, Number]:
+    """The numbers that scatter, by names that are identifiers."""
     from spherejax.model.numbers import full_path, number_at
 
     numbers: dict[str, Number] = {}
-    spreads: dict[str, Any] = {}
     for text in options.tolerance:
-        name, _, given = (part.strip() for part in text.partition("="))
+        name = text.partition("=")[0].strip()
         try:
             number = number_at(scene, full_path(scene, name, found.studied))
         except sj.SceneError as error:
             raise sj.SceneError(f"--tolerance {error}") from None
         if any(number[1:] == other[1:] for other in numbers.values()):
             raise sj.SceneError(f"--tolerance {name}: it is given twice")
-        key = name.replace(".", "_")
-        numbers[key] = number
-        spreads[key] = _spread(text, given, number.value(scene), unit_at(scene, number.steps), options.uniform)
-    return numbers, spreads
+        numbers[name.replace(".", "_")] = number
+    return numbers
+
+
+def _spreads(
+    options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene
+) -> dict[str, sj.Tolerance | tuple[float, float]]:
+    """How they scatter."""
+    from spherejax.files.number_units import unit_at
+
+    return {
+        key: _spread(
+            text,
+            text.partition("=")[2].strip(),
+            number.value(scene),
+            unit_at(scene, number.steps),
+            options.uniform,
+        )
+        for text, (key, number) in zip(options.tolerance, numbers.items(), strict=True)
+    }
 
 
 def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene) -> dict[str, Shown]:
