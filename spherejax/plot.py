@@ -7,7 +7,7 @@ of a whole study come from its result: `fitted.figures()`, `study.figures(...)`;
     sj.plot.eccentricity_paths(curves, "Center of the ball in the socket")
 
 histories of runs           `curves_of` for `four_histories`, `phase_portraits`, `eccentricity_paths`
-                            `Panel` for `model_histories`
+                            `Panel` for `model_histories`; `spectrum`
 force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
 linearizations              `bode`, `modes`
 suspension rigs             `rig`
@@ -28,6 +28,7 @@ from spherejax.output.plot.modes import modes
 from spherejax.output.plot.panels import Panel, Shade, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.rig import rig
+from spherejax.output.plot.spectra import spectrum
 from spherejax.output.plot.stiffness import dynamic_stiffness
 from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, MODEL_COLORS, letter, new_figure, ordered_colors
 from spherejax.output.plot.swept import figures_of_sweep
@@ -57,5 +58,6 @@ __all__ = [
     "ordered_colors",
     "phase_portraits",
     "rig",
+    "spectrum",
     "swept_sine",
 ]

@@ -14,6 +14,7 @@ import xarray
 import spherejax as sj
 from spherejax import cli
 from spherejax.output.plot.style import typeset
+from spherejax.output.plot.work_precision import WorkCurve, WorkDiagram, work_precision_figure
 from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
 from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, price, spreads, usual_target
 from spherejax.studies.accuracy.reference import AGREEMENT, PARTED, Reference, make_reference, parting
@@ -356,7 +357,20 @@ def test_kvaerno5_converges_with_its_root_finder():
 # Figures and files ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("span", [(2e-3, 12.5e-3), (1e-3, 1.3e-3), (4.1e-3, 8.9e-3), (1e-4, 2.0), (3e-3, 0.1)])
+def test_an_axis_of_times_has_three_ticks(span):
+    curve = WorkCurve("one", [1e-5, 1e-7], list(span), [10, 20], {"position": [1e-6, 1e-8]})
+    frontiers = {"position": (list(span), [1e-6, 1e-8])}
+    figure = work_precision_figure(WorkDiagram("title", [curve], {"position": "m"}, {"position": 0.0}, frontiers))
+    ax = next(ax for ax in figure.axes if "position" in ax.get_title(loc="left"))
+    figure.canvas.draw()
+    low, high = ax.get_xlim()
+    assert sum(low <= tick <= high for tick in ax.get_xticks()) >= 3
+
+
 def test_figures_show_the_rows(result, chaotic):
+    named = replace(result, name="four-bar").figures("friction")
+    assert all(figure.get_suptitle().startswith("four-bar, friction: what accuracy costs") for figure in named.values())
     drawn = result.figures("friction")
     assert set(drawn) == {"work_precision", "steps"}
     figure = drawn["work_precision"]

@@ -18,7 +18,7 @@ from spherejax import cli
 from spherejax.command_line import catalog
 from spherejax.command_line.catalog import FRICTION_LAWS, NORMAL_LAWS, SOLVERS
 from spherejax.command_line.models import model_from
-from spherejax.command_line.sweep import grid_of
+from spherejax.command_line.sweep import asked_of
 from spherejax.output.plot.curves import curves_of
 from spherejax.studies.compare import compare
 from spherejax.studies.subject import Comparison, Row
@@ -95,7 +95,9 @@ def test_numbers_may_have_units():
 def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     path = tmp_path / "impacts.csv"
     command = ["run", "four-bar", "--joint", "dry", "--t1", "0.02", "--samples", "3", "--impacts", str(path)]
-    assert cli.main([*command, "--peak", "reaction.coupler_rocker"]) == 0
+    more = ("--peak", "reaction.coupler_rocker [kN]", "--spectrum", f"reaction.coupler_rocker={tmp_path / 's.png'}")
+    more += ("--spectrum", f"reaction.coupler_rocker.z={tmp_path / 's.csv'}")
+    assert cli.main([*command, "--peak", "reaction.coupler_rocker", *more]) == 0
     rows = list(csv.DictReader(path.read_text().splitlines()))
     said = capsys.readouterr().out
     assert f"{len(rows)} contacts" in said
@@ -103,6 +105,17 @@ def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     largest = max(float(row["peak_force [N]"]) for row in rows)
     assert largest > 50
     assert f"{largest:.5g}"[:4] in said.split("largest reaction.coupler_rocker [N]")[1]
+    assert f"{largest / 1e3:.5g}"[:4] in said.split("largest reaction.coupler_rocker [kN]")[1]
+    assert cli.main([*command, "--peak", "reaction.coupler_rocker [mm]"]) == 2
+    assert "'mm' is a length [m], but a force [N] is expected" in capsys.readouterr().err
+    lines = list(csv.DictReader((tmp_path / "s.csv").read_text().splitlines()))
+    assert float(lines[0]["frequency [Hz]"]) == pytest.approx(1 / 0.02)
+    assert max(float(line["amplitude [N]"]) for line in lines) > 1.0
+    assert (tmp_path / "s.png").stat().st_size > 10_000
+    assert cli.main([*command, "--spectrum", "reaction.coupler_rockr.z=x.csv"]) == 2
+    assert "did you mean 'reaction.coupler_rocker'" in capsys.readouterr().err
+    assert cli.main([*command, "--spectrum", "reaction.coupler_rocker"]) == 2
+    assert "write QUANTITY=FILE" in capsys.readouterr().err
     assert float(rows[0]["release [s]"]) > float(rows[0]["onset [s]"]) > 0
 
 
@@ -250,7 +263,10 @@ def test_a_number_that_is_varied_is_a_plain_one(given, message, capsys, tmp_path
 )
 def test_a_number_that_is_varied_may_have_a_unit(given, meant):
     words = ["sweep", "four-bar", "--joint", "friction", "--vary", given, "--out", "s.zarr"]
-    _, grid = grid_of(cli.parser().parse_args(words))
+    options = cli.parser().parse_args(words)
+    asked = asked_of(options)
+    assert asked.shown.popitem()[1].unit == given.partition("=")[2].split()[1].partition(":")[0].partition(",")[0]
+    grid = asked.grid(options)
     np.testing.assert_allclose(next(iter(grid.axes.values())), meant, rtol=1e-12)
 
 
@@ -260,7 +276,11 @@ def test_where_a_fit_begins_and_what_is_changed_may_have_units(capsys):
 
     words = ["fit", "four-bar", "--joint", "bushing", "--measured", "x.csv", "--start"]
     start = _starts(cli.parser().parse_args([*words, "stiffness=10 kN/m:1 kN/m:1e7", "--start", "rocker.mass=20 g"]))
-    assert (start["stiffness"].start, start["stiffness"].lower, start["rocker.mass"].start) == (1e4, 1e3, 0.02)
+    assert (start["stiffness"].parameter.lower, start["stiffness"].start, start["rocker.mass"].start) == (
+        1e3,
+        1e4,
+        0.02,
+    )
     assert cli.main([*words, "rocker.mass=20 mm"]) == 2
     assert "--start rocker.mass=20 mm: '20 mm' is a length [m], but a mass [kg] is expected" in capsys.readouterr().err
     words = ["sensitivity", "four-bar", "--joint", "bushing", "--of", "position.rocker", "--by"]

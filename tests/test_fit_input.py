@@ -180,16 +180,21 @@ def test_command_fits_a_scene_file_to_a_table(tmp_path, capsys):
 
     write_scene(tmp_path)
     words = ["fit", tmp_path / "ball.toml", "--measured", tmp_path / "ball.csv", "--noise", "1e-4"]
-    words += ["--start", "forces.spring.stiffness", "--start", "forces.spring.damping=0.3:0.01:100"]
+    words += ["--start", "forces.spring.stiffness", "--start", "forces.spring.damping=300 N s/km:0.01:100"]
     assert main([*map(str, words), "--out", str(tmp_path / "out")]) == 0
-    assert "forces.spring.stiffness" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "forces.spring.stiffness [N/m]" in told
+    assert "forces.spring.damping [N s/km]" in told
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {
         "estimates.csv", "report.txt", "fit.nc", "fit.png", "residuals.png", "history.png", "correlation.png"
     }  # fmt: skip
     rows = (tmp_path / "out" / "estimates.csv").read_text().splitlines()
-    name, value, deviation, low, high, _ = rows[1].split(",")
-    assert name == "forces.spring.stiffness"
+    name, value, deviation, low, high, _, unit = rows[1].split(",")
+    assert (name, unit) == ("forces.spring.stiffness", "N/m")
+    name, damping, *_, unit = rows[2].split(",")
+    assert (name, unit) == ("forces.spring.damping", "N s/km")
+    assert float(damping) == pytest.approx(1e3 * sj.load(tmp_path / "out" / "fit.nc")["estimate"].values[1], rel=1e-12)
     assert float(low) < 200.0 < float(high)
     assert float(value) == pytest.approx(200.0, rel=1e-3)
     assert 0 < float(deviation) < 0.1

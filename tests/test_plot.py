@@ -188,6 +188,22 @@ def test_time_ratios_are_annotated():
     assert "33,000 steps" in figure.axes[0].texts[1].get_text()
 
 
+def test_a_limit_that_ends_early_says_why():
+    shortened = [s for s in limit_studies(sj.RadialFilm()) if s.parameter == "clearance [mm]" and len(s.values) < 5]
+    assert [("its curve ends where" in s.label) for s in shortened] == [True]
+    assert not any("ends" in s.label for s in limit_studies())
+
+
+def test_loops_that_lie_on_each_other_have_a_close_up():
+    """Of narrow loops the damping is shown alone; of wide ones nothing."""
+    laws = {c_r: [sj.Hertz(), sj.HuntCrossley(c_r), sj.LankaraniNikravesh(c_r)] for c_r in (0.9, 0.3)}
+    narrow, wide = impact_loops(laws, stiffness=1.5e11).axes[:2]
+    (inset,) = narrow.child_axes
+    assert not wide.child_axes
+    _, first, second = (np.abs(line.get_ydata()).max() for line in inset.lines)
+    assert 1.02 * second < first < 0.15 * narrow.dataLim.ymax
+
+
 def test_limits_share_a_panel_where_they_share_a_parameter():
     found = [
         Limit("dry", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-4], 1),

@@ -151,6 +151,51 @@ def test_help_and_wrong_arguments_do_not_wait_for_jax(words, code):
     assert done.stdout.splitlines()[-1] == f"{code} []"
 
 
+GAP = "joints.coupler_rocker.model.clearence"
+FOUR_BAR = "four-bar --joint dry"
+MISSPELT = [
+    f"run {FOUR_BAR} --set {GAP}=1e-4",
+    f"run {FOUR_BAR} --peak reaction.couplerrocker",
+    f"draw {FOUR_BAR} --set {GAP}=1e-4 --out x.png",
+    f"sweep {FOUR_BAR} --vary {GAP}=1e-4,2e-4 --out x.nc",
+    f"sweep {FOUR_BAR} --vary clearance=1e-4:2e-4 --vary rocker.mas=1:2 --draws 4 --out x.nc",
+    f"sweep {FOUR_BAR} --vary mu=0.1,0.2 --joint friction --record position.rockr --out x.nc",
+    f"sensitivity {FOUR_BAR} --by {GAP} --of position.rocker.z",
+    f"sensitivity {FOUR_BAR} --by clearance --of position.rockr.z",
+    f"modes {FOUR_BAR} --by {GAP}",
+    f"tolerances {FOUR_BAR} --tolerance {GAP}=+-10% --of position.rocker.z",
+    f"tolerances {FOUR_BAR} --tolerance clearance=+-10% --of position.rockr.z",
+    f"fit {FOUR_BAR} --measured no.csv --start {GAP}=1e-4",
+    f"export {FOUR_BAR} --fmu x.fmu --output position.rockr",
+    f"accuracy {FOUR_BAR} --set {GAP}=1e-4",
+    f"cycle {FOUR_BAR} --set {GAP}=1e-4 --period 0.1",
+    f"write {FOUR_BAR} --set {GAP}=1e-4 --out x.toml",
+    "rig double-wishbone --set joints.lowerarm.axis.x=1",
+]
+
+
+def test_misspelt_names_of_the_scene_wait_for_jax_alone():
+    """What integrates, draws and tabulates takes seconds to import; what is told first is what is not there."""
+    program = (
+        "import sys; sys.argv[0] = 'spherejax'; from spherejax.cli import main\n"
+        "for words in sys.stdin.read().splitlines():\n"
+        "    code = main(words.split())\n"
+        "    print(code, [m for m in ('diffrax', 'xarray', 'matplotlib', 'rich') if m in sys.modules], words)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        input="\n".join(MISSPELT),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert done.stdout.splitlines() == [f"2 [] {words}" for words in MISSPELT]
+    told = done.stderr.splitlines()
+    assert len(told) == len(MISSPELT)
+    assert all("did you mean" in line for line in told), done.stderr
+
+
 @pytest.mark.parametrize("start", [["-m", "spherejax"], ["-c", "from spherejax.cli import main; main(['list'])"]])
 def test_the_command_sets_itself_up_when_it_has_read_its_arguments(start, tmp_path):
     (tmp_path / "sitecustomize.py").write_text(

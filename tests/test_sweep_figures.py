@@ -7,6 +7,7 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.cli import main
+from spherejax.command_line.shown import Shown, in_units
 from spherejax.motion.integration.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
 from spherejax.studies.sweep import product, sobol_samples, zipped
@@ -63,6 +64,14 @@ def test_a_curve_marks_failed_runs():
     # Samples of one parameter are no product, and are drawn in its order.
     (panel,) = drawn(figures_of_sweep(swept(zipped({"a": A[::-1]})))["n_steps"])
     assert np.all(np.diff(panel.lines[0].get_xdata()) > 0)
+
+
+def test_axes_have_the_units_in_which_parameters_are_told():
+    told = in_units(swept(product({"a": A, "b": B})), {"a": Shown("mm", 1e-3), "b": Shown()})
+    (panel,) = drawn(figures_of_sweep(told)["n_steps"])
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_xlim()) == ("a [mm]", "b", (1e3, 2e3))
+    told = in_units(swept(zipped({"a": A})), {"a": Shown("mm", 1e-3)})
+    assert drawn(figures_of_sweep(told)["n_steps"])[0].get_xlabel() == "a [mm]"
 
 
 def test_a_map_marks_failed_cells():

@@ -1,6 +1,7 @@
 """`spherejax tolerances`: what it takes for a spread, what it refuses, and that it says what the study says."""
 
 import csv
+import re
 
 import equinox as eqx
 import numpy as np
@@ -94,6 +95,8 @@ def test_it_says_what_the_study_says(capsys, tmp_path):
     assert cli.main([*BUSHING, *words, *OF, "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     assert "Tolerance budget" in told
+    assert re.search(r"rocker_mass +31.6 +0.5 +0.16\d +g", told)
+    assert re.search(r"stiffness +100000 .* N/m", told)
 
     def build(stiffness, rocker_mass):
         scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-3))

@@ -14,7 +14,7 @@ from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, real, whole
 from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.reports import add_report, check_report, write_report
-from spherejax.command_line.scenes import add_scene, chosen, model_name
+from spherejax.command_line.scenes import Chosen, add_scene, chosen, model_name
 
 DESCRIPTION = """\
 Run a mechanism with several solvers at several tolerances, time every run, and measure its error
@@ -98,9 +98,10 @@ def add_accuracy(commands) -> None:
 
 def show_accuracy(options: argparse.Namespace) -> int:
     """Run, print table and advice, write files."""
-    from spherejax.output.io import make_folder, require_free
+    from spherejax.output.paths import make_folder, require_free
 
-    scenes = scenes_from(options)
+    found = chosen(options)
+    scenes = scenes_from(options, found)
     check_report(options)
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
@@ -108,7 +109,7 @@ def show_accuracy(options: argparse.Namespace) -> int:
         make_folder(folder)
     start = time.perf_counter()
     with progress("running") as report:
-        result = sj.work_precision(scenes, report=report, **_request(options))
+        result = sj.work_precision(scenes, name=found.title or found.name, report=report, **_request(options))
     print_accuracy(result)
     if folder is not None:
         names = _write(result, folder)
@@ -118,13 +119,12 @@ def show_accuracy(options: argparse.Namespace) -> int:
     return 0
 
 
-def scenes_from(options: argparse.Namespace) -> dict[str, sj.Scene]:
+def scenes_from(options: argparse.Namespace, found: Chosen) -> dict[str, sj.Scene]:
     """The scenes by name of their model.
 
     Raises:
         SceneError: for an option of one model beside `--models`, which take their defaults.
     """
-    found = chosen(options)
     if options.models is None:
         return {model_name(options): found.scene(options)}
     if options.joint is not None:

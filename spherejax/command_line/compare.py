@@ -60,7 +60,7 @@ def add_compare(commands) -> None:
 
 def compare_models(options: argparse.Namespace) -> int:
     """Simulate, print the table, write everything."""
-    from spherejax.output.io import make_folder, require_free
+    from spherejax.output.paths import make_folder, require_free
     from spherejax.studies.compare import compare
 
     folder = Path(options.out).expanduser()

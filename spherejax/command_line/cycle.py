@@ -68,7 +68,7 @@ def add_cycle(commands) -> None:
 
 def find_cycle(options: argparse.Namespace) -> int:
     """Find the cycle, print, write."""
-    from spherejax.output.io import make_folder, require_free, save
+    from spherejax.output.paths import make_folder, require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     if options.plot and folder is None:
@@ -90,6 +90,8 @@ def find_cycle(options: argparse.Namespace) -> int:
     print(cycle)
     if folder is None:
         return 0
+    from spherejax.output.io import save
+
     make_folder(folder)
     written = [save(cycle.to_xarray(), folder / "cycle.nc", overwrite=options.overwrite)]
     cycle.figure(*options.plot).savefig(folder / "cycle.png")

@@ -72,9 +72,9 @@ def draw_scene(options: argparse.Namespace) -> int:
     """Simulate what is needed, draw, write the file."""
     path = Path(options.out).expanduser()
     is_film = path.suffix.lower() in FILMS
-    _require_sense(options, path, is_film)
     found = chosen(options)
     scene = found.scene(options)
+    _require_sense(options, path, is_film)
     if options.magnify or options.trace or options.view:
         sj.draw(scene, **_wishes(options))  # a wrong name shall not cost a simulation
     if is_film:
@@ -87,7 +87,7 @@ def draw_scene(options: argparse.Namespace) -> int:
 
 def _require_sense(options: argparse.Namespace, path: Path, is_film: bool) -> None:
     """Refuse what would be ignored, and files that cannot be written, before anything is computed."""
-    from spherejax.output.io import make_folder, require_free
+    from spherejax.output.paths import make_folder, require_free
     from spherejax.output.plot.animation import animation_path
 
     if path.suffix.lower() not in (*PICTURES, *FILMS):

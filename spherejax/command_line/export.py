@@ -7,6 +7,7 @@ import argparse
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, real
+from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 
 DESCRIPTION = """\
@@ -74,11 +75,14 @@ def export_scene(options: argparse.Namespace) -> int:
     """Write the file."""
     found = chosen(options)
     scene = found.scene(options)
+    inputs = _paths("--input", options.input, scene, found)
+    parameters = _paths("--parameter", options.parameter, scene, found)
+    require_quantities(scene, options.output)
     path = sj.export_fmu(
         scene,
         options.fmu,
-        inputs=_paths("--input", options.input, scene, found),
-        parameters=_paths("--parameter", options.parameter, scene, found),
+        inputs=inputs,
+        parameters=parameters,
         outputs=options.output,
         kind=options.kind,
         rtol=options.rtol,

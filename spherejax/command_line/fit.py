@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Shown, shown_in
 
 DESCRIPTION = """\
 Estimate numbers of a mechanism from measurements of its motion, by Levenberg-Marquardt on
@@ -97,18 +98,21 @@ def add_fit(commands) -> None:
 
 def fit_scene(options: argparse.Namespace) -> int:
     """Fit, print the report, write everything."""
-    from spherejax.output.io import make_folder, require_free
-    from spherejax.studies.fit import Ending, Whole
+    from spherejax.output.paths import make_folder, require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
         require_free(folder / FILES[0], overwrite=options.overwrite)
     check_report(options)
-    start = _starts(options)
-    found = chosen(_with_starts(options, start))
-    scene = found.scene(_with_starts(options, start))
-    start = _filled(found, scene, start)
-    _starts(options, units_in(scene, found.studied))  # a unit of another dimension is refused
+    asked = _starts(options)
+    found = chosen(_with_starts(options, asked))
+    scene = found.scene(_with_starts(options, asked))
+    own = _own_numbers(found, scene, asked)
+    unit_of = units_in(scene, found.studied)
+    asked = _starts(options, unit_of)  # a unit of another dimension is refused
+    from spherejax.studies.fit import Ending, Whole  # it takes long: names and units have been judged
+
+    start = {name: sj.Parameter(own[name]) if begin is None else begin.parameter for name, begin in asked.items()}
     measured = [_measured(path, options) for path in options.measured]
     if folder is not None:
         make_folder(folder)
@@ -124,9 +128,10 @@ def fit_scene(options: argparse.Namespace) -> int:
         solver=SOLVERS[options.solver]() if options.solver else None,
         level=options.level,
     )
-    _print(fitted)
+    shown = _shown(options, unit_of)
+    _print(fitted, shown)
     if folder is not None and fitted.best.us:
-        names = _write(fitted, folder, found.title or found.name, pictures=not options.no_pictures)
+        names = _write(fitted, shown, folder, found.title or found.name, pictures=not options.no_pictures)
         print(f"wrote {', '.join(names)} to {folder}")
     write_report(options, fitted, "")
     if fitted.best.ending is Ending.INTERRUPTED:
@@ -136,9 +141,21 @@ def fit_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> dict[str, Any]:
-    """Parameters by name, in SI units; None where the scene's own number is meant."""
-    start = {}
+class Begin(NamedTuple):
+    """What `--start` says of a parameter, in SI units; as `sj.Parameter`, which takes long to import."""
+
+    start: float
+    bounds: tuple[float, ...] = ()
+
+    @property
+    def parameter(self) -> sj.Parameter:
+        """For the fit."""
+        return sj.Parameter(self.start, **dict(zip(("lower", "upper"), self.bounds, strict=False)))
+
+
+def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> dict[str, Begin | None]:
+    """Parameters by name; None where the scene's own number is meant."""
+    start: dict[str, Begin | None] = {}
     for text in options.start:
         name, equals, given = text.partition("=")
         if name in start:
@@ -150,12 +167,17 @@ def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> di
         if not name or len(parts) not in (1, 3):
             raise sj.SceneError(f"--start {text}: write NAME=VALUE or NAME=VALUE:LOW:HIGH, e.g. stiffness=1e4:1e3:1e7")
         numbers = [number_of("--start", text, part, unit_of(name)) for part in parts]
-        bounds = dict(zip(("lower", "upper"), numbers[1:], strict=False))
-        start[name] = sj.Parameter(numbers[0], **bounds)
+        start[name] = Begin(numbers[0], tuple(numbers[1:]))
     return start
 
 
-def _with_starts(options: argparse.Namespace, start: dict[str, Any]) -> argparse.Namespace:
+def _shown(options: argparse.Namespace, unit_of: UnitOf) -> dict[str, Shown]:
+    """In which units the parameters are told."""
+    given = (text.partition("=") for text in options.start)
+    return {name: shown_in(texts.split(":"), unit_of(name)) for name, _, texts in given}
+
+
+def _with_starts(options: argparse.Namespace, start: dict[str, Begin | None]) -> argparse.Namespace:
     """Options of the studied joint with the starts in their place."""
     of_joint = {}
     for name, parameter in start.items():
@@ -170,18 +192,19 @@ def _with_starts(options: argparse.Namespace, start: dict[str, Any]) -> argparse
     return argparse.Namespace(**{**vars(options), **of_joint})
 
 
-def _filled(found: Chosen, scene: sj.Scene, start: dict[str, Any]) -> dict[str, Any]:
-    """Starts with the scene's own numbers where none is given; a wrong path is refused."""
-    filled = {}
-    for name, parameter in start.items():
+def _own_numbers(found: Chosen, scene: sj.Scene, start: dict[str, Begin | None]) -> dict[str, Any]:
+    """The scene's own numbers, by the paths that are fitted; a wrong path is refused."""
+    own = {}
+    for name, begin in start.items():
         if name.replace("-", "_") in USED_BY:
-            filled[name] = parameter
             continue
-        own = number_at(scene, name, found.studied)
-        filled[name] = sj.Parameter(own) if parameter is None else parameter
-        if parameter is not None and own.ndim:
-            raise sj.SceneError(f"--start {name}: it is an array of shape {own.shape}; give the name alone")
-    return filled
+        try:
+            own[name] = number_at(scene, name, found.studied)
+        except sj.SceneError as error:
+            raise sj.SceneError(f"--start {error}") from None
+        if begin is not None and own[name].ndim:
+            raise sj.SceneError(f"--start {name}: it is an array of shape {own[name].shape}; give the name alone")
+    return own
 
 
 def _builder(found: Chosen, options: argparse.Namespace):
@@ -230,21 +253,26 @@ def _noise(options: argparse.Namespace) -> Any:
     return noise
 
 
-def _print(fitted: sj.Fit) -> None:
-    print(str(fitted))
+def _print(fitted: sj.Fit, shown: dict[str, Shown]) -> None:
+    from spherejax.studies.fit.report import report
+
+    print(report(fitted, shown))
     if len(fitted.courses) > 1:
+        told = {name: shown.get(name, Shown()) for name in fitted.names}
         rows = [
-            (*(f"{v:.5g}" for v in (each["end"] or dict.fromkeys(fitted.names, np.nan)).values()),
+            (*(f"{v / told[name].factor:.5g}" for name, v in (each["end"] or dict.fromkeys(told, np.nan)).items()),
              f"{each['cost']:.6g}", each["status"])
             for each in fitted.starts
         ]  # fmt: skip
-        print_table("starts", (*fitted.names, "cost", "status"), rows)
+        print_table("starts", (*(one.head(name) for name, one in told.items()), "cost", "status"), rows)
 
 
-def _write(fitted: sj.Fit, folder: Path, title: str, *, pictures: bool) -> list[str]:
+def _write(fitted: sj.Fit, shown: dict[str, Shown], folder: Path, title: str, *, pictures: bool) -> list[str]:
     """Table, report, data set and figures; returns their names."""
-    _write_estimates(fitted, folder / FILES[0])
-    (folder / FILES[1]).write_text(f"{fitted}\n", encoding="utf-8")
+    from spherejax.studies.fit.report import report
+
+    _write_estimates(fitted, shown, folder / FILES[0])
+    (folder / FILES[1]).write_text(f"{report(fitted, shown)}\n", encoding="utf-8")
     fitted.save(folder / FILES[2], overwrite=True)
     names: list[str] = [*FILES]
     for name, figure in fitted.figures(title).items() if pictures else ():
@@ -253,12 +281,14 @@ def _write(fitted: sj.Fit, folder: Path, title: str, *, pictures: bool) -> list[
     return names
 
 
-def _write_estimates(fitted: sj.Fit, path: Path) -> None:
+def _write_estimates(fitted: sj.Fit, shown: dict[str, Shown], path: Path) -> None:
     known = fitted.knowledge
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["parameter", "estimate", "standard_deviation", "low", "high", "level"])
+        writer.writerow(["parameter", "estimate", "standard_deviation", "low", "high", "level", "unit"])
         for name, value, deviation, (low, high) in zip(
             fitted.names, known.values, known.standard_deviations, known.intervals(fitted.level), strict=True
         ):
-            writer.writerow([name, *(repr(float(v)) for v in (value, deviation, low, high)), fitted.level])
+            unit, factor = shown.get(name, Shown())
+            numbers = (repr(float(v) / factor) for v in (value, deviation, low, high))
+            writer.writerow([name, *numbers, fitted.level, unit])

@@ -11,6 +11,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
+from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import add_scene, chosen
 
 if TYPE_CHECKING:
@@ -73,8 +74,7 @@ def add_modes(commands) -> None:
 
 def find_modes(options: argparse.Namespace) -> int:
     """Linearize, print, write."""
-    from spherejax.files.number_units import unit_at
-    from spherejax.output.io import require_free
+    from spherejax.output.paths import require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     asks_response = bool(options.input or options.output)
@@ -92,6 +92,9 @@ def find_modes(options: argparse.Namespace) -> int:
     scene = found.scene(options)
     inputs = [number.name for name in options.input for number in _numbers("--input", scene, name, found.studied)]
     by = [number for name in options.by for number in _numbers("--by", scene, name, found.studied)]
+    require_quantities(scene, options.output)
+    from spherejax.files.number_units import unit_at
+
     linear = sj.linearize(scene, at=options.at, inputs=inputs, outputs=options.output)
     modes = linear.modes()
     print(modes)
@@ -122,7 +125,8 @@ def _print_slopes(modes: sj.Modes, number: str, unit: str | None) -> None:
 
 
 def _write(linear: sj.Linearization, folder: Path, options: argparse.Namespace) -> None:
-    from spherejax.output.io import make_folder, save
+    from spherejax.output.io import save
+    from spherejax.output.paths import make_folder
 
     make_folder(folder)
     modes = linear.modes()

@@ -67,7 +67,7 @@ def add_rig(commands) -> None:
 
 def put_on_rig(options: argparse.Namespace) -> int:
     """Compute, print, write."""
-    from spherejax.output.io import make_folder, require_free, save
+    from spherejax.output.paths import make_folder, require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
@@ -78,10 +78,13 @@ def put_on_rig(options: argparse.Namespace) -> int:
     steer = _range("--steer", options.steer, options.points)
     asked = "0" if np.ptp(steer) > 0 and options.travel == "-80:80 mm" else options.travel
     travel = _range("--travel", asked, options.points)
+    scene = chosen(options).scene(options)  # before what takes long to import: a wrong name is told at once
     loads = sj.WheelLoads(options.longitudinal, options.lateral, options.aligning, options.driving)
-    found = sj.rig(chosen(options).scene(options), travel, steer=steer, loads=loads)
+    found = sj.rig(scene, travel, steer=steer, loads=loads)
     print(found)
     if folder is not None:
+        from spherejax.output.io import save
+
         make_folder(folder)
         found.to_csv(folder / "rig.csv")
         save(found.to_xarray(), folder / "rig.nc", overwrite=options.overwrite)

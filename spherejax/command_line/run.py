@@ -5,16 +5,20 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.catalog import DRIFT_CONTROLS, SOLVERS
+from spherejax.command_line.draw import PICTURES
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
+from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
+from spherejax.command_line.shown import Wanted
 
 DESCRIPTION = """\
 Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
@@ -38,6 +42,7 @@ EPILOG = """examples:
   spherejax run four-bar --joint friction --t1 0.2 --report run.html
   spherejax run my_mechanism.toml --joint lubricated --of elbow --t1 0.5
   spherejax run four-bar --joint dry --t1 0.2 --impacts impacts.csv --peak reaction.coupler_rocker
+  spherejax run four-bar --joint dry --t1 0.2 --spectrum reaction.coupler_rocker=spectrum.png
 """
 
 
@@ -66,7 +71,8 @@ def add_run(commands) -> None:
     times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")
     times.add_argument(
         "--peak", action="append", default=[], metavar="NAME",
-        help="largest magnitude of a quantity over all steps, as reaction.NAME or acceleration.NAME; may be repeated",
+        help='largest magnitude of a quantity over all steps, as reaction.NAME, acceleration.NAME or "reaction.NAME '
+        '[kN]"; may be repeated',
     )  # fmt: skip
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
@@ -77,6 +83,11 @@ def add_run(commands) -> None:
     files.add_argument(
         "--impacts", metavar="FILE", help="write each contact of the studied joint: .csv, .nc, .zarr or .h5"
     )
+    files.add_argument(
+        "--spectrum", action="append", default=[], metavar="QUANTITY=FILE",
+        help='amplitudes of a quantity by frequency, from all steps: "reaction.NAME.z=spectrum.png", or .csv, '
+        ".nc, .zarr, .h5; may be repeated",
+    )  # fmt: skip
     add_report(files, "the motion")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.set_defaults(action=run_scene)
@@ -86,8 +97,7 @@ def run_scene(options: argparse.Namespace) -> int:
     """Simulate, print a summary, write the file."""
     import jax
 
-    from spherejax.motion.equations.quantities import quantity
-    from spherejax.output.io import save, writable
+    from spherejax.output.paths import writable
 
     found = chosen(options)
     scene = found.scene(options)
@@ -97,10 +107,10 @@ def run_scene(options: argparse.Namespace) -> int:
     ts = sample_times(options)
     for path in filter(None, (options.out, options.impacts)):
         writable(path, overwrite=options.overwrite)
+    spectra = _spectra(options, scene)
     check_report(options)
+    peaks = require_quantities(scene, options.peak, units=True)
     system = sj.compile_scene(scene).system
-    for name in options.peak:
-        quantity(name, system)
     joint = found.studied if options.impacts is None else _with_contact(found.studied, system.contact_joints)
     solver = SOLVERS[options.solver]() if options.solver else None
     start = time.perf_counter()
@@ -123,11 +133,15 @@ def run_scene(options: argparse.Namespace) -> int:
     print_table(
         title,
         ("quantity", "value"),
-        [*_summary(run, seconds), *_peaks(run, options.peak)],
+        [*_summary(run, seconds), *_peaks(run, peaks)],
     )
+    from spherejax.output.io import save
+
     if options.impacts is not None:
         table = run.impacts(str(joint))
         print(f"wrote {save(table, options.impacts, overwrite=options.overwrite)}: {table.sizes['contact']} contacts")
+    for name, path in spectra:
+        _write_spectrum(run, name, path, overwrite=options.overwrite)
     if options.out is not None:
         print(f"wrote {save(run, options.out, overwrite=options.overwrite)}")
     write_report(options, run, title, scene)
@@ -181,13 +195,45 @@ def _with_contact(studied: str | None, contacts: tuple[str, ...]) -> str:
     )
 
 
-def _peaks(run: sj.Trajectory, names: list[str]) -> list[tuple[str, str]]:
+def _spectra(options: argparse.Namespace, scene: sj.Scene) -> list[tuple[str, Path]]:
+    """Quantities whose spectra are asked for, and where they go; judged before anything is computed."""
+    from spherejax.output.paths import make_folder, require_free, writable
+
+    found = []
+    for text in options.spectrum:
+        name, equals, path = (part.strip() for part in text.partition("="))
+        if not (name and equals and path):
+            raise sj.SceneError(f"--spectrum {text}: write QUANTITY=FILE, e.g. reaction.elbow.z=spectrum.png")
+        require_quantities(scene, [name])
+        target = Path(path).expanduser()
+        if target.suffix.lower() in PICTURES:
+            require_free(target, overwrite=options.overwrite)
+            make_folder(target.parent)
+        else:
+            writable(target, overwrite=options.overwrite)
+        found.append((name, target))
+    return found
+
+
+def _write_spectrum(run: sj.Trajectory, name: str, path: Path, *, overwrite: bool) -> None:
+    from spherejax.output.io import save
+
+    found = run.spectrum(name)
+    if path.suffix.lower() in PICTURES:
+        sj.plot.spectrum(found).savefig(path)
+    else:
+        save(found, path, overwrite=overwrite)
+    print(f"wrote {path}")
+
+
+def _peaks(run: sj.Trajectory, wanted: list[Wanted]) -> list[tuple[str, str]]:
     from spherejax.motion.equations.quantities import quantity
 
     system, found = run.system, []
-    for name in names:
-        peak = run.peak(name)
-        found.append((f"largest {name} [{quantity(name, system).unit}]", f"{peak.value:.6g} at {peak.time:.6g} s"))
+    for one in wanted:
+        peak = run.peak(one.name)
+        shown = one.shown(quantity(one.name, system).unit)
+        found.append((shown.head(f"largest {one.name}"), f"{peak.value / shown.factor:.6g} at {peak.time:.6g} s"))
     return found
 
 

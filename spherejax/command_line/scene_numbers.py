@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import UNITS, USED_BY
+from spherejax.command_line.shown import Wanted, wanted
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
 
@@ -54,14 +55,47 @@ def unit_of_option(name: str) -> str | None:
 
 def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
     """Of options, and of the numbers of a scene by their paths."""
-    from spherejax.files.number_units import unit_at
     from spherejax.model.numbers import place_at
 
     def unit(name: str) -> str | None:
         known = unit_of_option(name)
-        return known if known is not None else unit_at(scene, place_at(scene, name, studied).steps)
+        if known is not None:
+            return known
+        place = place_at(scene, name, studied)
+        from spherejax.files.number_units import unit_at  # it looks at every class that files know
+
+        return unit_at(scene, place.steps)
 
     return unit
+
+
+def require_quantities(scene: sj.Scene, texts: Iterable[str], *, units: bool = False) -> list[Wanted]:
+    """Judge names of quantities, before what takes long is imported or computed.
+
+    Args:
+        scene: the scene.
+        texts: quantities, also as sweeps keep them, "peak reaction.elbow". What a sweep counts, "onsets.elbow", is
+            left to it.
+        units: whether units are understood: "position.rocker.z [mm]".
+
+    Returns:
+        The same without units, and the units.
+
+    Raises:
+        SceneError: for a name that means nothing, naming those that exist, and for a unit of another dimension.
+    """
+    from spherejax.motion.equations.quantities import quantity
+
+    found = [wanted(text) if units else Wanted(text) for text in texts]
+    named = [one for one in found if one.name.partition(".")[0] not in ("onsets", "time_in_contact")]
+    system = sj.compile_scene(scene).system if named else None
+    for one in named:
+        words = one.name.split(" ")
+        while len(words) > 1 and words[0] in ("sensitivity", "final", "peak"):
+            words = words[1:]
+        assert system is not None
+        one.shown(quantity(" ".join(words).strip(), system).unit)
+    return found
 
 
 def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scene:
@@ -70,7 +104,6 @@ def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scen
     Raises:
         SceneError: for a path that leads nowhere, a value that is no number, or one of another dimension or shape.
     """
-    from spherejax.files.number_units import unit_at
     from spherejax.model.numbers import place_at
 
     path, equals, given = text.partition("=")
@@ -81,6 +114,8 @@ def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scen
         found = place_at(scene, path, studied)
     except sj.SceneError as error:
         raise sj.SceneError(f"--set {error}") from None
+    from spherejax.files.number_units import unit_at  # it looks at every class that files know
+
     unit, shape = unit_at(scene, found.steps), () if found.value is None else np.shape(found.value)
     entries = given.strip().removeprefix("[").removesuffix("]").split(",")
     numbers = np.array([_in_unit(text, entry, unit) for entry in entries])

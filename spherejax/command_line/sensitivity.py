@@ -12,7 +12,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
-from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in
+from spherejax.command_line.scene_numbers import UnitOf, number_at, require_quantities, unit_of_option, units_in
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.sweep import builder
 
@@ -77,7 +77,7 @@ def add_sensitivity(commands) -> None:
 
 def find_sensitivities(options: argparse.Namespace) -> int:
     """Compute, print the ranking, write everything."""
-    from spherejax.output.io import make_folder, require_free
+    from spherejax.output.paths import make_folder, require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     if folder is not None:
@@ -89,6 +89,7 @@ def find_sensitivities(options: argparse.Namespace) -> int:
     build = builder(found, options, names, "--by")
     _parameters(options, units_in(found.scene(options), found.studied))  # a unit of another dimension is refused
     values = {key: _value(found, options, build, names, key, parameters[name]) for key, name in names.items()}
+    require_quantities(found.scene(options), options.observables)
     result = sj.sensitivity(
         build,
         values,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +16,10 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
-from spherejax.command_line.scene_numbers import UnitOf, unit_of_option, units_in, with_number
+from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Shown, Wanted, in_units, shown_in, wanted
+from spherejax.files.units import PURE
 from spherejax.foundations.errors import one_of
 
 DESCRIPTION = """\
@@ -61,7 +65,8 @@ def add_sweep(commands) -> None:
         "--record",
         action="append",
         metavar="QUANTITY",
-        help='e.g. "position.rocker", "final position.rocker", "peak acceleration.rocker", "onsets.coupler_rocker"; '
+        help='e.g. "position.rocker", "final position.rocker", "peak acceleration.rocker [km/s^2]", '
+        '"onsets.coupler_rocker"; '
         "may be repeated (default: peak reaction of the studied joint, where the last body ends, contacts)",
     )
     kept.add_argument("--samples", type=whole, default=101, metavar="N", help="sample times (default: 101)")
@@ -86,7 +91,7 @@ def add_sweep(commands) -> None:
 
 def sweep_scene(options: argparse.Namespace) -> int:
     """Run the sweep, print a summary, write everything."""
-    from spherejax.output.io import SUFFIXES, writable
+    from spherejax.output.paths import SUFFIXES, writable
 
     path = Path(options.out).expanduser()
     if path.suffix not in SUFFIXES:
@@ -96,17 +101,21 @@ def sweep_scene(options: argparse.Namespace) -> int:
     if path.suffix != ".zarr":
         writable(path, overwrite=options.overwrite)
     check_report(options)
-    names, grid = grid_of(options)
-    found = chosen(_with_first_values(options, names, grid))
+    asked = asked_of(options)
+    names = asked.names
+    found = chosen(_with_first_values(options, asked))
     build = builder(found, options, names)
-    grid_of(options, units_in(build(**grid.row(0)), found.studied))  # a unit of another dimension is refused
-    record = options.record or _default_record(found, build(**grid.row(0)))
+    scene = build(**asked.first)  # names are judged by it, before what takes long is imported
+    recorded = _recorded(found, options, scene)
+    unit_of = units_in(scene, found.studied)
+    asked = asked_of(options, unit_of)  # a unit of another dimension is refused
+    grid = asked.grid(options)
     begin = time.perf_counter()
     result = sj.sweep(
         build,
         grid,
         np.linspace(0.0, options.t1, number_of_samples(options.samples)),
-        record=record,
+        record=[one.name for one in recorded],
         rtol=options.rtol,
         max_steps=options.max_steps,
         solver=SOLVERS[options.solver]() if options.solver else None,
@@ -118,41 +127,70 @@ def sweep_scene(options: argparse.Namespace) -> int:
     if path.suffix != ".zarr":
         from spherejax.output.io import save
 
-        save(result, path, overwrite=options.overwrite)
-    _print(found, options, names, result, seconds)
+        of_si = {key: Shown(unit_of(name) or "") for key, name in names.items()}
+        save(in_units(result, of_si), path, overwrite=options.overwrite)
+    result = in_units(result, asked.shown)
+    for one, name in zip(recorded, list(result.data_vars), strict=False):
+        result = result.assign({name: one.shown(result[name].attrs["units"]).of(result[name])})
+    _print(found, options, asked, result, seconds)
     pictures = [] if options.no_pictures else _draw(result, found, path)
-    write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", build(**grid.row(0)))
+    write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", scene)
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
     return 0
 
 
-def grid_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> tuple[dict[str, str], sj.Grid]:
-    """The grid that `--vary` asks for, in SI units; names that are no identifiers get one.
+class Asked(NamedTuple):
+    """What `--vary` asks for, in SI units.
 
-    Returns:
-        What each parameter of the grid is called by the user, and the grid.
+    Attributes:
+        names: what each parameter of the grid is called by the user; names that are no identifiers get one.
+        values: of a product, by parameter.
+        ranges: of samples, by parameter.
+        logarithmic: parameters whose ranges are.
+        shown: in which units they are told.
     """
-    values, ranges, logarithmic, names = {}, {}, [], {}
+
+    names: dict[str, str]
+    values: dict[str, np.ndarray]
+    ranges: dict[str, tuple[float, float]]
+    logarithmic: list[str]
+    shown: dict[str, Shown]
+
+    @property
+    def first(self) -> dict[str, float]:
+        """Values of one run, to see what they make of the scene; of ranges the middles."""
+        middles = {key: float(np.mean(ends)) for key, ends in self.ranges.items()}
+        return {**{key: float(values[0]) for key, values in self.values.items()}, **middles}
+
+    def grid(self, options: argparse.Namespace) -> sj.Grid:
+        """All runs."""
+        if options.draws is None:
+            return sj.product(self.values)
+        return sj.sobol_samples(self.ranges, options.draws, seed=options.seed, logarithmic=self.logarithmic)
+
+
+def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> Asked:
+    """What `--vary` asks for; it takes no long import."""
+    asked = Asked({}, {}, {}, [], {})
     for text in options.vary:
         name, equals, given = text.partition("=")
         if not equals or not name or not given:
             raise sj.SceneError(f"--vary {text}: write NAME=VALUES, e.g. clearance=1e-5:5e-4:64")
-        if name in names.values():
+        if name in asked.names.values():
             raise sj.SceneError(f"--vary {name} is given twice")
         key = name.replace(".", "_")
-        names[key] = name
+        asked.names[key] = name
         parts = given.split(":")
-        if options.draws is not None:
-            if len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
-                raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
-            low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
-            ranges[key] = (low, high)
-            logarithmic += [key] if parts[2:] else []
+        if options.draws is None:
+            asked.values[key] = _values(text, parts, unit_of(name))
+        elif len(parts) not in (2, 3) or parts[2:] not in ([], ["log"]):
+            raise sj.SceneError(f"--vary {text}: with --draws write {name}=LOW:HIGH or {name}=LOW:HIGH:log")
         else:
-            values[key] = _values(text, parts, unit_of(name))
-    if options.draws is not None:
-        return names, sj.sobol_samples(ranges, options.draws, seed=options.seed, logarithmic=logarithmic)
-    return names, sj.product(values)
+            low, high = (number_of("--vary", text, part, unit_of(name)) for part in parts[:2])
+            asked.ranges[key] = (low, high)
+            asked.logarithmic.extend([key] if parts[2:] else [])
+        asked.shown[key] = shown_in(re.split("[:,]", given), unit_of(name))
+    return asked
 
 
 def _values(text: str, parts: list[str], unit: str | None) -> np.ndarray:
@@ -170,12 +208,12 @@ def _values(text: str, parts: list[str], unit: str | None) -> np.ndarray:
     return np.geomspace(low, high, n) if parts[3:] else np.linspace(low, high, n)
 
 
-def _with_first_values(options: argparse.Namespace, names: dict[str, str], grid: sj.Grid) -> argparse.Namespace:
+def _with_first_values(options: argparse.Namespace, asked: Asked) -> argparse.Namespace:
     """Options with the first run's values, to check that they mean something together."""
-    first = {key: float(value) for key, value in grid.row(0).items() if names[key] in USED_BY}
+    first = {key: value for key, value in asked.first.items() if asked.names[key] in USED_BY}
     for key in first:
         if getattr(options, key) is not None:
-            raise sj.SceneError(f"--{names[key]} is given, and varied as well; leave one out")
+            raise sj.SceneError(f"--{asked.names[key]} is given, and varied as well; leave one out")
     return argparse.Namespace(**{**vars(options), **first})
 
 
@@ -201,6 +239,16 @@ def builder(found: Chosen, options: argparse.Namespace, names: dict[str, str], f
     return build
 
 
+def _recorded(found: Chosen, options: argparse.Namespace, scene: sj.Scene) -> list[Wanted]:
+    """What is kept, judged by the scene of the first run; if no such mechanism can be, the sweep judges the others."""
+    texts = options.record or _default_record(found, scene)
+    try:
+        sj.compile_scene(scene)
+    except sj.SceneError:
+        return [wanted(text) for text in texts]
+    return require_quantities(scene, texts, units=True)
+
+
 def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     joint = found.studied or next(iter(scene.joints), None)
     ends = [f"final position.{body}" for body in list(scene.bodies)[-1:]]
@@ -209,10 +257,10 @@ def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     return [*([f"peak reaction.{joint}"] if joint else []), *ends, *events]
 
 
-def _print(found: Chosen, options: argparse.Namespace, names: dict[str, str], result, seconds: float) -> None:
+def _print(found: Chosen, options: argparse.Namespace, asked: Asked, result, seconds: float) -> None:
     facts = result.attrs
     # Said, because "mu=0,3" is a list of two numbers, where somebody may mean 0.3.
-    varied = {name: np.unique(result[key]) for key, name in names.items()}
+    varied = {asked.shown[key].head(name): np.unique(result[key]) for key, name in asked.names.items()}
     rows = [
         *(
             (name, f"{len(values):,} value{'s' * (len(values) > 1)}, {_range(values)}")
@@ -245,7 +293,13 @@ def _print_failures(result) -> None:
             continue
         words = kind.name.lower().replace("_", " ")
         where = [
-            f"{name} {_range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so])}"
+            " ".join(
+                (
+                    name,
+                    _range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so]),
+                    result[name].attrs["units"].removeprefix(PURE),
+                )
+            ).rstrip()
             for name in map(str, status.coords)
             if name != "run"
         ]

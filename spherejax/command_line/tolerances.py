@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,9 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
+from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Shown, shown_in
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
 
@@ -110,7 +113,7 @@ def _tolerance(text: str) -> str:
 
 def find_tolerances(options: argparse.Namespace) -> int:
     """Compute, print, write."""
-    from spherejax.output.io import require_free
+    from spherejax.output.paths import require_free
 
     folder = None if options.out is None else Path(options.out).expanduser()
     for name in FILES if folder is not None else ():
@@ -119,7 +122,9 @@ def find_tolerances(options: argparse.Namespace) -> int:
         raise sj.SceneError(f"--runs {options.runs} means nothing with --method budget; add --method sobol or samples")
     found = chosen(options)
     scene = found.scene(options)
-    numbers, spreads = _spreads(options, found, scene)
+    numbers = _numbers(options, found, scene)
+    require_quantities(scene, options.observables)
+    spreads = _spreads(options, numbers, scene)  # which takes long to import: names have been judged
 
     def build(**values) -> sj.Scene:
         made = scene
@@ -128,7 +133,7 @@ def find_tolerances(options: argparse.Namespace) -> int:
         return made
 
     result = _study(options, build, spreads)
-    print(result)
+    print(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.ToleranceBudget) else result)
     if folder is not None:
         _write(result, folder, options.overwrite)
     return 0
@@ -144,27 +149,50 @@ def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any]) -> 
     return study(build, spreads, ts, record=options.observables, n=n, seed=options.seed, **how)
 
 
-def _spreads(
-    options: argparse.Namespace, found: Chosen, scene: sj.Scene
-) -> tuple[dict[str, Number], dict[str, sj.Tolerance | tuple[float, float]]]:
-    """The numbers that scatter, and how, by names that are identifiers."""
-    from spherejax.files.number_units import unit_at
+def _numbers(options: argparse.Namespace, found: Chosen, scene: sj.Scene) -> dict[str, Number]:
+    """The numbers that scatter, by names that are identifiers."""
     from spherejax.model.numbers import full_path, number_at
 
     numbers: dict[str, Number] = {}
-    spreads: dict[str, Any] = {}
     for text in options.tolerance:
-        name, _, given = (part.strip() for part in text.partition("="))
+        name = text.partition("=")[0].strip()
         try:
             number = number_at(scene, full_path(scene, name, found.studied))
         except sj.SceneError as error:
             raise sj.SceneError(f"--tolerance {error}") from None
         if any(number[1:] == other[1:] for other in numbers.values()):
             raise sj.SceneError(f"--tolerance {name}: it is given twice")
-        key = name.replace(".", "_")
-        numbers[key] = number
-        spreads[key] = _spread(text, given, number.value(scene), unit_at(scene, number.steps), options.uniform)
-    return numbers, spreads
+        numbers[name.replace(".", "_")] = number
+    return numbers
+
+
+def _spreads(
+    options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene
+) -> dict[str, sj.Tolerance | tuple[float, float]]:
+    """How they scatter."""
+    from spherejax.files.number_units import unit_at
+
+    return {
+        key: _spread(
+            text,
+            text.partition("=")[2].strip(),
+            number.value(scene),
+            unit_at(scene, number.steps),
+            options.uniform,
+        )
+        for text, (key, number) in zip(options.tolerance, numbers.items(), strict=True)
+    }
+
+
+def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene) -> dict[str, Shown]:
+    """In which units the numbers are told."""
+    from spherejax.files.number_units import unit_at
+
+    texts = (re.split(r"\+-|:", text.partition("=")[2]) for text in options.tolerance)
+    return {
+        key: shown_in((each for each in given if not each.strip().endswith("%")), unit_at(scene, number.steps))
+        for (key, number), given in zip(numbers.items(), texts, strict=True)
+    }
 
 
 def _spread(text: str, given: str, own: float, unit: str | None, uniform: bool) -> sj.Tolerance | tuple[float, float]:
@@ -197,7 +225,8 @@ def _number(text: str, part: str, unit: str | None) -> float:
 
 
 def _write(result: Any, folder: Path, overwrite: bool) -> None:
-    from spherejax.output.io import make_folder, save
+    from spherejax.output.io import save
+    from spherejax.output.paths import make_folder
 
     make_folder(folder)
     dataset = result.to_xarray() if hasattr(result, "to_xarray") else result.runs

@@ -112,6 +112,14 @@ def factor_of(text: str, unit: str | None) -> float:
         raise UnitError(f"{shortened(text)} is no unit: {error}") from None
 
 
+def unit_in(text: str) -> str:
+    """The unit in a text like `"0.1 mm"`; empty where it has none, or one whose zero is another one than that of SI."""
+    parts = _parts(text.strip())
+    if parts is None or not parts[1] or not _is_right(text.strip()):
+        return ""
+    return parts[1] if in_si(f"0 {parts[1]}", None) == 0 else ""
+
+
 def measured(unit: str) -> str:
     """What a unit measures, e.g. `"a length [m]"` for `"m"`."""
     if unit == PURE:

@@ -5,23 +5,15 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.errors import SceneError
 from spherejax.motion.results.dataset import to_dataset
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.hdf5 import read_hdf5, write_hdf5
+from spherejax.output.paths import SUFFIXES, writable
 from spherejax.output.tables import write_csv
 
 if TYPE_CHECKING:
     import xarray
-
-SUFFIXES = {
-    ".nc": "netCDF 4",
-    ".zarr": "a Zarr store",
-    ".h5": "plain HDF5",
-    ".hdf5": "plain HDF5",
-    ".csv": "a table, with units in its head",
-}
-"""What can be written: everything, with attributes, but for the table, which holds what has rows."""
 
 
 def save(result: "Trajectory | xarray.Dataset | Any", path: str | os.PathLike, *, overwrite: bool = False) -> Path:
@@ -111,39 +103,3 @@ def _write_zarr(dataset: "xarray.Dataset", path: Path) -> None:
         shutil.rmtree(path)
     # Version 2 is what every reader knows; in version 3 texts have no specification yet.
     dataset.to_zarr(path, mode="w", zarr_format=2)
-
-
-def writable(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
-    """The path, with its folder made; an error when it must not or cannot be written.
-
-    Called before a long run, so that a wrong path does not cost the run.
-
-    Raises:
-        SceneError: as `save`.
-    """
-    path = Path(path).expanduser()
-    if path.suffix not in SUFFIXES:
-        raise SceneError(f"{str(path)!r}: the suffix {path.suffix!r} names no format; {one_of(SUFFIXES, path.suffix)}")
-    require_free(path, overwrite=overwrite)
-    make_folder(path.parent)
-    return path
-
-
-def require_free(path: Path, *, overwrite: bool) -> None:
-    """Raise `SceneError` when a file exists and must not be replaced."""
-    if path.exists() and not overwrite:
-        raise SceneError(
-            f"{str(path)!r} exists; choose another name, or ask to overwrite it (overwrite=True, --overwrite)"
-        )
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder and those above it.
-
-    Raises:
-        SceneError: where that is not possible.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SceneError(f"cannot make the folder {str(folder)!r}: {error.strerror or error}") from error

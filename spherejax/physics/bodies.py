@@ -78,7 +78,9 @@ class Body(eqx.Module):
         points = mapping_of("points", {} if points is None else points, '{"tip": (0.0, 0.0, 0.1)}')
         self.points = {name: numbers(place) for name, place in points.items()}
         self.reference_position = None if reference_position is None else numbers(reference_position)
-        self.reference_quaternion = None if reference_quaternion is None else numbers(reference_quaternion)
+        self.reference_quaternion = (
+            None if reference_quaternion is None else numbers(as_quaternion(reference_quaternion))
+        )
 
     @classmethod
     def box(cls, size, *, mass: Number | None = None, density: Number | None = None, **motion) -> "Body":
@@ -227,7 +229,7 @@ class Body(eqx.Module):
         for field in ("quaternion", "reference_quaternion"):
             value = getattr(self, field)
             if value is not None:
-                rows.append(_unit_norm(field, value))
+                rows.append(unit_norm(field, value))
         for field in ("position", "velocity", "angular_velocity", "reference_position"):
             value = getattr(self, field)
             if value is None:
@@ -275,7 +277,8 @@ def _carried(position: Triple, quaternion: Quadruple, arm: Triple):
     return jnp.asarray(position) + rotation_matrix(normalized(quaternion)) @ jnp.asarray(arm)
 
 
-def _unit_norm(field: str, quaternion: Numeric) -> Requirement:
+def unit_norm(field: str, quaternion: Numeric) -> Requirement:
+    """A quaternion has length one, but for the digits of a printed table."""
     norm_error = abs((quaternion**2).sum() ** 0.5 - 1)
     remedy = "Divide it by its norm; the scalar part comes first."
     return Requirement(field, quaternion, norm_error < UNIT_NORM_TOLERANCE, "have unit norm", remedy)

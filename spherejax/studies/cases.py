@@ -234,12 +234,14 @@ def limit_studies(film: AbstractFilm | None = None) -> list[LimitStudy]:
     """
     gap, clearances = "clearance [mm]", (0.4, 0.2, 0.1, 0.05, 0.025)
     threlfall = Threlfall()
-    few = clearances[:3] if isinstance(film, RadialFilm) else clearances  # the paper's rings: a small gap takes long
+    few, ends = clearances, ""
+    if isinstance(film, RadialFilm):
+        few, ends = clearances[:3], "\nits curve ends where it rings so fast that runs take long"
     return [
         LimitStudy("dry with friction: its moment stays", gap, clearances,
                    lambda c: Dry(1e-3 * c, friction=threlfall), None, "friction"),
         LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1, "dry"),
-        LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s", gap, few,
+        LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s{ends}", gap, few,
                    lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY, film=film), None, "lubricated"),
         LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 1e5, 1e6, 1e7),
                    lambda k: Bushing(k, 1e-4), -1, "bushing"),

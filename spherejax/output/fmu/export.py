@@ -18,7 +18,7 @@ from spherejax.output.fmu.description import Experiment
 from spherejax.output.fmu.in_python import write_python
 from spherejax.output.fmu.native import write_native
 from spherejax.output.fmu.ports import Ports, checked_step, ports_of, refuse_moving_inputs
-from spherejax.output.io import make_folder, require_free
+from spherejax.output.paths import make_folder, require_free
 from spherejax.runtime import require_float64
 
 KINDS = ("c", "python")

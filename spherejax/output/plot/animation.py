@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from spherejax.foundations.errors import SceneError
-from spherejax.output.io import make_folder, require_free
+from spherejax.output.paths import make_folder, require_free
 from spherejax.output.plot.mechanism import Mechanism
 from spherejax.output.plot.sheet import Sheet, Wishes
 from spherejax.output.plot.space import poses_of

@@ -55,20 +55,39 @@ def impact_loops(
     figure, axes = new_figure(1, len(families), 4.6 * len(families), 4.8, title)
     for ax, (restitution, laws) in zip(axes.flat, families.items(), strict=True):
         styles = zip(repeated(LAW_COLORS, len(laws)), repeated(LAW_DASHES, len(laws)), strict=True)
+        damped = []
         for given, (color, dashes) in zip(laws, styles, strict=True):
             law = given.at_onset(rate) if isinstance(given, AbstractHysteresisLaw) else given
             penetration, force = _free_impact(law, mass, rate, stiffness)
             realized = realized_restitution(float(law.hysteresis_factor()))
             label = f"{_name(law)} (realizes {realized:.3f})"
             ax.plot(1e6 * penetration, force, color=color, ls=dashes, lw=1.4, label=label)
+            damped.append((1e6 * penetration, force - stiffness * penetration**1.5, {"color": color, "ls": dashes}))
         ax.set_xlabel("penetration [µm]")
         ax.set_ylabel("contact force [N]")
         ax.set_xlim(left=0)
         ax.set_ylim(bottom=0)
         ax.set_title(f"prescribed restitution {restitution:g}", loc="left", fontsize=9)
         ax.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, frameon=False)
+        if len(laws) > 1 and max(np.abs(own).max() for _, own, _ in damped) < SLENDER * ax.dataLim.ymax:
+            _damping_alone(ax, damped)
     letter(list(axes.flat))
     return figure
+
+
+SLENDER = 0.15
+"""Loops whose damping is below this share of the largest force lie on each other."""
+
+
+def _damping_alone(ax: Axes, damped: Sequence[tuple[np.ndarray, np.ndarray, dict]]) -> None:
+    """A close-up where loops lie on each other: the elastic force taken off, which all have in common."""
+    inset = ax.inset_axes((0.12, 0.54, 0.42, 0.36))
+    inset.set_in_layout(False)
+    for penetration, force, style in damped:
+        inset.plot(penetration, force, lw=1.1, **style)
+    inset.set_title("damping force alone [N]", fontsize=7.5)
+    inset.tick_params(labelsize=6.5)
+    inset.grid(False)
 
 
 def _free_impact(law: ImpactLaw, mass: float, rate: float, stiffness: float) -> tuple[np.ndarray, np.ndarray]:

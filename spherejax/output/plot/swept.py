@@ -99,7 +99,7 @@ def _curves(swept, panels, parameter: str, title: str) -> Figure:
         style = "." if is_samples else "o-"
         ax.plot(places[order], np.asarray(values).ravel()[order], style, color=LAW_COLORS[0], ms=3, lw=1.1)
         at_the_bottom(ax, places[failed])
-        label(ax, parameter, with_unit(name, values))
+        label(ax, with_unit(parameter, swept[parameter]), with_unit(name, values))
         logarithmic_where_even(ax, places, "x")
     if failed.any():
         axes[0].legend(fontsize=7.5, frameon=False)
@@ -114,7 +114,7 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
         drawn = ax.pcolormesh(values[across], values[up], grid, cmap="viridis", shading="nearest", rasterized=True)
         figure.colorbar(drawn, ax=ax).set_label(with_unit(name, values), fontsize=9)
         ax.grid(False)
-        label(ax, across, up)
+        label(ax, with_unit(across, values[across]), with_unit(up, values[up]))
         logarithmic_where_even(ax, values[across], "x")
         logarithmic_where_even(ax, values[up], "y")
         # The outer cells would reach beyond what was swept.

@@ -41,7 +41,12 @@ def fan_figure(
         for ax, parameter in zip(axes[1:, column], shown, strict=True):
             _medians(ax, swept, values, parameter)
             if column == 0:
-                ax.legend(fontsize=6.5, frameon=False, title=f"median by {parameter}", title_fontsize=7)
+                ax.legend(
+                    fontsize=6.5,
+                    frameon=False,
+                    title=f"median by {with_unit(parameter, swept[parameter])}",
+                    title_fontsize=7,
+                )
         for ax in axes[:, column]:
             label(ax, "time [s]", with_unit(name, values))
     axes[0, 0].legend(fontsize=7.5, frameon=False)

@@ -61,12 +61,12 @@ def pairs_figure(
                 continue
             if column == row:
                 (_alone_of_samples if is_samples else _alone_of_product)(ax, swept, values, across)
-                label(ax, across, with_unit(name, values))
+                label(ax, with_unit(across, swept[across]), with_unit(name, values))
                 ax.yaxis.label.set_fontsize(7)
             else:
                 draw = _pair_of_samples if is_samples else _pair_of_product
                 drawn = draw(ax, swept, values, across, up, limits)
-                label(ax, across, up)
+                label(ax, with_unit(across, swept[across]), with_unit(up, swept[up]))
                 logarithmic_where_even(ax, swept[up], "y")
             logarithmic_where_even(ax, swept[across], "x")
             ax.tick_params(labelsize=6.5)

@@ -248,19 +248,26 @@ def _label_tolerances(ax: Axes, curve: WorkCurve, quantity: str, color: str, *, 
             )
 
 
+FEWEST_TICKS = 3
+"""On an axis of times."""
+
+
 def _seconds_axis(ax: Axes) -> None:
     """Ticks such as 2 ms: times span a decade or two, where powers of ten alone would be too few."""
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration_tick(value)))
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_minor_formatter(NullFormatter())
     low, high = ax.get_xlim()
-    if high / low < 3:
-        ax.xaxis.set_major_locator(MaxNLocator(3))
-    elif high / low > 1e3:
+    if high / low > 1e3:
         ax.xaxis.set_major_locator(LogLocator(numticks=6))
-    elif high / low > 12:
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        return
+    for subs in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 2.0, 3.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)):
+        ticks = LogLocator(subs=subs)
+        places = np.asarray(ticks.tick_values(low, high))
+        if np.sum((low <= places) & (places <= high)) >= FEWEST_TICKS:
+            ax.xaxis.set_major_locator(ticks)
+            return
+    ax.xaxis.set_major_locator(MaxNLocator(4, min_n_ticks=FEWEST_TICKS))
 
 
 def duration_tick(seconds: float) -> str:

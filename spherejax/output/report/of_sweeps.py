@@ -60,8 +60,11 @@ def _varied(swept: "xarray.Dataset") -> list[str]:
 
 
 def _parameters(swept: "xarray.Dataset") -> Table:
-    rows = [(name, f"{len(np.unique(swept[name])):,}", *_ends(np.asarray(swept[name]))) for name in _varied(swept)]
-    return Table(("parameter", "values", "least", "largest"), rows, numeric=True)
+    rows = [
+        (name, swept[name].attrs.get("units", ""), f"{len(np.unique(swept[name])):,}", *_ends(np.asarray(swept[name])))
+        for name in _varied(swept)
+    ]
+    return Table(("parameter", "unit", "values", "least", "largest"), rows, numeric=True)
 
 
 def _kept(swept: "xarray.Dataset") -> list[str]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spherejax.foundations.errors import SceneError
-from spherejax.output.io import make_folder, require_free
+from spherejax.output.paths import make_folder, require_free
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Scalar, Vector3
+from spherejax.foundations.types import Numeric, Scalar, Vector3
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.memory import MemoryEntry
 
@@ -157,6 +157,14 @@ class AbstractSphericalModel(eqx.Module):
     def effects(self) -> tuple[Effect, ...]:
         """The physical effects that the model brings in, one upon the other, for `sj.effects`."""
         return () if self.is_ideal else (Effect(type(self).__name__, self),)
+
+    def relaxed(self, start: Numeric) -> Numeric:
+        """Orientation of the ball's body against the socket's from which the model is told of rotations.
+
+        Args:
+            start: that in which the bodies are described, shape (4,).
+        """
+        return start
 
     @abc.abstractmethod
     def requirements(self) -> list[Requirement]:

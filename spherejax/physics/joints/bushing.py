@@ -8,12 +8,14 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
-from spherejax.foundations.rotation import rotation_vector
-from spherejax.foundations.types import Number, Scalar, Unit, Vector3
+from spherejax.foundations.rotation import normalized, rotation_vector
+from spherejax.foundations.types import Number, Numeric, Quadruple, Scalar, Unit, Vector3
+from spherejax.physics.bodies import numbers, unit_norm
 from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Medium, Response
 from spherejax.physics.laws.elastomer import AbstractElastomer, RadialElastomer
 from spherejax.physics.laws.viscoelastic import Berg, Maxwell, free_directions
 from spherejax.physics.memory import MemoryEntry, Scale, vector
+from spherejax.physics.orientations import as_quaternion
 
 
 class Bushing(AbstractSphericalModel):
@@ -27,12 +29,16 @@ class Bushing(AbstractSphericalModel):
         law: how the elastomer resists.
         branches: relaxation, or None.
         friction: friction inside the rubber, or None.
+        relaxed_quaternion: orientation of the ball's body against the socket's in which the elastomer has no moment: a
+            unit quaternion, scalar first, axes of the ball's body to those of the socket's, shape (4,); or a rotation
+            matrix (3, 3), or a `Rotation` of SciPy. A motion that starts with another orientation starts twisted. None:
+            as the bodies are described, by their `reference_quaternion` or else their `quaternion`.
 
     Args:
         stiffness: k of the paper's law, instead of `law` [N/m].
         damping: b of the paper's law, stiffness-proportional [s].
 
-    The force acts on both bodies at the ball's center; rotations are counted from the start of the motion. What
+    The force acts on both bodies at the ball's center; rotations are counted from the relaxed orientation. What
     branches and friction remember are deflections in the socket's axes, three for each branch and three for friction,
     as many again for rotations; they start at zero.
     """
@@ -40,6 +46,7 @@ class Bushing(AbstractSphericalModel):
     law: AbstractElastomer
     branches: Maxwell | None = None
     friction: Berg | None = None
+    relaxed_quaternion: Quadruple | None = None
 
     @property
     def never_adds_energy(self) -> bool:
@@ -54,6 +61,7 @@ class Bushing(AbstractSphericalModel):
         law: AbstractElastomer | None = None,
         branches: Maxwell | None = None,
         friction: Berg | None = None,
+        relaxed_quaternion: Annotated[Quadruple, Unit("1")] = None,
     ):
         if (law is None) == (stiffness is None):
             raise TypeError("give either stiffness= (and damping=) or law=, not both and not neither")
@@ -65,23 +73,30 @@ class Bushing(AbstractSphericalModel):
         self.law = law
         self.branches = branches
         self.friction = friction
+        self.relaxed_quaternion = None if relaxed_quaternion is None else numbers(as_quaternion(relaxed_quaternion))
+
+    def relaxed(self, start: Numeric) -> Numeric:
+        """Its own relaxed orientation where it has one."""
+        return start if self.relaxed_quaternion is None else normalized(jnp.asarray(self.relaxed_quaternion))
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The elastomer, then its relaxation, then its friction."""
         kind = "translation and rotation" if self.law.resists_rotation else "translation"
-        found = [Effect(f"elastomer, {kind} ({type(self.law).__name__})", Bushing(law=self.law))]
+        own = self.relaxed_quaternion
+        what = f"elastomer, {kind} ({type(self.law).__name__})"
+        found = [Effect(what, Bushing(law=self.law, relaxed_quaternion=own))]
         if self.branches is not None:
             n = self.branches.n_branches
             what = f"relaxation, {n} branch{'es' if n > 1 else ''} (Maxwell)"
-            found.append(Effect(what, Bushing(law=self.law, branches=self.branches)))
+            found.append(Effect(what, Bushing(law=self.law, branches=self.branches, relaxed_quaternion=own)))
         if self.friction is not None:
             found.append(Effect("friction in the rubber (Berg)", self))
         return tuple(found)
 
     def requirements(self) -> list[Requirement]:
         """What elastomer, branches and friction require; these must not resist what the elastomer leaves free."""
-        required = self.law.requirements()
+        required = [*self.law.requirements(), *self._relaxed_requirements()]
         for name, part, rotational in (
             ("branches", self.branches, "rotational_stiffness"),
             ("friction", self.friction, "rotational_limit"),
@@ -101,6 +116,16 @@ class Bushing(AbstractSphericalModel):
         if self.friction is not None:
             required += self._sliding_requirements("friction.limit", self.friction.limit, 0)
         return required
+
+    def _relaxed_requirements(self) -> list[Requirement]:
+        """A unit quaternion, where there is an elastomer that it means something to."""
+        given = self.relaxed_quaternion
+        if given is None:
+            return []
+        if not self.law.resists_rotation:
+            remedy = f"{type(self.law).__name__} leaves rotation free: leave it out, or take MatrixElastomer."
+            return [Requirement("relaxed_quaternion", given, False, "be None for a law without moments", remedy)]
+        return [unit_norm("relaxed_quaternion", given)]
 
     def _sliding_requirements(self, field: str, value, n_axes: int) -> list[Requirement]:
         """Nothing along an axis on which a law by matrices leaves the joint to slide.

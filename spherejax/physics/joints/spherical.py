@@ -164,8 +164,8 @@ class PlacedSpherical(AbstractPlacedJoint):
         socket, ball = motions[self.bodies[0]], motions[self.bodies[1]]
         socket_center, ball_center = self.centers(motions)
         now = quaternion_product(conjugate(socket.quaternion), ball.quaternion)
-        # Turned back by the start, in socket axes: zero rotation at the start whatever the bodies' axes are.
-        relative = quaternion_product(now, conjugate(self.start_quaternion))
+        # Turned back by the start, in socket axes: zero rotation there whatever the bodies' axes are.
+        relative = quaternion_product(now, conjugate(self.model.relaxed(self.start_quaternion)))
         axes = socket.rotation
         if self.frame is not None:
             axes = axes @ self.frame

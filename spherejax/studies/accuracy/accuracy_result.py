@@ -103,6 +103,7 @@ class WorkPrecision(Reported):
         t1: length of the motion [s].
         n_samples: number of samples at which errors are taken.
         target: position error that the advice prices [m]; None for one that suits the data.
+        name: of what was studied, for titles; empty without one.
     """
 
     rows: Sequence[Row]
@@ -110,6 +111,7 @@ class WorkPrecision(Reported):
     t1: float
     n_samples: int
     target: float | None = None
+    name: str = ""
 
     @property
     def models(self) -> list[str]:
@@ -306,9 +308,16 @@ def _figures_of(result: WorkPrecision, model: str) -> "dict[str, Figure]":
     drawn = {"work_precision": work_precision_figure(diagram), "steps": steps_figure(diagram)}
     parted = result.references[model].parted
     if diagram.statistics and parted is not None:
-        title = f"{model}: statistics from {parted:.3g} s, when tight runs have parted, to {result.t1:g} s"
+        title = (
+            f"{_named(result, model)}: statistics from {parted:.3g} s, when tight runs have parted, to {result.t1:g} s"
+        )
         drawn["statistics"] = statistics_figure(diagram, title)
     return drawn
+
+
+def _named(result: WorkPrecision, model: str) -> str:
+    """A model with the mechanism that it is of."""
+    return ", ".join(filter(None, (result.name, model)))
 
 
 def _diagram_of(result: WorkPrecision, model: str) -> "WorkDiagram":
@@ -335,7 +344,7 @@ def _diagram_of(result: WorkPrecision, model: str) -> "WorkDiagram":
     frontiers = {name: result.frontier(model, name) for name in UNITS}
     failed = list(dict.fromkeys(row.solver for row in result.rows_of(model) if not row.succeeded))
     return WorkDiagram(
-        f"{model}: what accuracy costs, {result.t1:g} s of motion\n{result.advice[model]}",
+        f"{_named(result, model)}: what accuracy costs, {result.t1:g} s of motion\n{result.advice[model]}",
         curves,
         UNITS,
         {name: reference.floor(name) for name in UNITS},
@@ -360,5 +369,6 @@ def _overview_of(result: WorkPrecision) -> "Figure":
         model: [(p.seconds, p.error, f"{p.solver} {p.rtol:.0e}") for p in result.frontier(model)]
         for model in result.models
     }
-    title = f"What accuracy costs, {result.t1:g} s of motion: the best run of each model for every error"
+    what = f"{result.t1:g} s of motion: the best run of each model for every error"
+    title = f"{result.name}: what accuracy costs, {what}" if result.name else f"What accuracy costs, {what}"
     return frontiers_figure(runs, title)

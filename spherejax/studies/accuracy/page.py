@@ -21,7 +21,7 @@ def page_of(study, title: str, scene: Scene | None) -> Page:
 
     n_failed, n = sum(not row.succeeded for row in study.rows), len(study.rows)
     verdict = f"{n - n_failed:,} of {n:,} runs finished, {study.t1:g} s of motion each."
-    page = Page(title or f"What accuracy costs: {', '.join(study.models)}", verdict)
+    page = Page(title or f"What accuracy costs: {', '.join(filter(None, (study.name, *study.models)))}", verdict)
     if n_failed == n:
         page.failed.append("No run finished; see the tables for why.")
     for model in study.models:

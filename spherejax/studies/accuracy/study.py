@@ -49,6 +49,7 @@ def work_precision(
     max_seconds: float = 5.0,
     atol_ratio: float = ATOL_RATIO,
     target: float | None = None,
+    name: str = "",
     report: Report | None = None,
 ) -> WorkPrecision:
     """What accuracy costs in time: error against seconds, for solvers and tolerances, and for several models.
@@ -81,6 +82,7 @@ def work_precision(
             tighter tolerances of that solver are not tried.
         atol_ratio: absolute tolerance as a share of the relative one.
         target: position error that the advice prices [m]; one that suits the data when None.
+        name: of what is studied, for titles.
         report: called as the work goes on.
 
     Returns:
@@ -105,7 +107,7 @@ def work_precision(
         for solver in solvers:
             found += lab.rows(solver, tolerances, references[name], tell)
     rows = _timed(found, n_repeats, tell)
-    return WorkPrecision(tuple(rows), references, t1, max(counts.values()), target)
+    return WorkPrecision(tuple(rows), references, t1, max(counts.values()), target, name)
 
 
 Found = tuple[Row, Trial | None]

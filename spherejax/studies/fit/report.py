@@ -1,13 +1,24 @@
 """A fit as a text that a person reads."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
+Units = Mapping[str, tuple[str, float]]
+"""By parameter the unit in which it is told, and what numbers in it are multiplied by to be in SI units."""
 
-def report(fit) -> str:
-    """Estimates with standard deviations and intervals, how it ended, warnings, what stays open."""
+
+def report(fit, units: Units = MappingProxyType({})) -> str:
+    """Estimates with standard deviations and intervals, how it ended, warnings, what stays open.
+
+    Args:
+        fit: the fit.
+        units: in which estimates are told; in SI units, and none is named, where nothing is said.
+    """
     lines = [headline(fit)]
     if fit.best.us:
-        lines += ["", *_table(fit)]
+        lines += ["", *_table(fit, units)]
     if fit.best.us and fit.undetermined:
         lines += ["", "What the data do not determine:", *(f"  - {each.explanation}" for each in fit.undetermined)]
     if fit.warnings:
@@ -41,15 +52,18 @@ def _estimated_noise(fit) -> str:
     return f"estimated noise: {', '.join(parts)}"
 
 
-def _table(fit) -> list[str]:
+def _table(fit, units: Units) -> list[str]:
     intervals = fit.knowledge.intervals(fit.level)
-    head = ["", "estimate", "std. dev.", "percent", f"{100 * fit.level:g} % interval"]
-    rows = [head]
+    heads = ["", "estimate", "std. dev.", "percent", f"{100 * fit.level:g} % interval"]
+    rows = [heads]
     for name, value, deviation, (low, high) in zip(
         fit.names, fit.knowledge.values, fit.knowledge.standard_deviations, intervals, strict=True
     ):
-        rows.append([name, f"{value:.6g}", *deviation_of(value, deviation), f"{low:.6g} to {high:.6g}"])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+        unit, factor = units.get(name, ("", 1.0))
+        value, deviation, low, high = (each / factor for each in (value, deviation, low, high))
+        head = f"{name} [{unit}]" if unit else name
+        rows.append([head, f"{value:.6g}", *deviation_of(value, deviation), f"{low:.6g} to {high:.6g}"])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
     return [
         "  ".join(
             [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]

@@ -16,7 +16,8 @@ from spherejax.foundations.checks import enforce, is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import misformed, shape_of
 from spherejax.foundations.types import Number, Numeric
-from spherejax.output.io import save, writable
+from spherejax.output.io import save
+from spherejax.output.paths import writable
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.harmonic import complex_stiffness
 from spherejax.physics.laws.elastomer import AbstractElastomer

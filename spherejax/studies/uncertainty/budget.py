@@ -141,16 +141,27 @@ class ToleranceBudget:
         return found
 
     def __str__(self) -> str:
-        heads = [("number", "middle", "+-", "deviation")]
-        heads += [
-            (each.name, f"{each.nominal:.6g}", f"{each.half_width:.3g}", f"{each.deviation:.3g}")
-            for each in self.numbers
-        ]
+        return self.told({})
+
+    def told(self, units: Mapping[str, tuple[str, float]]) -> str:
+        """As a text, with numbers in units.
+
+        Args:
+            units: by number its unit, and what numbers in it are multiplied by to be in SI units; where nothing is said
+                it is in SI units, and none is named.
+        """
+        heads = [("number", "middle", "+-", "deviation", "unit")]
+        for each in self.numbers:
+            unit, factor = units.get(each.name, ("", 1.0))
+            middle, half_width, spread = (x / factor for x in (each.nominal, each.half_width, each.deviation))
+            heads.append((each.name, f"{middle:.6g}", f"{half_width:.3g}", f"{spread:.3g}", unit))
+        if not any(unit for *_, unit in heads[1:]):
+            heads = [row[:-1] for row in heads]
         rows = [("observable", "deviation", "worst", "unit", "at", *self.names)]
-        units = {label: part.column.unit for part in self.parts for label in part.column.labels}
+        unit_of = {label: part.column.unit for part in self.parts for label in part.column.labels}
         for label, deviation, worst, t, shares in self._largest():
             said = [f"{100 * share:.1f} %" if share >= LEAST_SHARE else "-" for share in shares]
-            rows.append((label, f"{deviation:.3g}", f"{worst:.3g}", units[label], f"{t:.4g} s", *said))
+            rows.append((label, f"{deviation:.3g}", f"{worst:.3g}", unit_of[label], f"{t:.4g} s", *said))
         lines = ["Tolerance budget, first order:", *table(heads), "", "Where each scatters most, and which number's:"]
         lines += [*table(rows), *([self.note] if self.note else [])]
         return "\n".join(line.rstrip() for line in lines)
