@@ -5,8 +5,8 @@
 
 Four-bar, 0.2 s, rtol 1e-8, eleven samples. All is timed in one process: a ratio is of two medians of five. `vmap` is
 compared with `sj.simulate_many`, which is what `sj.sweep` runs, and with the loop over one compiled run. The unit of
-derivatives is the compiled run whose number is traced, as it is under `jvp`; these are the shortest of `TURNS` calls by
-turns.
+derivatives is the compiled run whose number is traced, as it is under `jvp`; these are the shortest of fifteen calls
+by turns.
 """
 
 import sys
@@ -16,13 +16,12 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from machine import median_seconds, write
+from machine import median_seconds, shortest_by_turns, write
 
 import spherejax as sj
 
 TS = jnp.linspace(0.0, 0.2, 11)
 RTOL = 1e-8
-TURNS = 25
 COARSE = 1e-6
 """A tolerance of derivatives, for who is content with it: `sensitivity_tolerance.py` has its errors."""
 WIDTHS = (64, 256, 1000)
@@ -112,21 +111,11 @@ def of_derivatives() -> None:
             f"jacfwd by {len(numbers)}": (jax.jit(jax.jacfwd(all_of)), each, 5.0),
             f"grad by {len(numbers)}": (jax.jit(jax.grad(all_of)), each, 5.0),
         }
-        shortest = _shortest([(function, at) for function, at, _ in rows_of.values()])
+        shortest = shortest_by_turns(
+            [lambda call=call, at=at: jax.block_until_ready(call(at)) for call, at, _ in rows_of.values()]
+        )
         for (what, (_, _, goal)), seconds in zip(rows_of.items(), shortest, strict=True):
             add(case, what, seconds, shortest[0], goal)
-
-
-def _shortest(calls: list[tuple[Callable, object]]) -> list[float]:
-    """The shortest times [s] of calls that are made by turns: a machine that slows down slows all of them."""
-    times = []
-    for _ in range(TURNS):
-        times.append([])
-        for function, argument in calls:
-            begin = time.perf_counter()
-            jax.block_until_ready(function(argument))
-            times[-1].append(time.perf_counter() - begin)
-    return list(np.min(times[1:], axis=0))
 
 
 def of_calls() -> None:

@@ -28,6 +28,21 @@ def median_seconds(call: Callable[[], object], repeats: int = REPEATS) -> float:
     return float(np.median(seconds))
 
 
+def shortest_by_turns(calls: Sequence[Callable[[], object]], turns: int = 15) -> list[float]:
+    """The shortest times [s] of calls that are made by turns, so that a machine that slows down slows all of them.
+
+    For ratios on a machine whose speed wavers: the median of five in a row then tells which of two was unlucky.
+    """
+    times = []
+    for _ in range(turns + 1):  # the first warms up
+        times.append([])
+        for call in calls:
+            begin = time.perf_counter()
+            call()
+            times[-1].append(time.perf_counter() - begin)
+    return list(np.min(times[1:], axis=0))
+
+
 def use_one_core() -> None:
     """Pin this process to one core, before JAX starts its threads."""
     if hasattr(os, "sched_setaffinity"):
