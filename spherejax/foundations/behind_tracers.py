@@ -9,7 +9,12 @@ import numpy as np
 from spherejax.foundations.checks import is_concrete
 
 LOOKS = (0.0, 1 / 3, 2 / 3, 1.0)
-"""Which lanes of `jax.vmap` are looked at: the first, the last and two in between."""
+"""Which of many runs are looked at: the first, the last and two in between."""
+
+
+def place_of(look: float, n: int) -> int:
+    """The run, of n, that is looked at."""
+    return int(look * (n - 1))
 
 
 def known_behind(tree: Any) -> list[Any]:
@@ -59,7 +64,7 @@ def _seen(leaf: Any, look: float) -> Any:
     while leaf is not None and not is_concrete(leaf):
         inner = _inner(leaf)
         if inner is not None and _is_lane(leaf):
-            at = int(look * (inner.shape[leaf.batch_dim] - 1))
+            at = place_of(look, inner.shape[leaf.batch_dim])
             inner = jax.lax.index_in_dim(inner, at, leaf.batch_dim, keepdims=False)
         leaf = inner
     return None if leaf is None else np.asarray(leaf)

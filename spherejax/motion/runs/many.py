@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.behind_tracers import LOOKS, place_of
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
@@ -133,7 +134,7 @@ def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, blo
         return LaneMethod(choice_for(None, rtol, solver), rtol, atol, max_steps, track_work, block)
     n_runs = count_of_runs(parameters)
     choices, problem = [], None
-    for run in sorted({0, n_runs // 3, 2 * n_runs // 3, n_runs - 1}):
+    for run in sorted({place_of(look, n_runs) for look in LOOKS}):
         try:
             scene = built(build, jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters))
             choices.append(choice_for(compile_scene(scene, track_work=track_work).system, rtol, None))

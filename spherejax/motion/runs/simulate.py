@@ -40,6 +40,12 @@ SMALLEST_TOLERANCE = 1e-14
 NO_LIMIT = int(np.iinfo(np.int64).max)
 """Steps that no run makes."""
 
+BESIDE_THE_MOTION = (
+    "derivative_rtol is for derivatives that are integrated beside the motion: by an explicit or a Rosenbrock method, "
+    "without a controller or an adjoint of your own. Leave it, or those, out"
+)
+"""Why a tolerance of derivatives is refused."""
+
 ENOUGH_STEPS = "Leave it out for 20,000,000."
 """What to do about a number of steps that cannot be."""
 
@@ -133,8 +139,7 @@ def _call(
 ) -> _Call:
     """Check what is asked for and decide what is left open; arguments as of `simulate`."""
     ts = checked_times(ts)
-    check_tolerances(rtol, atol)
-    check_derivative_tolerance(derivative_rtol)
+    check_tolerances(rtol, atol, derivative_rtol)
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     found = prepared(scene, track_work, scalar)
@@ -162,17 +167,13 @@ def _call(
         with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget, at_start, slack
     )
     if slack is not None and not (by_sensitivities and can_be_a_job(found.structure, options)):
-        raise SceneError(
-            "derivative_rtol is for derivatives that are integrated beside the motion: by an explicit or a Rosenbrock "
-            "method, without a controller or an adjoint of your own. Leave it, or those, out"
-        )
+        raise SceneError(BESIDE_THE_MOTION)
     if own_control:
         # diffrax's own loop has no better one to begin with; see `LandingController.init`.
         by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
         said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
-    conditions = [*found.conditions, *traced_tolerances(rtol, atol)]
-    conditions += [] if derivative_rtol is None or is_concrete(derivative_rtol) else [derivative_rtol > 0]
+    conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol)]
     conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
     values = jnp.asarray(found.theta)[np.array(unknown, int)] if unknown else np.zeros(0)
@@ -256,7 +257,7 @@ def checked_times(ts) -> Float[Array, " n"]:
     return jnp.asarray(ts, jnp.float64)
 
 
-def check_tolerances(rtol, atol) -> None:
+def check_tolerances(rtol, atol, derivative_rtol=None) -> None:
     """Raise `SceneError` for tolerances that no integration can keep, or that ask for none."""
     real_number("rtol", rtol)
     if atol is not None:
@@ -274,10 +275,6 @@ def check_tolerances(rtol, atol) -> None:
         raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
     if atol is not None and is_concrete(atol) and not float(atol) < np.inf:
         raise SceneError(f"atol = {float(atol):.3g} allows any error; give a number, or leave it out")
-
-
-def check_derivative_tolerance(derivative_rtol) -> None:
-    """Raise `SceneError` for a tolerance of derivatives that is none."""
     if derivative_rtol is None:
         return
     real_number("derivative_rtol", derivative_rtol)
@@ -287,13 +284,15 @@ def check_derivative_tolerance(derivative_rtol) -> None:
         )
 
 
-def traced_tolerances(rtol, atol) -> list:
+def traced_tolerances(rtol, atol, derivative_rtol=None) -> list:
     """The same conditions for tolerances that are traced: a lane that violates them has the status of a bad value."""
     conditions = []
     if not is_concrete(rtol):
         conditions.append((rtol >= SMALLEST_TOLERANCE) & (rtol < 1))
     if atol is not None and not is_concrete(atol):
         conditions.append((atol > 0) & (atol < np.inf))
+    if derivative_rtol is not None and not is_concrete(derivative_rtol):
+        conditions.append(derivative_rtol > 0)
     return conditions
 
 

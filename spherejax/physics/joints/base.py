@@ -102,8 +102,8 @@ class Effect(NamedTuple):
 class Medium(enum.Enum):
     """What lies between ball and socket, and acts wherever the ball is.
 
-    Where numbers are traced the method of integration is chosen by this alone: a film is usually too fast for explicit
-    steps (1e4 to 1e6 per second), an elastomer is usually not.
+    Where `jax.jit` hides the numbers the method of integration is chosen by this: a film is usually too fast for
+    explicit steps (1e4 to 1e6 per second), an elastomer is usually not, and a run on one may choose when it starts.
     """
 
     FILM = "a film"
