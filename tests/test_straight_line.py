@@ -7,8 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from spherejax.foundations import machine_code, straight_line
 from spherejax.foundations.fingerprints import program_fingerprint
 from spherejax.foundations.scalarize import scalarize
+
+
+@pytest.fixture(autouse=True, params=["by XLA", "machine code"])
+def made(request, monkeypatch):
+    """Every test twice: what XLA compiles, and what is machine code of its own, however small."""
+    monkeypatch.setattr(straight_line, "SMALLEST_CALLED", 0)
+    with machine_code.wanted(request.param == "machine code"):
+        if request.param == "machine code" and not machine_code.is_on():
+            pytest.skip("no machine code with this jaxlib, or without llvmlite")
+        yield request.param
 
 
 def everything(numbers, t, y):
@@ -167,12 +178,12 @@ def test_a_root_is_flat_where_it_is_guarded():
 
 def test_derivatives_cost_what_they_must():
     """Coefficients are made once, whatever the number of tangents; what does not move costs nothing."""
-    line = PROGRAM._rest
+    line = PROGRAM._line("rest")
     derivative = line.derivative((False, False, True, *(False for _ in line.given)))
-    value = line.graph.count(line._flat, line.given).total()
-    slopes = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.given).total()
+    value = line.graph.count(line._flat, line.flat_given).total()
+    slopes = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.flat_given).total()
     assert 0 < slopes < 3 * value
-    names = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.given)
+    names = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.flat_given)
     assert set(names) <= {"add", "sub", "mul", "neg", "select"}
     by_time = line.derivative((False, True, False, *(False for _ in line.given)))
     names = sorted(everything(NUMBERS, T, Y))
@@ -263,7 +274,7 @@ def test_fingerprints_tell_programs_apart():
 def test_one_by_one_is_what_it_says():
     names = {
         e.primitive.name
-        for e in jax.make_jaxpr(PROGRAM._whole.one_by_one((), (0,) * 3))(NUMBERS, T, Y)
+        for e in jax.make_jaxpr(PROGRAM._line("whole").one_by_one((), (0,) * 3))(NUMBERS, T, Y)
         .jaxpr.eqns[0]
         .params["jaxpr"]
         .eqns

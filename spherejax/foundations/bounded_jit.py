@@ -24,7 +24,7 @@ from jax.experimental import serialize_executable
 from jax.extend import core as jex
 
 from spherejax import runtime
-from spherejax.foundations import kept_on_disk
+from spherejax.foundations import kept_on_disk, machine_code
 from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.collecting import collecting_later
 from spherejax.foundations.terminals import waiting_for
@@ -128,7 +128,7 @@ class _Entry:
 
     @cached_property
     def _key(self) -> str | None:
-        return kept_on_disk.key_for(*self._made_from, runtime.kind_of_processor())
+        return kept_on_disk.key_for(*self._made_from, runtime.kind_of_processor(), machine_code.is_available())
 
     @property
     def _examples(self) -> list:
@@ -140,12 +140,13 @@ class _Entry:
         found = kept_on_disk.load(self._key)
         if found is None:
             return None
-        content, shapes, (example, static) = found
+        content, codes, shapes, (example, static) = found
         if b"lapack_" in content:
             _make_lapack_known()
         # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
         trees = jax.tree.structure((tuple(self._examples), {})), jax.tree.structure(tuple(shapes))
         try:
+            machine_code.make_known(codes)
             program = serialize_executable.deserialize_and_load(content, *trees)
         except Exception:  # whatever is wrong with it: it is compiled anew
             return None
@@ -160,24 +161,25 @@ class _Entry:
         # Named by the key, so that JAX's own cache knows it only where our file of it has been lost. What JAX has
         # loaded from there cannot be written again: it would lack functions, and fail when it runs.
         for part in (self._key, uuid4().hex):
-            with kept_on_disk.listened() as has_warned:
+            with kept_on_disk.listened() as has_warned, machine_code.listened() as lowered_codes:
                 traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self._examples)
                 lowered = traced.lower()
             with found_by_jax() as found:
                 program = _compiled(lowered, self._options)
+            codes = lowered_codes()
             may_be_kept = not has_warned() and not calls_python(traced.jaxpr.jaxpr)
             if not may_be_kept or not found():
                 break
         if may_be_kept and found() is False:
-            self._keep(program, traced.out_info)
+            self._keep(program, codes, traced.out_info)
         return program
 
-    def _keep(self, program: Any, shapes: Any) -> None:
+    def _keep(self, program: Any, codes: dict[str, bytes], shapes: Any) -> None:
         found_tree, static = self._results
         example = jax.tree.unflatten(found_tree, range(found_tree.num_leaves))
         with suppress(ValueError, NotImplementedError):  # JAX cannot write it
             content, *_ = serialize_executable.serialize(program)
-            kept_on_disk.save(self._key, (content, jax.tree.leaves(shapes), (example, static)))
+            kept_on_disk.save(self._key, (content, codes, jax.tree.leaves(shapes), (example, static)))
 
     def clear(self) -> None:
         """Let go of what was compiled."""

@@ -34,7 +34,13 @@ class Writer:
         }  # fmt: skip
         self.types: dict[tuple[np.dtype, int], Any] = {}
         self.flat = [self._flat(i, x) for i, x in enumerate(arguments[: len(line.shapes)])]
-        self.values: dict[int, Any] = dict(zip(line.given, arguments[len(line.shapes) :], strict=True))
+        self.values: dict[int, Any] = {}
+        for i, (group, x) in enumerate(zip(line.given, arguments[len(line.shapes) :], strict=True), len(line.shapes)):
+            if group.shape == ():
+                self.values[int(group)] = x
+                continue
+            for at, node in enumerate(group):
+                self.values[int(node)] = self._row(x, at, line.graph.dtypes[int(node)], axes[i])
         self.wide: dict[tuple[int, int], Any] = {}
 
     def written(self) -> list:
@@ -88,12 +94,14 @@ class Writer:
         return stablehlo.reshape(ir.RankedTensorType.get(shape, self.elements[FLOAT]), x)
 
     def _entry(self, argument: int, index: int) -> Any:
-        lanes = sizes(self.lanes, self.axes[argument])
+        return self._row(self.flat[argument], index, FLOAT, self.axes[argument])
+
+    def _row(self, array: Any, index: int, dtype: np.dtype, axes: int) -> Any:
+        """One entry of a flat argument, with its lanes."""
+        lanes = sizes(self.lanes, axes)
         begin, end = [index, *(0 for _ in lanes)], [index + 1, *lanes]
         attributes = [ir.DenseI64ArrayAttr.get(each) for each in (begin, end, [1] * len(begin))]
-        return stablehlo.reshape(
-            self._type(FLOAT, self.axes[argument]), stablehlo.slice(self.flat[argument], *attributes)
-        )
+        return stablehlo.reshape(self._type(dtype, axes), stablehlo.slice(array, *attributes))
 
     def _output(self, output: np.ndarray, axes: int) -> Any:
         lanes, element = sizes(self.lanes, axes), self.elements[self.line.dtype(output)]

@@ -16,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from spherejax.foundations import machine_code
 from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.scalar_c import c_functions
 from spherejax.foundations.scalar_graph import FLOAT, Graph, TooManyOperations
 from spherejax.foundations.scalar_interpreter import Interpreter
-from spherejax.foundations.straight_line import StraightLine
+from spherejax.foundations.straight_line import StraightLine, grouped
 
 
 class ScalarProgram:
@@ -46,26 +47,37 @@ class ScalarProgram:
         self._n_leading = n_ahead
         self._ahead = graph.invariants(self._flat_outputs, range(n_ahead))
         self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
-        self._compile()
+        self._lines: dict[tuple, StraightLine] = {}
 
-    def _compile(self) -> None:
-        numbers = [np.array(node) for node in self._ahead]
-        self._whole = StraightLine(self._graph, self._outputs, self._shapes, ())
-        self._first = StraightLine(self._graph, numbers, self._shapes[: self._n_leading], ())
-        self._rest = StraightLine(self._graph, self._outputs, self._shapes, self._ahead)
+    def _line(self, part: str, in_vectors: bool = False) -> StraightLine:
+        """All of it, what goes ahead, or the rest; for XLA, or as machine code.
+
+        Args:
+            part: which one.
+            in_vectors: whether what goes ahead is passed on in vectors.
+        """
+        key = part, in_vectors, machine_code.is_on()
+        if key not in self._lines:
+            ahead = grouped(self._ahead, self._graph, in_vectors)
+            outputs, shapes, given = {
+                "whole": (self._outputs, self._shapes, []),
+                "first": (ahead, self._shapes[: self._n_leading], []),
+                "rest": (self._outputs, self._shapes, ahead),
+            }[part]
+            self._lines[key] = StraightLine(self._graph, outputs, shapes, given, machine_code.is_on())
+        return self._lines[key]
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what JAX compiles; a tree of results stands for its structure."""
-        state = {name: value for name, value in vars(self).items() if name not in ("_whole", "_first", "_rest")}
+        state = {name: value for name, value in vars(self).items() if name != "_lines"}
         return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, _tree=jax.tree.structure(state["_tree"]))
-        self._compile()
+        vars(self).update(state, _tree=jax.tree.structure(state["_tree"]), _lines={})
 
     def __call__(self, *arguments) -> Any:
         """Evaluate; the arguments have the shapes of the example arguments."""
-        return self._tree_of(self._whole(*self._flat(arguments)))
+        return self._tree_of(self._line("whole")(*self._flat(arguments)))
 
     @property
     def n_outputs(self) -> int:
@@ -109,11 +121,12 @@ class ScalarProgram:
     def ahead(self, *leading) -> tuple[Array, ...]:
         """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""
         leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(leading)]
-        return tuple(self._first(*leaves)) if self._ahead else ()
+        return tuple(self._line("first", machine_code.is_on())(*leaves)) if self._ahead else ()
 
     def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
         """As a call, with what `ahead` has evaluated for the same leading arguments."""
-        return self._tree_of(self._rest(*self._flat(arguments), *ahead))
+        in_vectors = any(jnp.ndim(each) > 0 for each in ahead)
+        return self._tree_of(self._line("rest", in_vectors)(*self._flat(arguments), *ahead))
 
     def _tree_of(self, outputs) -> Any:
         return jax.tree.unflatten(self._tree, outputs)

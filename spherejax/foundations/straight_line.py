@@ -23,7 +23,9 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from spherejax.foundations import machine_code
 from spherejax.foundations.line_writer import Shape, Writer, sizes
+from spherejax.foundations.machine_text import can_be_written
 from spherejax.foundations.scalar_derivatives import Forward, Transposed
 from spherejax.foundations.scalar_graph import FLOAT, Graph
 
@@ -35,11 +37,22 @@ class StraightLine:
         graph: the nodes.
         outputs: names of the nodes that are returned, in arrays.
         shapes: of the arguments whose entries are the graph's inputs.
-        given: nodes whose values are arguments too, numbers, behind the arrays.
+        given: nodes whose values are arguments too, behind the arrays: numbers, or vectors of them.
+        in_machine_code: whether it is called as machine code of its own, where that can be; see `machine_code`. Then
+            what it gives to its derivatives are vectors: each argument of a call costs time.
     """
 
-    def __init__(self, graph: Graph, outputs: Sequence[np.ndarray], shapes: Sequence[Shape], given: Sequence[int]):
+    def __init__(
+        self,
+        graph: Graph,
+        outputs: Sequence[np.ndarray],
+        shapes: Sequence[Shape],
+        given: Sequence[np.ndarray],
+        in_machine_code: bool = False,
+    ):
         self.graph, self.outputs, self.shapes, self.given = graph, tuple(outputs), tuple(shapes), tuple(given)
+        self.flat_given = tuple(int(node) for group in self.given for node in group.ravel())
+        self.in_machine_code = in_machine_code
         self._spread: dict = {}
         self._jitted: dict = {}
         self._derivatives: dict[tuple[bool, ...], Derivative] = {}
@@ -51,14 +64,14 @@ class StraightLine:
 
     def __repr__(self) -> str:
         """What it does, so that a printed program still says which operations it has."""
-        counts = self.graph.count(self._flat, self.given)
+        counts = self.graph.count(self._flat, self.flat_given)
         return f"StraightLine({', '.join(f'{name} {n}' for name, n in sorted(counts.items()))})"
 
     def told_by(self) -> tuple:
         """What it computes, for fingerprints of programs."""
         graph, nodes = self.graph, self.nodes
         place = {node: at for at, node in enumerate(nodes)}
-        given = {node: at for at, node in enumerate(self.given)}
+        given = {node: at for at, node in enumerate(self.flat_given)}
         lines = tuple(
             (given[node],)
             if node in given
@@ -70,7 +83,8 @@ class StraightLine:
             )
             for node in nodes
         )
-        return lines, tuple((o.shape, tuple(place[int(n)] for n in o.ravel())) for o in self.outputs), self.shapes
+        outputs = tuple((o.shape, tuple(place[int(n)] for n in o.ravel())) for o in self.outputs)
+        return lines, outputs, self.shapes, tuple(group.shape for group in self.given), self.in_machine_code
 
     @cached_property
     def _flat(self) -> list[int]:
@@ -79,7 +93,17 @@ class StraightLine:
     @cached_property
     def nodes(self) -> list[int]:
         """What is needed, in an order in which it can be evaluated."""
-        return self.graph.needed(self._flat, self.given)
+        return self.graph.needed(self._flat, self.flat_given)
+
+    @cached_property
+    def is_worth_a_call(self) -> bool:
+        """Whether it is large enough."""
+        return self.graph.count(self._flat, self.flat_given).total() >= SMALLEST_CALLED
+
+    @cached_property
+    def can_be_called(self) -> bool:
+        """Whether there is machine code for all its operations."""
+        return can_be_written(self)
 
     def dtype(self, output: np.ndarray) -> np.dtype:
         """Of the entries of an output."""
@@ -92,7 +116,8 @@ class StraightLine:
         return self._spread[axes]
 
     def _found_spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
-        graph, given = self.graph, dict(zip(self.given, axes[len(self.shapes) :], strict=True))
+        graph, groups = self.graph, zip(self.given, axes[len(self.shapes) :], strict=True)
+        given = {int(node): over for group, over in groups for node in group.ravel()}
         found: dict[int, int] = {}
         for node in self.nodes:
             if node in given:
@@ -124,7 +149,7 @@ class StraightLine:
             for entry, node in enumerate(entries)
             if node is not None
         }
-        forward = Forward(self.graph, self.nodes, tangents, frozenset(self.given))
+        forward = Forward(self.graph, self.nodes, tangents, frozenset(self.flat_given))
         zero = forward.slopes.constant(0, FLOAT)
         found = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
         follows = tuple(any(each is not None for each in slopes) for slopes in found)
@@ -135,12 +160,18 @@ class StraightLine:
         ]
         needed = set(forward.slopes.needed([int(node) for output in slopes for node in output.ravel()]))
         given = {node: name for node, name in forward.given.items() if name in needed}
-        shapes = [*self.shapes, *(() for _ in self.given)]
+        coefficients = grouped([*given], forward.values, self.in_machine_code)
+        names = [np.array([given[int(node)] for node in each.ravel()]).reshape(each.shape) for each in coefficients]
+        values, moving = [*self.outputs, *coefficients], [*itertools.compress(self._all_shapes, moves)]
         return Derivative(
-            StraightLine(forward.values, [*self.outputs, *map(np.array, given)], self.shapes, self.given),
-            StraightLine(forward.slopes, slopes, [*itertools.compress(shapes, moves)], [*given.values()]),
+            StraightLine(forward.values, values, self.shapes, self.given, self.in_machine_code),
+            StraightLine(forward.slopes, slopes, moving, names, self.in_machine_code),
             follows,
         )
+
+    @property
+    def _all_shapes(self) -> list[Shape]:
+        return [*self.shapes, *(group.shape for group in self.given)]
 
     def transposed(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
         """Of a line that is linear in some of its arguments: from numbers along its outputs to numbers along these.
@@ -171,18 +202,18 @@ class StraightLine:
             for entry, node in enumerate(output.ravel()):
                 along.setdefault(int(node), []).append((i, entry))
         leaves = {node for entries in moving for node in entries if node is not None}
-        made = Transposed(graph, self.nodes, leaves, frozenset(self.given), along)
-        shapes = [*self.shapes, *(() for _ in self.given)]
+        made = Transposed(graph, self.nodes, leaves, frozenset(self.flat_given), along)
         outputs = [
             np.array([made.along(node) for node in entries], np.int64).reshape(shape)
-            for entries, shape in itertools.compress(zip(moving, shapes, strict=True), linear)
+            for entries, shape in itertools.compress(zip(moving, self._all_shapes, strict=True), linear)
         ]
-        given = [node for i, node in enumerate(self.given, len(self.shapes)) if not linear[i]]
-        return StraightLine(graph, outputs, [*(o.shape for o in followed), *(self.shapes[i] for i in still)], given)
+        given = [group for i, group in enumerate(self.given, len(self.shapes)) if not linear[i]]
+        shapes = [*(o.shape for o in followed), *(self.shapes[i] for i in still)]
+        return StraightLine(graph, outputs, shapes, given, self.in_machine_code)
 
     def _entries(self, chosen: Sequence[bool]) -> list[list[int | None]]:
         """The nodes that are the entries of the chosen arguments; None for those that nothing depends on."""
-        graph, given = self.graph, frozenset(self.given)
+        graph, given = self.graph, frozenset(self.flat_given)
         inputs = {
             graph.parameters[node]: node
             for node in self.nodes
@@ -192,7 +223,10 @@ class StraightLine:
             [inputs.get((i, entry)) for entry in range(int(np.prod(shape)))] if chosen[i] else []
             for i, shape in enumerate(self.shapes)
         ]
-        return found + [[node] if chosen[i] else [] for i, node in enumerate(self.given, len(self.shapes))]
+        return found + [
+            [int(node) for node in group.ravel()] if chosen[i] else []
+            for i, group in enumerate(self.given, len(self.shapes))
+        ]
 
     @cached_property
     def by_operations(self) -> Callable[..., list[Array]]:
@@ -200,7 +234,11 @@ class StraightLine:
 
         def evaluated(*arguments: Array) -> list[Array]:
             arrays, given = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
-            values = self.graph.emit(self._flat, _reader(arrays), dict(zip(self.given, given, strict=True)))
+            known = {}
+            for group, x in zip(self.given, given, strict=True):
+                parts = [x] if group.shape == () else jax.lax.split(x, [1] * group.size)
+                known.update(zip(map(int, group.ravel()), (part.reshape(()) for part in parts), strict=True))
+            values = self.graph.emit(self._flat, _reader(arrays), known)
             return [self._assembled(output, values) for output in self.outputs]
 
         return jax.jit(evaluated)
@@ -212,11 +250,19 @@ class StraightLine:
         return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
 
 
+def grouped(nodes: Sequence[int], graph: Graph, in_vectors: bool) -> list[np.ndarray]:
+    """Nodes as they are passed between lines: each alone, or in one vector for each type of numbers."""
+    if not in_vectors:
+        return [np.array(node) for node in nodes]
+    kinds = dict.fromkeys(graph.dtypes[node] for node in nodes)
+    return [np.array([node for node in nodes if graph.dtypes[node] == kind]) for kind in kinds]
+
+
 class Derivative(NamedTuple):
     """The derivative of a line along tangents of some of its arguments.
 
     Attributes:
-        values: the line, with the coefficients of the derivative as further outputs, numbers.
+        values: the line, with the coefficients of the derivative as further outputs.
         slopes: the derivative, from the tangents and the coefficients; linear in the tangents.
         follows: which outputs have one; `slopes` has the outputs for these.
     """
@@ -301,10 +347,18 @@ def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine
 
 
 def _widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
-    """The same over more axes of lanes."""
+    """The same over other axes of lanes; along those that are not wanted all entries are the same.
+
+    A vector of coefficients has all lanes of its entries.
+    """
     if axes == wanted:
         return x
     n_inner = x.ndim - axes.bit_count()
+    own = [axis for axis in range(len(lanes)) if axes >> axis & 1]
+    for at, axis in reversed([*enumerate(own)]):
+        if not wanted >> axis & 1:
+            x = jax.lax.index_in_dim(x, 0, n_inner + at, keepdims=False)
+    axes &= wanted
     among = [axis for axis in range(len(lanes)) if wanted >> axis & 1]
     dims = [*range(n_inner), *(n_inner + at for at, axis in enumerate(among) if axes >> axis & 1)]
     return jax.lax.broadcast_in_dim(x, (*x.shape[:n_inner], *sizes(lanes, wanted)), dims)
@@ -356,6 +410,26 @@ def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, ax
     return Writer(context, line, lanes, axes, arguments).written()
 
 
+def _lowered_for_processor(
+    context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]
+) -> Sequence:
+    if not is_called(line, lanes):
+        return _lowered(context, *arguments, line=line, lanes=lanes, axes=axes)
+    name = machine_code.called(line, lanes, axes)
+    return jax.ffi.ffi_lowering(name)(context, *arguments)
+
+
+SMALLEST_CALLED = 1000
+"""Operations of a line that is worth a call; one costs XLA some 50 ns."""
+
+
+def is_called(line: StraightLine, lanes: Shape) -> bool:
+    """Whether a line is machine code of its own, and not part of what XLA compiles."""
+    if not line.in_machine_code or len(lanes) > 1 or 0 in lanes or not machine_code.is_available():
+        return False
+    return line.is_worth_a_call and line.can_be_called
+
+
 def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
     if jax.config.values["jax_disable_jit"]:  # then there is nobody to write for
         return line.one_by_one(**how)(*arguments)
@@ -373,3 +447,4 @@ batching.primitive_batchers[_straight_line] = _batched
 ad.primitive_jvps[_straight_line] = _differentiated
 ad.primitive_transposes[_straight_line] = _transposed
 mlir.register_lowering(_straight_line, _lowered)
+mlir.register_lowering(_straight_line, _lowered_for_processor, platform="cpu")

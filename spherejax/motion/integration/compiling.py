@@ -5,6 +5,7 @@ from typing import Any
 
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.solvers.traits import is_linearly_implicit
 
 LARGE = 10_000
 """Scalar operations of a right-hand side from which on a run is compiled soon rather than well.
@@ -36,6 +37,15 @@ def options_for(plan: Any, *_: Any) -> Mapping[str, Any]:
 def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
     """As `options_for`, for a run of diffrax's loop."""
     return SOON if is_large(plan) else FEWER_WORDS
+
+
+def in_machine_code(plan: Any, solver: Any) -> bool:
+    """Whether the programs of a single run become machine code of their own: those of a stiff method, and large ones.
+
+    The others are small, and their loop is one native function of XLA: 2,000 operations, twelve times in a step.
+    """
+    scalar = program_for(state_rate, plan.structure, plan.scalar).scalar
+    return scalar is not None and (is_linearly_implicit(solver) or scalar.n_operations > LARGE)
 
 
 def is_large(plan: Any) -> bool:

@@ -12,7 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations import machine_code
 from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.few_kernels import in_few_kernels
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
@@ -23,7 +25,7 @@ from spherejax.motion.equations.projection import correction_of
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
 from spherejax.motion.integration.auditing import AuditingSolver, of_audited, watch_of
-from spherejax.motion.integration.compiling import options_for_stiff
+from spherejax.motion.integration.compiling import in_machine_code, options_for_stiff
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import Samples, SamplingSolver, samples_of
@@ -39,6 +41,7 @@ from spherejax.motion.solvers.landing import (
     count_of,
     without_memory,
 )
+from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.solvers.wrapping import StepBudget
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 
@@ -143,6 +146,13 @@ def integrate(
     values_are_legal: Flag,
 ) -> Outcome:
     """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
+    # A derivative is taken beside the run, except with an adjoint of the caller's, which goes through it.
+    alone = is_linearly_implicit(options.solver) and isinstance(options.adjoint, diffrax.ForwardMode)
+    with machine_code.wanted(alone and in_machine_code(plan, options.solver)):
+        return in_few_kernels(lambda: _integrated(plan, options, values, known, ts, start, values_are_legal))()
+
+
+def _integrated(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
     theta = plan.theta(values, known)
     assembly, y0 = beginning(plan, theta, ts[0], start)
     is_closed = assembly.residual_after < CLOSING_TOLERANCE

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations import machine_code
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Flag
@@ -24,7 +25,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import magnitudes
 from spherejax.motion.integration.audit import Limits, limits_of
-from spherejax.motion.integration.compiling import options_for
+from spherejax.motion.integration.compiling import in_machine_code, options_for
 from spherejax.motion.integration.implicit_rows import slack_of, solver_of_rows
 from spherejax.motion.integration.integrate import (
     Options,
@@ -157,6 +158,7 @@ class JobKind:
             room_of(plan),
             example_of(self.structure).layout.work_start,
             samples_of(self.structure, self.scalar),
+            alone_in_machine_code=in_machine_code(plan, self.solver),
         )
         return self._of_rows(problem, rate) if self.with_rows else problem
 
@@ -360,9 +362,13 @@ class _Request(eqx.Module):
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
         theta = plan.theta(values, known)
+        with machine_code.wanted(in_machine_code(plan, self.rest)):
+            return job_of(plan, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
+
+    def limits(self, plan: Plan, theta) -> Limits:
+        """Of the audit."""
         rtol, _ = self.own if self.shared is None else self.shared
-        limits = audit_limits(plan.structure.system(theta), rtol, self.rest)
-        return job_of(plan, theta, ts, start, values_are_legal, limits, self.own)
+        return audit_limits(plan.structure.system(theta), rtol, self.rest)
 
     def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:
         """What comes of the job."""
@@ -380,15 +386,15 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
     Where the method is chosen by numbers that are seen only now, both are compiled, and the run is made by one: a lane
     that may not run makes no step. So it is with many lanes, where `jax.lax.cond` would make each run twice.
     """
+    job = request.job(plan, values, known, ts, start, values_are_legal)
     if request.stiff_rest is None:
-        job = request.job(plan, values, known, ts, start, values_are_legal)
         return _outcome(request, job, request.made(plan, job, ts, False))
-    is_stiff = fastest_in_clearance(plan.structure, plan.scalar, plan.theta(values, known)) > request.limit
+    is_stiff = fastest_in_clearance(plan.structure, plan.scalar, job.numbers.theta) > request.limit
     outcomes = []
     for each, is_taken in ((request, ~is_stiff), (request.of_stiff, is_stiff)):
-        job = each.job(plan, values, known, ts, start, values_are_legal)
-        job = job._replace(may_run=job.may_run & is_taken)
-        outcomes.append(_outcome(each, job, each.made(plan, job, ts, False)))
+        numbers = job.numbers._replace(limits=each.limits(plan, job.numbers.theta))
+        taken = job._replace(numbers=numbers, may_run=job.may_run & is_taken)
+        outcomes.append(_outcome(each, taken, each.made(plan, taken, ts, False)))
     return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
 
 

@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations import machine_code
+from spherejax.foundations.few_kernels import in_few_kernels
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import CHECKS, Watch
 from spherejax.motion.integration.lanes.control import Repeating, Step
@@ -46,7 +48,7 @@ def run_in_lanes(
         status: what a run that is not to be made reports.
         block: how wide.
     """
-    return _Queue(problem, parameters, y0, ts, may_run, status, block).worked_off()[0]
+    return _worked_off(problem, parameters, y0, ts, may_run, status, block)[0]
 
 
 def steps_in_lanes(
@@ -68,10 +70,14 @@ def steps_in_lanes(
         capacity: rows of each run; of a run with more steps the rest is not written.
         shares: where inside each step the state is wanted, in (0, 1).
     """
-    queue = _Queue(problem, parameters, y0, ts, may_run, status, block, capacity, shares)
-    outcome, log = queue.worked_off()
+    outcome, log = _worked_off(problem, parameters, y0, ts, may_run, status, block, capacity, shares)
     assert log is not None
     return outcome, log
+
+
+def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
+    with machine_code.wanted(problem.alone_in_machine_code and y0.shape[0] == 1):
+        return in_few_kernels(lambda: _Queue(problem, parameters, y0, *others).worked_off())()
 
 
 class _Queue:

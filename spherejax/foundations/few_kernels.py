@@ -1,0 +1,224 @@
+"""What lies between the calls of machine code in a loop, as few kernels.
+
+A loop that calls something is not one native function: XLA walks through its operations, at some 50 ns for each fusion
+and each copy, hundreds of them in a step. Here the operations of such a loop's body are put in an order in which as
+many as possible stand together, and what stands together becomes a function that XLA compiles as one kernel, as it
+does itself with a small loop.
+
+XLA does so for a function with the attribute `xla_cpu_small_call`. It aborts the process where such a function has an
+argument that nothing reads (jaxlib 0.10), which a simplification may bring about at any time. Therefore each function
+returns one number of each of its arguments, too; nobody looks at them.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend import core as jex
+from jax.extend.mlir import ir
+from jax.interpreters import batching, mlir
+
+from spherejax.foundations import machine_code
+from spherejax.foundations.straight_line import is_called
+
+SMALLEST_KERNEL = 2
+"""Operations that are worth a function; XLA makes about one kernel of fewer by itself."""
+
+_INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
+"""Operations that stand for a program, and where it is."""
+
+_INNER = {"while": "body_jaxpr", "cond": "branches"}
+"""Operations whose inner programs are gone through as well; a scan is written as a loop first."""
+
+
+def in_few_kernels(function: Callable) -> Callable:
+    """The same function; loops in it that call machine code do the rest of each turn in few kernels.
+
+    Not to be differentiated: rules that are attached to parts of it are lost.
+    """
+
+    @wraps(function)
+    def made(*arguments: Any) -> Any:
+        if not machine_code.is_on():
+            return function(*arguments)
+        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        found = _evaluated(closed.jaxpr, closed.consts, jax.tree.leaves(arguments), is_loop=False)
+        return jax.tree.unflatten(jax.tree.structure(shapes), found)
+
+    return made
+
+
+def _calls(equation: Any) -> bool:
+    """Whether machine code is called in an operation."""
+    if equation.primitive.name == "straight_line":
+        return is_called(equation.params["line"], equation.params["lanes"])
+    return any(_calls(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
+
+
+def _evaluated(jaxpr: Any, constants: Sequence, arguments: Sequence, is_loop: bool) -> list:
+    """The results of a program; in a loop its operations stand together where they can."""
+    known: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
+    waiting = [(equation, _calls(equation)) for equation in jaxpr.eqns]
+    while waiting:
+        together, left = [], []
+        ready = set(known)
+        for equation, calls in waiting:
+            if not calls and _is_ready(equation, ready):
+                together.append(equation)
+                ready.update(equation.outvars)
+            else:
+                left.append((equation, calls))
+        wanted = {a for equation, _ in left for a in equation.invars if isinstance(a, jex.Var)}
+        _make(together, wanted.union(a for a in jaxpr.outvars if isinstance(a, jex.Var)), known, is_loop)
+        waiting = []
+        for equation, calls in left:
+            if calls and _is_ready(equation, known):
+                _call(equation, known, is_loop)
+            else:
+                waiting.append((equation, calls))
+        assert together or len(waiting) < len(left), "a program that waits for itself"
+    return [_read(atom, known) for atom in jaxpr.outvars]
+
+
+def _is_ready(equation: Any, known: Any) -> bool:
+    return all(isinstance(atom, jex.Literal) or atom in known for atom in equation.invars)
+
+
+def _read(atom: Any, known: dict) -> Any:
+    return atom.val if isinstance(atom, jex.Literal) else known[atom]
+
+
+def _as_function(equations: Sequence, inputs: Sequence, outputs: Sequence) -> Callable[..., list]:
+    return jex.jaxpr_as_fun(jex.ClosedJaxpr(jex.Jaxpr((), inputs, outputs, equations), ()))
+
+
+def _make(equations: list, wanted: set, known: dict, is_loop: bool) -> None:
+    """Evaluate operations that stand together."""
+    made = {out for equation in equations for out in equation.outvars if not isinstance(out, jex.DropVar)}
+    outputs = [out for out in made if out in wanted]
+    read = (a for equation in equations for a in equation.invars if isinstance(a, jex.Var) and a not in made)
+    inputs = [*dict.fromkeys(read)]
+    function, values = _as_function(equations, inputs, outputs), [known[a] for a in inputs]
+    if not is_loop or len(equations) < SMALLEST_KERNEL or not any(jnp.size(value) for value in values):
+        known.update(zip(outputs, function(*values), strict=True))
+        return
+    avals = tuple(ShapedArray(out.aval.shape, out.aval.dtype) for out in outputs)
+    known.update(zip(outputs, _kernel.bind(*values, function=function, avals=avals), strict=True))
+
+
+def _call(equation: Any, known: dict, is_loop: bool) -> None:
+    """Evaluate an operation in which machine code is called."""
+    name, parameters = equation.primitive.name, equation.params
+    values = [_read(atom, known) for atom in equation.invars]
+    if name in _INLINED:
+        inner = parameters[_INLINED[name]]
+        found = _evaluated(inner.jaxpr, inner.consts, values, is_loop)
+    elif name == "scan":
+        loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
+        found = _evaluated(loop.jaxpr, loop.consts, values, is_loop)
+    else:
+        changed = {key: _changed(parameters[key]) for key in [_INNER[name]]} if name in _INNER else {}
+        inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
+        outputs = [out for out in equation.outvars if not isinstance(out, jex.DropVar)]
+        whole = equation.replace(params={**parameters, **changed})
+        found = _as_function([whole], inputs, outputs)(*(known[a] for a in inputs))
+        known.update(zip(outputs, found, strict=True))
+        return
+    known.update(zip(equation.outvars, found, strict=True))
+
+
+def _as_loop(parameters: Any, arguments: Sequence) -> list:
+    """A scan, whose slices and counter are then operations of its turns like all others."""
+    n_fixed, n_carried, n = parameters["num_consts"], parameters["num_carry"], parameters["length"]
+    fixed, xs = arguments[:n_fixed], arguments[n_fixed + n_carried :]
+    turn = jex.jaxpr_as_fun(parameters["jaxpr"])
+
+    def body(state: tuple) -> tuple:
+        i, carried, rows = state
+        at = n - 1 - i if parameters["reverse"] else i
+        found = turn(*fixed, *carried, *(jax.lax.dynamic_index_in_dim(x, at, keepdims=False) for x in xs))
+        new = zip(rows, found[n_carried:], strict=True)
+        return i + 1, found[:n_carried], [jax.lax.dynamic_update_index_in_dim(y, row, at, 0) for y, row in new]
+
+    shapes = [each.aval for each in parameters["jaxpr"].jaxpr.outvars[n_carried:]]
+    rows = [jnp.zeros((n, *each.shape), each.dtype) for each in shapes]
+    begin = jnp.zeros((), jnp.int64), list(arguments[n_fixed : n_fixed + n_carried]), rows
+    _, carried, rows = jax.lax.while_loop(lambda state: state[0] < n, body, begin)
+    return [*carried, *rows]
+
+
+def _changed(inner: Any) -> Any:
+    """Inner programs of an operation, each gone through."""
+    if isinstance(inner, tuple):
+        return tuple(map(_changed, inner))
+    if not any(map(_calls, inner.jaxpr.eqns)):
+        return inner
+    examples = [
+        jax.ShapeDtypeStruct(each.aval.shape, each.aval.dtype, weak_type=each.aval.weak_type)
+        for each in inner.jaxpr.invars
+    ]
+    types = [(out.aval.dtype, out.aval.weak_type) for out in inner.jaxpr.outvars]
+
+    def evaluated(*arguments: Any) -> list:
+        found = _evaluated(inner.jaxpr, inner.consts, arguments, is_loop=True)
+        return [x if weak else jnp.asarray(x, dtype) for x, (dtype, weak) in zip(found, types, strict=True)]
+
+    return jax.make_jaxpr(evaluated)(*examples)
+
+
+# A kernel -------------------------------------------------------------------------------------------------------------
+
+_kernel = jex.Primitive("few_kernels")
+_kernel.multiple_results = True
+
+
+@_kernel.def_impl
+def _now(*values: Any, function: Callable, avals: tuple) -> list:
+    del avals
+    return function(*values)
+
+
+@_kernel.def_abstract_eval
+def _shapes(*values: Any, function: Callable, avals: tuple) -> list:
+    del values, function
+    return list(avals)
+
+
+def _batched(values: Sequence, dims: Sequence, *, function: Callable, avals: tuple) -> tuple[Sequence, Sequence]:
+    """Of many lanes it is what it was."""
+    del avals
+    found = jax.vmap(lambda *each: tuple(function(*each)), tuple(dims))(*values)
+    return found, [0] * len(found)
+
+
+def _witnesses(values: Sequence) -> list:
+    """A number of each array, put together by type."""
+    filled = [value for value in values if jnp.size(value)]
+    kinds = dict.fromkeys(value.dtype for value in filled)
+    firsts = {kind: [jax.lax.slice(v.reshape(-1), (0,), (1,)) for v in filled if v.dtype == kind] for kind in kinds}
+    return [jnp.concatenate(each) for each in firsts.values()]
+
+
+def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Sequence:
+    def whole(*arguments: Any) -> list:
+        return [*function(*arguments), *_witnesses(arguments)]
+
+    found = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
+    (first, *_) = found
+    call = first.owner
+    if call.name == "func.call":  # anything else is right as well, and slower
+        words = {"xla_cpu_small_call": "true", "inlineable": "false"}
+        call.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(
+            {name: ir.StringAttr.get(word) for name, word in words.items()}
+        )
+    return found[: len(avals)]
+
+
+batching.primitive_batchers[_kernel] = _batched
+mlir.register_lowering(_kernel, _lowered, platform="cpu")
+mlir.register_lowering(
+    _kernel, mlir.lower_fun(lambda *values, function, avals: function(*values), multiple_results=True)
+)

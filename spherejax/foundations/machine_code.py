@@ -1,0 +1,178 @@
+"""Scalar programs as machine code of their own, which XLA calls.
+
+XLA takes a millisecond for each operation of a large straight line: it cuts it into hundreds of fusions with buffers
+between them. LLVM itself, asked for one function, takes a twentieth of that. So where a program is large (a film's
+linear systems, its derivatives, a robot arm), its operations are written in LLVM's language, compiled by llvmlite, and
+given to XLA as the target of a custom call, by the binary interface of `jax.ffi` (`xla/ffi/api/c_api.h`).
+
+A loop that calls something is no longer one native function; `few_kernels` sees to what is between the calls.
+
+Programs are made so inside `wanted()`, on the processor, and with the versions of jaxlib that this is known to work
+with; anywhere else XLA compiles them as before. `SPHEREJAX_MACHINE_CODE=0` switches it off.
+"""
+
+import ctypes
+import hashlib
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.ffi
+
+from spherejax.foundations import kept_on_disk
+from spherejax.foundations.machine_text import FUNCTION, Text
+
+KNOWN_JAXLIB = ((0, 10),)
+"""Versions (major, minor) of jaxlib with which this has been tested. With another one XLA compiles all."""
+
+
+# Whether --------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def is_available() -> bool:
+    """Whether programs can be made so in this process."""
+    if os.environ.get("SPHEREJAX_MACHINE_CODE", "1") == "0" or not hasattr(jax, "make_user_context"):
+        return False
+    if tuple(int(part) for part in version("jaxlib").split(".")[:2]) not in KNOWN_JAXLIB:
+        return False
+    try:
+        import llvmlite.binding as llvm
+
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+    except Exception:  # not installed, or not for this processor
+        return False
+    return jax.default_backend() == "cpu"
+
+
+# JAX traces again what it has traced in another context.
+_context: Any = jax.make_user_context(False) if hasattr(jax, "make_user_context") else None
+_wanted = threading.local()
+
+
+@contextmanager
+def wanted(is_wanted: bool = True) -> Iterator[None]:
+    """Programs that are traced within become machine code, or they do not."""
+    before = is_on()
+    now = is_wanted and is_available()
+    if now == before:
+        yield
+        return
+    with _context(now):
+        _wanted.now = now
+        try:
+            yield
+        finally:
+            _wanted.now = before
+
+
+def is_on() -> bool:
+    """Whether programs that are traced now become machine code."""
+    return getattr(_wanted, "now", False)
+
+
+# Compiling ------------------------------------------------------------------------------------------------------------
+
+_lock = threading.RLock()
+_loaded: dict[str, tuple[Any, bytes]] = {}
+_of_line: dict[tuple, tuple[str, Any]] = {}
+_listening = threading.local()
+
+
+def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]) -> str:
+    """The target of a custom call that evaluates a line: compiled, or found where another process has left it."""
+    with _lock:
+        key = id(line), lanes, axes
+        if key not in _of_line:
+            text = Text(line, lanes, axes).written()
+            name = "spherejax_" + hashlib.sha256("\0".join([text, *_machine()]).encode()).hexdigest()[:32]
+            if name not in _loaded:
+                kept = kept_on_disk.load(name)
+                content = kept if isinstance(kept, bytes) else _compiled(text.replace(f"@{FUNCTION}", f"@{name}"))
+                if kept is None:
+                    kept_on_disk.save(name, content)
+                _load(name, content)
+            _of_line[key] = name, line  # with the line, so that its identity is not another's
+        name, _ = _of_line[key]
+    heard = getattr(_listening, "names", None)
+    if heard is not None:
+        heard.add(name)
+    return name
+
+
+@contextmanager
+def listened() -> Iterator[Callable[[], dict[str, bytes]]]:
+    """A function that gives the machine code of all programs that were lowered in the context, by name."""
+    before, _listening.names = getattr(_listening, "names", None), set()
+    names = _listening.names
+    try:
+        yield lambda: {name: _loaded[name][1] for name in sorted(names)}
+    finally:
+        _listening.names = before
+        if before is not None:
+            before |= names
+
+
+def make_known(codes: dict[str, bytes]) -> None:
+    """Machine code that another process has made, for a compiled program that calls it."""
+    if codes and not is_available():
+        raise RuntimeError("this process cannot run machine code of another one")
+    with _lock:
+        for name, content in codes.items():
+            if name not in _loaded:
+                _load(name, content)
+
+
+@cache
+def _machine() -> tuple[str, ...]:
+    """What code is made for, and by what."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), llvmlite.__version__
+
+
+def _target_machine() -> Any:
+    import llvmlite.binding as llvm
+
+    name, features, _ = _machine()
+    target = llvm.Target.from_default_triple()
+    how = {"opt": 1, "reloc": "pic", "codemodel": "jitdefault", "jit": True}
+    return target.create_target_machine(cpu=name, features=features, **how)
+
+
+def _compiled(text: str) -> bytes:
+    """Machine code of a text, by LLVM with few optimisations: more of them take longer and give nothing here."""
+    import llvmlite.binding as llvm
+
+    module = llvm.parse_assembly(text)
+    machine = _target_machine()
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+    builder.getModulePassManager().run(module, builder)
+    return machine.emit_object(module)
+
+
+def _load(name: str, content: bytes) -> None:
+    import llvmlite.binding as llvm
+
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    engine.finalize_object()
+    address = engine.get_function_address(name)
+    if not address:
+        raise RuntimeError(f"no function {name} in its machine code")
+    jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu", api_version=1)
+    _loaded[name] = engine, content  # for as long as the process lives: XLA does not forget targets
+
+
+def _capsule(address: int) -> Any:
+    make = ctypes.pythonapi.PyCapsule_New
+    make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    return make(address, None, None)

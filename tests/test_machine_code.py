@@ -1,0 +1,221 @@
+"""Machine code for scalar programs: the numbers of the programs themselves, few kernels between calls, kept on disk.
+
+`test_straight_line.py` tests every operation and transformation twice, once as machine code.
+"""
+
+import os
+import subprocess
+import sys
+
+import cases
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.foundations import machine_code, machine_text, straight_line
+from spherejax.foundations.few_kernels import in_few_kernels
+from spherejax.foundations.scalarize import scalarize
+from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.start.assembly import as_ideal, assemble_now
+
+pytestmark = pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
+
+
+@pytest.fixture
+def small_ones_too(monkeypatch):
+    monkeypatch.setattr(straight_line, "SMALLEST_CALLED", 0)
+
+
+def n_calls(function, *arguments) -> int:
+    return jax.jit(function).lower(*arguments).as_text().count("stablehlo.custom_call @spherejax_")
+
+
+@pytest.mark.parametrize("name", cases.MODELS)
+def test_every_model_has_the_numbers_of_its_program(name, small_ones_too):
+    """Against Python's arithmetic on the same graph; one lane, nineteen, and derivatives along three directions."""
+    system = compile_scene(cases.ball_in_socket(cases.MODELS[name])).system
+    structure, theta = flatten_system(system)
+    rate = program_for(state_rate, structure)
+    start = assemble_now(*flatten_system(as_ideal(system)))
+    states = [cases.displaced_state(system, start, seed, 0.9 * cases.C) for seed in range(3)]
+    ys = np.stack([*states, *(states[0] * (1 + 1e-3 * i) for i in range(16))])
+    expected = np.stack([rate.compute(theta, 0.1, y) for y in ys])
+    scale = 1 + np.abs(expected).max()
+    with machine_code.wanted():
+        assert n_calls(rate, theta, 0.1, ys[0]) == 1
+        one = np.stack([jax.jit(rate)(theta, 0.1, y) for y in ys[:3]])
+        many = jax.jit(jax.vmap(rate, (None, None, 0)))(theta, 0.1, ys)
+        along = jax.jit(jax.vmap(lambda d: jax.jvp(lambda y: rate(theta, 0.1, y), (ys[0],), (d,))[1]))(ys[:3])
+    np.testing.assert_allclose(one, expected[:3], rtol=1e-12, atol=1e-12 * scale)
+    np.testing.assert_allclose(many, expected, rtol=1e-12, atol=1e-12 * scale)
+    by_xla = jax.vmap(lambda d: jax.jvp(lambda y: rate(theta, 0.1, y), (ys[0],), (d,))[1])(ys[:3])
+    np.testing.assert_allclose(along, by_xla, rtol=1e-11, atol=1e-11 * (1 + np.abs(by_xla).max()))
+
+
+# Between calls --------------------------------------------------------------------------------------------------------
+
+
+def field(y):
+    """Large enough for a call."""
+    return jnp.stack([jnp.sin(y[0]) * y[1], jnp.cos(y[1]) - y[2] * y[0], jnp.tanh(y[0] * y[1]) - 0.1 * y[2]])
+
+
+FIELD = scalarize(field, jnp.ones(3))
+
+
+def wandering(rate, n=20):
+    """Loops in a loop, conditions, numbers of all types, arguments that come to nothing, and samples."""
+
+    def run(y, weights, counts, is_odd):
+        def stage(k, row):
+            change = rate(y + jnp.sum(row[:, None] * k, axis=0))
+            return k + 0.1 * change, (change, k.sum())
+
+        def turn(state):
+            i, y, k, flag, found = state
+            (k, (changes, sums)) = jax.lax.scan(stage, k, weights, reverse=True)
+            y = y + 0.01 * rate(y) + 0.001 * changes[0] + 0 * jnp.zeros(0).sum()
+            y = jax.lax.cond(flag, lambda y: y + 0.01 * rate(2 * y), lambda y: y * counts[0], y)
+            nothing = y * 0 + jnp.where(False, k[0], 0.0)
+            return i + 1, y + nothing, k * 0.5, ~flag, found.at[i].set(y + sums[-1])
+
+        start = (jnp.zeros((), jnp.int64), y, jnp.zeros((3, 3)), is_odd, jnp.zeros((n, 3)))
+        return jax.lax.while_loop(lambda state: state[0] < n, turn, start)
+
+    return run
+
+
+ARGUMENTS = jnp.array([0.3, -0.7, 1.1]), 0.1 * jnp.arange(12.0).reshape(4, 3), jnp.array([1, 2]), jnp.array(True)
+
+
+def test_loops_in_few_kernels_have_the_numbers_of_loops(small_ones_too):
+    expected = jax.jit(wandering(field))(*ARGUMENTS)
+    with machine_code.wanted():
+        run = in_few_kernels(wandering(FIELD))
+        text = jax.jit(run).lower(*ARGUMENTS).as_text()
+        found = jax.jit(run)(*ARGUMENTS)
+        many = jax.jit(jax.vmap(run, (0, None, None, None)))(jnp.stack([ARGUMENTS[0]] * 2), *ARGUMENTS[1:])
+    assert text.count("xla_cpu_small_call") >= 4
+    assert text.count("stablehlo.custom_call @spherejax_") == 3
+    for one, two, other in zip(found, many, expected, strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+        np.testing.assert_allclose(two, np.stack([other] * 2), rtol=1e-12)
+
+
+def test_loops_without_calls_are_left_alone():
+    def text(wrap):
+        return jax.jit(wrap(wandering(field))).lower(*ARGUMENTS).as_text()
+
+    with machine_code.wanted():
+        assert "xla_cpu_small_call" not in text(in_few_kernels)
+    assert text(in_few_kernels) == text(lambda function: function)  # and so is everything where it is not wanted
+
+
+def test_arguments_that_nothing_reads_do_not_end_the_process():
+    """XLA aborts where a small function has some; here each is returned in part."""
+    code = """
+import spherejax, jax, jax.numpy as jnp
+from spherejax.foundations import machine_code, straight_line
+from spherejax.foundations.few_kernels import in_few_kernels
+from spherejax.foundations.scalarize import scalarize
+straight_line.SMALLEST_CALLED = 0
+double = scalarize(lambda y: 2.0 * y, jnp.ones(3))
+def body(state):
+    i, y, z, flag, n = state
+    y = double(y) * jnp.where(False, 1.0 * z[0, 0] * n + flag, 1.0) - jnp.where(False, n, 1)
+    return i + 1, y, z, flag, n
+def run(*start):
+    return jax.lax.while_loop(lambda state: state[0] < 5, body, (0, *start))[1]
+with machine_code.wanted():
+    print(jax.jit(in_few_kernels(run))(2 * jnp.ones(3), jnp.zeros((2, 2)), jnp.array(True), jnp.array(3)))
+"""
+    environment = {**os.environ, "SPHEREJAX_CACHE": "0"}
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr
+    assert found.stdout.split() == ["[33.", "33.", "33.]"]
+
+
+# Runs -----------------------------------------------------------------------------------------------------------------
+
+TS = jnp.linspace(0.0, 0.02, 5)
+
+
+def film(viscosity):
+    return sj.simulate(sj.gallery.four_bar(sj.Lubricated(cases.C, viscosity)), TS, rtol=1e-9)
+
+
+def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch):
+    """To the tolerance, and with as many steps."""
+
+    def both():
+        run, slope = film(0.4), jax.jit(jax.jacfwd(lambda v: film(v).position("rocker")[-1]))(0.4)
+        return run, slope
+
+    run, slope = both()
+    monkeypatch.setattr(machine_code, "is_available", lambda: False)
+    jax.clear_caches()
+    other, other_slope = both()
+    assert int(run.stats.n_steps) == pytest.approx(int(other.stats.n_steps), abs=2)
+    np.testing.assert_allclose(run.ys, other.ys, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(slope, other_slope, rtol=1e-4, atol=1e-10)
+
+
+RUN = """
+import sys, time, jax, jax.numpy as jnp
+import spherejax as sj
+from spherejax.foundations import machine_code
+scene = sj.gallery.four_bar(sj.Lubricated(1e-4, 0.4))
+begin = time.process_time()
+run = sj.simulate(scene, jnp.linspace(0.0, 0.005, 3))
+seconds = time.process_time() - begin
+print(seconds, len(machine_code._loaded), float(run.ys[-1, 0]).hex())
+"""
+
+
+def said_by(**environment):
+    done = subprocess.run(
+        [sys.executable, "-c", RUN], env={**os.environ, **environment}, capture_output=True, text=True, check=True
+    )
+    seconds, n_loaded, number = done.stdout.split()
+    return float(seconds), int(n_loaded), float.fromhex(number)
+
+
+def test_another_process_finds_what_was_kept_and_does_without(tmp_path):
+    """Kept programs call machine code that is kept with them; without it the same run is compiled by XLA."""
+    cache = {"SPHEREJAX_CACHE": str(tmp_path)}
+    first, n_first, number = said_by(**cache)
+    again, n_again, same = said_by(**cache)
+    assert n_first == n_again > 0
+    assert same == number
+    assert again < 0.5 * first
+    _, n_none, other = said_by(**cache, SPHEREJAX_MACHINE_CODE="0")
+    assert n_none == 0
+    assert other == pytest.approx(number, rel=1e-9)
+
+
+def test_damaged_machine_code_is_made_anew(tmp_path):
+    cache = {"SPHEREJAX_CACHE": str(tmp_path)}
+    _, _, number = said_by(**cache)
+    for file in (tmp_path / "kept").glob("*"):
+        file.write_bytes(file.read_bytes()[:-100])
+    _, n_loaded, again = said_by(**cache)
+    assert n_loaded > 0
+    assert again == number
+
+
+def test_an_unknown_operation_is_left_to_xla(small_ones_too, monkeypatch):
+    x = jnp.array([0.3, 1.7])
+    made = scalarize(lambda x: jnp.exp(x) + x**2, x)
+    with machine_code.wanted():
+        assert n_calls(made, x) == 1
+    other = scalarize(lambda x: jnp.exp(x) + x**2, x)
+    monkeypatch.setattr(machine_text, "_LIBRARY", frozenset())
+    monkeypatch.setattr(machine_text, "_OF_FLOATS", frozenset())
+    with machine_code.wanted():
+        assert n_calls(other, x) == 0
+        np.testing.assert_allclose(jax.jit(other)(x), np.exp(x) + x**2, rtol=1e-14)
