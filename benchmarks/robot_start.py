@@ -3,8 +3,8 @@
     python benchmarks/robot_start.py     # two minutes; needs the extra `peers` for the robot's file
 
 Processor time of the first `sj.simulate` of a process without a cache, imports not counted, and the median of 31 calls
-after it. With `--well` the compiler's options are those of small scenes, whatever the size
-(`spherejax.motion.integration.compiling`).
+after it: with machine code for its programs, and with XLA for all (`SPHEREJAX_MACHINE_CODE=0`), compiled soon and well
+(`--well`: the options of small scenes, whatever the size; `spherejax.motion.integration.compiling`).
 """
 
 import argparse
@@ -67,10 +67,12 @@ def main() -> None:
         print(",".join(str(value) for value in row.values()))
         return
     rows = []
-    for compiled in ("soon", "well"):
+    for compiled in ("machine code", "XLA, soon", "XLA, well"):
+        environment = {**os.environ, "SPHEREJAX_MACHINE_CODE": "1" if compiled == "machine code" else "0"}
         for control in CONTROLS:
-            command = [sys.executable, __file__, "--one", control, *(["--well"] if compiled == "well" else [])]
-            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-1]
+            command = [sys.executable, __file__, "--one", control, *(["--well"] if "well" in compiled else [])]
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+            said = done.stdout.split()[-1]
             name, first, run = said.split(",")
             rows.append({"drift_control": name, "compiled": compiled, "first_call_cpu_s": first, "run_ms": run})
             print(rows[-1], flush=True)

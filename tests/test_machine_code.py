@@ -68,7 +68,7 @@ FIELD = scalarize(field, jnp.ones(3))
 
 
 def wandering(rate, n=20):
-    """Loops in a loop, conditions, numbers of all types, arguments that come to nothing, and samples."""
+    """Loops in loops, conditions, all types, arguments that come to nothing, samples, and what is none for a kernel."""
 
     def run(y, weights, counts, is_odd):
         def stage(k, row):
@@ -80,6 +80,10 @@ def wandering(rate, n=20):
             (k, (changes, sums)) = jax.lax.scan(stage, k, weights, reverse=True)
             y = y + 0.01 * rate(y) + 0.001 * changes[0] + 0 * jnp.zeros(0).sum()
             y = jax.lax.cond(flag, lambda y: y + 0.01 * rate(2 * y), lambda y: y * counts[0], y)
+            y = y + 1e-3 * jnp.sort(y) + 1e-3 * jnp.linalg.solve(jnp.eye(3) + 0.1 * jnp.outer(y, y), y)
+            y = y.at[jnp.array([0, 2, 0])].add(1e-3 * y) + jax.pure_callback(
+                lambda x: 1e-3 * np.cos(x), y, y, vmap_method="sequential"
+            )
             nothing = y * 0 + jnp.where(False, k[0], 0.0)
             return i + 1, y + nothing, k * 0.5, ~flag, found.at[i].set(y + sums[-1])
 

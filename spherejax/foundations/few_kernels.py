@@ -22,6 +22,7 @@ from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
 from spherejax.foundations import machine_code
+from spherejax.foundations.scalar_rules import ELEMENTWISE, STRUCTURAL
 from spherejax.foundations.straight_line import is_called
 
 SMALLEST_KERNEL = 2
@@ -32,6 +33,16 @@ _INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custo
 
 _INNER = {"while": "body_jaxpr", "cond": "branches"}
 """Operations whose inner programs are gone through as well; a scan is written as a loop first."""
+
+
+_JOINED = (ELEMENTWISE | STRUCTURAL | {
+    "add", "sub", "mul", "div", "neg", "pow", "integer_pow", "sqrt", "square", "select_n", "iota",
+    "convert_element_type", "reduce_and", "reduce_or", "reduce_max", "reduce_min", "reduce_sum", "reduce_prod",
+    "dot_general", "straight_line", "while", "scan", "cond", "platform_index", *_INLINED,
+    "maybe_set", "nonbatchable", "select_if_vmap", "unvmap_any", "unvmap_all", "unvmap_max",  # of equinox
+}) - {"scatter"}  # fmt: skip
+"""Operations that a kernel may have. Of others XLA calls a library, or has no way to write them into a function: they
+stand alone, and so does what has an effect."""
 
 
 def in_few_kernels(function: Callable) -> Callable:
@@ -58,27 +69,38 @@ def _calls(equation: Any) -> bool:
     return any(_calls(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
 
 
+def _joins(equation: Any) -> bool:
+    """Whether an operation may be part of a kernel."""
+    if equation.effects or _calls(equation):
+        return False
+    if equation.primitive.name == "scatter":  # in one place: to XLA an update of a slice
+        return equation.invars[1].aval.ndim <= 1
+    if equation.primitive.name not in _JOINED:
+        return False
+    return all(_joins(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
+
+
 def _evaluated(jaxpr: Any, constants: Sequence, arguments: Sequence, is_loop: bool) -> list:
     """The results of a program; in a loop its operations stand together where they can."""
     known: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
-    waiting = [(equation, _calls(equation)) for equation in jaxpr.eqns]
+    waiting = [(equation, _joins(equation)) for equation in jaxpr.eqns]
     while waiting:
         together, left = [], []
         ready = set(known)
-        for equation, calls in waiting:
-            if not calls and _is_ready(equation, ready):
+        for equation, joins in waiting:
+            if joins and _is_ready(equation, ready):
                 together.append(equation)
                 ready.update(equation.outvars)
             else:
-                left.append((equation, calls))
+                left.append((equation, joins))
         wanted = {a for equation, _ in left for a in equation.invars if isinstance(a, jex.Var)}
         _make(together, wanted.union(a for a in jaxpr.outvars if isinstance(a, jex.Var)), known, is_loop)
         waiting = []
-        for equation, calls in left:
-            if calls and _is_ready(equation, known):
+        for equation, joins in left:
+            if not joins and _is_ready(equation, known):
                 _call(equation, known, is_loop)
             else:
-                waiting.append((equation, calls))
+                waiting.append((equation, joins))
         assert together or len(waiting) < len(left), "a program that waits for itself"
     return [_read(atom, known) for atom in jaxpr.outvars]
 
@@ -97,7 +119,9 @@ def _as_function(equations: Sequence, inputs: Sequence, outputs: Sequence) -> Ca
 
 def _make(equations: list, wanted: set, known: dict, is_loop: bool) -> None:
     """Evaluate operations that stand together."""
-    made = {out for equation in equations for out in equation.outvars if not isinstance(out, jex.DropVar)}
+    # In an order that is the same in all processes, for JAX finds kept programs by their text.
+    outs = (out for equation in equations for out in equation.outvars if not isinstance(out, jex.DropVar))
+    made = dict.fromkeys(outs)
     outputs = [out for out in made if out in wanted]
     read = (a for equation in equations for a in equation.invars if isinstance(a, jex.Var) and a not in made)
     inputs = [*dict.fromkeys(read)]
@@ -110,9 +134,12 @@ def _make(equations: list, wanted: set, known: dict, is_loop: bool) -> None:
 
 
 def _call(equation: Any, known: dict, is_loop: bool) -> None:
-    """Evaluate an operation in which machine code is called."""
+    """Evaluate an operation that stands alone: machine code is called in it, or it is none for a kernel."""
     name, parameters = equation.primitive.name, equation.params
     values = [_read(atom, known) for atom in equation.invars]
+    if not _calls(equation):
+        _make([equation], set(equation.outvars), known, is_loop=False)
+        return
     if name in _INLINED:
         inner = parameters[_INLINED[name]]
         found = _evaluated(inner.jaxpr, inner.consts, values, is_loop)

@@ -76,8 +76,13 @@ _HEAD = f"""\
 define ptr @{FUNCTION}(ptr noalias %frame) nounwind {{
   %p.extension = getelementptr inbounds i8, ptr %frame, i64 8
   %extension = load ptr, ptr %p.extension
-  %is.run = icmp eq ptr %extension, null
-  br i1 %is.run, label %work, label %asked
+  %is.plain = icmp eq ptr %extension, null
+  br i1 %is.plain, label %work, label %extended
+extended:
+  %p.kind = getelementptr inbounds i8, ptr %extension, i64 8
+  %kind = load i32, ptr %p.kind
+  %is.asked = icmp eq i32 %kind, 1
+  br i1 %is.asked, label %asked, label %work
 asked:
   %p.metadata = getelementptr inbounds i8, ptr %extension, i64 24
   %metadata = load ptr, ptr %p.metadata
