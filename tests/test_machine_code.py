@@ -6,8 +6,10 @@
 import os
 import subprocess
 import sys
+from typing import NamedTuple
 
 import cases
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +22,9 @@ from spherejax.foundations.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import integrate
+from spherejax.motion.integration.jobs import _with_slopes, integrated
+from spherejax.motion.integration.lanes.stages import ExplicitStages
 from spherejax.motion.start.assembly import as_ideal, assemble_now
 
 pytestmark = pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
@@ -144,6 +149,41 @@ with machine_code.wanted():
     assert found.stdout.split() == ["[33.", "33.", "33.]"]
 
 
+class Given(NamedTuple):
+    theta: jax.Array
+    ahead: tuple
+
+
+@pytest.mark.parametrize("method", [diffrax.Dopri8(), diffrax.Tsit5(), diffrax.Heun()])
+@pytest.mark.parametrize("size", [1, 7, 8, 21])
+def test_stages_in_one_call_are_those_of_the_loop(method, size):
+    """Of states whose entries fill vectors, or do not; in bent time; and not all of them."""
+
+    def rate(theta, t, y):
+        return jnp.roll(y, 1) * theta[0] - jnp.sin(theta[1] * t) * y * y
+
+    theta, y = jnp.array([0.7, 2.0]), 0.1 + jnp.arange(float(size)) / size
+    program = scalarize(rate, theta, jnp.zeros(()), y)
+    given = Given(theta, program.ahead(theta))
+    steps = ExplicitStages(
+        method.tableau, lambda t, y, given: program.inside(given.ahead, given.theta, t, y), True, program
+    )
+    lane = jax.tree.map(lambda x: x[..., None], (jnp.array(0.2), jnp.array(0.3), y, given))
+
+    def increments(bend, n):
+        t, t_next, y, given = lane
+        return steps.step(t, t_next, y, given, (), jnp.zeros(1, bool), jnp.array([bend]), n).dense_info["k"]
+
+    for bend, n in ((0.0, None), (-0.6, None), (0.9, jnp.array(2)), (0.3, jnp.array(0))):
+        expected = increments(bend, n)
+        with machine_code.wanted():
+            text = jax.jit(increments).lower(bend, n).as_text()
+            found = jax.jit(increments)(bend, n)
+        assert text.count("stablehlo.custom_call @spherejax_") == 1
+        assert "stablehlo.while" not in text
+        np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-16)
+
+
 # Runs -----------------------------------------------------------------------------------------------------------------
 
 TS = jnp.linspace(0.0, 0.02, 5)
@@ -151,6 +191,28 @@ TS = jnp.linspace(0.0, 0.02, 5)
 
 def film(viscosity):
     return sj.simulate(sj.gallery.four_bar(sj.Lubricated(cases.C, viscosity)), TS, rtol=1e-9)
+
+
+@pytest.mark.parametrize("drift", [sj.Baumgarte(), sj.PostStabilization()])
+@pytest.mark.parametrize("name", ["ideal", "friction", "bushing"])
+def test_an_explicit_run_is_what_xla_makes_of_it(name, drift, monkeypatch):
+    """Through onsets, with every sample, and with as many steps but for some that rounding decides."""
+
+    def made():
+        scene = sj.gallery.four_bar(cases.FOUR_BAR_MODELS[name], drift=drift)
+        return sj.simulate(scene, jnp.linspace(0.0, 0.05, 17), rtol=1e-9)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(machine_code, "is_available", lambda: False)
+        expected = made()
+        jax.clear_caches()
+    for function in (integrate, integrated):
+        function.clear()
+    run = made()
+    assert int(run.stats.n_steps) == pytest.approx(int(expected.stats.n_steps), rel=0.05)
+    np.testing.assert_array_equal(run.stats.n_onsets, expected.stats.n_onsets)
+    np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-8, atol=1e-8)
+    assert np.max(np.abs(run.ys - expected.ys)) > 0  # they are two programs
 
 
 def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch):
@@ -163,6 +225,8 @@ def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch)
     run, slope = both()
     monkeypatch.setattr(machine_code, "is_available", lambda: False)
     jax.clear_caches()
+    for function in (integrate, integrated, _with_slopes):
+        function.clear()
     other, other_slope = both()
     assert int(run.stats.n_steps) == pytest.approx(int(other.stats.n_steps), abs=2)
     np.testing.assert_allclose(run.ys, other.ys, rtol=1e-9, atol=1e-9)

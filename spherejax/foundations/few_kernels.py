@@ -10,12 +10,14 @@ argument that nothing reads (jaxlib 0.10), which a simplification may bring abou
 returns one number of each of its arguments, too; nobody looks at them.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import ShapedArray
 from jax.extend import core as jex
 from jax.extend.mlir import ir
@@ -31,8 +33,8 @@ SMALLEST_KERNEL = 2
 _INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Operations that stand for a program, and where it is."""
 
-_INNER = {"while": "body_jaxpr", "cond": "branches"}
-"""Operations whose inner programs are gone through as well; a scan is written as a loop first."""
+LARGEST_PART = 64
+"""Entries of an array that is passed on as a part of a vector, at most."""
 
 
 _JOINED = (ELEMENTWISE | STRUCTURAL | {
@@ -66,6 +68,8 @@ def _calls(equation: Any) -> bool:
     """Whether machine code is called in an operation."""
     if equation.primitive.name == "straight_line":
         return is_called(equation.params["line"], equation.params["lanes"])
+    if equation.primitive.name == "stages":
+        return True
     return any(_calls(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
 
 
@@ -74,7 +78,7 @@ def _joins(equation: Any) -> bool:
     if equation.effects or _calls(equation):
         return False
     if equation.primitive.name == "scatter":  # in one place: to XLA an update of a slice
-        return equation.invars[1].aval.ndim <= 1
+        return math.prod(equation.invars[1].aval.shape[:-1]) == 1
     if equation.primitive.name not in _JOINED:
         return False
     return all(_joins(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
@@ -93,8 +97,10 @@ def _evaluated(jaxpr: Any, constants: Sequence, arguments: Sequence, is_loop: bo
                 ready.update(equation.outvars)
             else:
                 left.append((equation, joins))
-        wanted = {a for equation, _ in left for a in equation.invars if isinstance(a, jex.Var)}
-        _make(together, wanted.union(a for a in jaxpr.outvars if isinstance(a, jex.Var)), known, is_loop)
+        later = {a for e, joins in left for a in e.invars if joins and isinstance(a, jex.Var)}
+        whole = {a for e, joins in left for a in e.invars if not joins and isinstance(a, jex.Var)}
+        whole.update(a for a in jaxpr.outvars if isinstance(a, jex.Var))
+        _make(together, whole, later, known, is_loop)
         waiting = []
         for equation, joins in left:
             if not joins and _is_ready(equation, known):
@@ -109,28 +115,96 @@ def _is_ready(equation: Any, known: Any) -> bool:
     return all(isinstance(atom, jex.Literal) or atom in known for atom in equation.invars)
 
 
+class _Part(NamedTuple):
+    """A small array as a part of a vector.
+
+    Every argument of a kernel costs time, and so does every array that a loop carries, which XLA copies.
+    """
+
+    vector: Any
+    begin: int
+    shape: tuple[int, ...]
+
+    def taken(self, vector: Any) -> Any:
+        """The array, out of its vector."""
+        end = self.begin + math.prod(self.shape)
+        return jax.lax.slice(vector, (self.begin,), (end,)).reshape(self.shape)
+
+
+def _parts(avals: Sequence[tuple[Any, Any]]) -> list[list[tuple[Any, int, tuple[int, ...]]]]:
+    """Small arrays of a kind put together: of each its name, where it begins, and its shape.
+
+    Args:
+        avals: names and what they stand for.
+    """
+    kinds: dict[Any, list] = {}
+    for name, aval in avals:
+        if 0 < aval.size <= LARGEST_PART:
+            kinds.setdefault(aval.dtype, []).append((name, aval))
+    found = []
+    for each in kinds.values():
+        if len(each) > 1:
+            begins = np.cumsum([0, *(aval.size for _, aval in each)])
+            found.append([(name, int(at), aval.shape) for (name, aval), at in zip(each, begins, strict=False)])
+    return found
+
+
+def _joined(arrays: Sequence) -> Any:
+    return jnp.concatenate([jnp.reshape(array, -1) for array in arrays])
+
+
 def _read(atom: Any, known: dict) -> Any:
-    return atom.val if isinstance(atom, jex.Literal) else known[atom]
+    if isinstance(atom, jex.Literal):
+        return atom.val
+    value = known[atom]
+    return value.taken(value.vector) if isinstance(value, _Part) else value
 
 
 def _as_function(equations: Sequence, inputs: Sequence, outputs: Sequence) -> Callable[..., list]:
     return jex.jaxpr_as_fun(jex.ClosedJaxpr(jex.Jaxpr((), inputs, outputs, equations), ()))
 
 
-def _make(equations: list, wanted: set, known: dict, is_loop: bool) -> None:
-    """Evaluate operations that stand together."""
+def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -> None:
+    """Evaluate operations that stand together.
+
+    Args:
+        equations: the operations.
+        whole: what is read by itself.
+        later: what is read by kernels to come.
+        known: what has been evaluated.
+        is_loop: whether this is the body of a loop.
+    """
     # In an order that is the same in all processes, for JAX finds kept programs by their text.
     outs = (out for equation in equations for out in equation.outvars if not isinstance(out, jex.DropVar))
     made = dict.fromkeys(outs)
-    outputs = [out for out in made if out in wanted]
+    outputs = [out for out in made if out in whole or out in later]
     read = (a for equation in equations for a in equation.invars if isinstance(a, jex.Var) and a not in made)
     inputs = [*dict.fromkeys(read)]
-    function, values = _as_function(equations, inputs, outputs), [known[a] for a in inputs]
-    if not is_loop or len(equations) < SMALLEST_KERNEL or not any(jnp.size(value) for value in values):
-        known.update(zip(outputs, function(*values), strict=True))
+    function = _as_function(equations, inputs, outputs)
+    read_at_all: list[Any] = [a.aval for a in inputs]
+    if not is_loop or len(equations) < SMALLEST_KERNEL or not any(aval.size for aval in read_at_all):
+        known.update(zip(outputs, function(*(_read(a, known) for a in inputs)), strict=True))
         return
-    avals = tuple(ShapedArray(out.aval.shape, out.aval.dtype) for out in outputs)
-    known.update(zip(outputs, _kernel.bind(*values, function=function, avals=avals), strict=True))
+    given = [known[a] for a in inputs]
+    sources = [*{id(each): each for each in (x.vector if isinstance(x, _Part) else x for x in given)}.values()]
+    place = {id(each): at for at, each in enumerate(sources)}
+    groups = _parts([(at, out.aval) for at, out in enumerate(outputs) if out not in whole])
+    apart = [at for at in range(len(outputs)) if not any(at == name for group in groups for name, *_ in group)]
+
+    def with_vectors(*values: Any) -> list:
+        taken = [x.taken(values[place[id(x.vector)]]) if isinstance(x, _Part) else values[place[id(x)]] for x in given]
+        found = function(*taken)
+        return [*(found[at] for at in apart), *(_joined([found[name] for name, *_ in group]) for group in groups)]
+
+    shapes = [outputs[at].aval for at in apart]
+    avals = [ShapedArray(each.shape, each.dtype) for each in shapes]
+    for group in groups:
+        _, begin, shape = group[-1]
+        avals.append(ShapedArray((begin + math.prod(shape),), outputs[group[0][0]].aval.dtype))
+    found = _kernel.bind(*sources, function=with_vectors, avals=tuple(avals))
+    known.update((outputs[at], x) for at, x in zip(apart, found, strict=False))
+    for vector, group in zip(found[len(apart) :], groups, strict=True):
+        known.update((outputs[at], _Part(vector, begin, shape)) for at, begin, shape in group)
 
 
 def _call(equation: Any, known: dict, is_loop: bool) -> None:
@@ -138,23 +212,59 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
     name, parameters = equation.primitive.name, equation.params
     values = [_read(atom, known) for atom in equation.invars]
     if not _calls(equation):
-        _make([equation], set(equation.outvars), known, is_loop=False)
+        _make([equation], set(equation.outvars), set(), known, is_loop=False)
         return
     if name in _INLINED:
         inner = parameters[_INLINED[name]]
         found = _evaluated(inner.jaxpr, inner.consts, values, is_loop)
+    elif name == "while":
+        found = _while(parameters, values)
     elif name == "scan":
         loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
         found = _evaluated(loop.jaxpr, loop.consts, values, is_loop)
     else:
-        changed = {key: _changed(parameters[key]) for key in [_INNER[name]]} if name in _INNER else {}
+        changed = {"branches": _changed(parameters["branches"])} if name == "cond" else {}
         inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
         outputs = [out for out in equation.outvars if not isinstance(out, jex.DropVar)]
         whole = equation.replace(params={**parameters, **changed})
-        found = _as_function([whole], inputs, outputs)(*(known[a] for a in inputs))
+        found = _as_function([whole], inputs, outputs)(*(_read(a, known) for a in inputs))
         known.update(zip(outputs, found, strict=True))
         return
     known.update(zip(equation.outvars, found, strict=True))
+
+
+def _while(parameters: Any, values: Sequence) -> list:
+    """A loop that carries its small arrays in vectors, and does the rest of each turn in few kernels."""
+    n_conditions, n_fixed = parameters["cond_nconsts"], parameters["body_nconsts"]
+    of_condition, fixed, start = np.split(np.arange(len(values)), [n_conditions, n_conditions + n_fixed])
+    condition, body = (jex.jaxpr_as_fun(parameters[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+    given, kept, begin = ([values[i] for i in each] for each in (of_condition, fixed, start))
+    avals = [each.aval for each in parameters["body_jaxpr"].jaxpr.outvars]
+    groups = _parts([*enumerate(avals)])
+    apart = [at for at in range(len(avals)) if not any(at == name for group in groups for name, *_ in group)]
+
+    def packed(arrays: Sequence) -> list:
+        return [*(arrays[at] for at in apart), *(_joined([arrays[name] for name, *_ in group]) for group in groups)]
+
+    def parts(state: Sequence) -> list:
+        found: list[Any] = [None] * len(avals)
+        for at, x in zip(apart, state, strict=False):
+            found[at] = x
+        for vector, group in zip(state[len(apart) :], groups, strict=True):
+            for name, at, shape in group:
+                found[name] = _Part(vector, at, shape)
+        return found
+
+    def arrays(state: Sequence) -> list:
+        return [x.taken(x.vector) if isinstance(x, _Part) else x for x in parts(state)]
+
+    whole = jax.make_jaxpr(lambda *all_of_it: packed(body(*all_of_it)))(*kept, *begin)
+
+    def turn(state: list) -> list:
+        return _evaluated(whole.jaxpr, whole.consts, [*kept, *parts(state)], is_loop=True)
+
+    first = packed([jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True)])
+    return arrays(jax.lax.while_loop(lambda state: condition(*given, *arrays(state))[0], turn, first))
 
 
 def _as_loop(parameters: Any, arguments: Sequence) -> list:

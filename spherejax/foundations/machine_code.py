@@ -87,10 +87,14 @@ _listening = threading.local()
 
 def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]) -> str:
     """The target of a custom call that evaluates a line: compiled, or found where another process has left it."""
+    return called_text((id(line), lanes, axes), line, lambda: Text(line, lanes, axes).written())
+
+
+def called_text(key: tuple, line: Any, written: Callable[[], str]) -> str:
+    """As `called`, for what is written for a line, told by a key."""
     with _lock:
-        key = id(line), lanes, axes
         if key not in _of_line:
-            text = Text(line, lanes, axes).written()
+            text = written()
             name = "spherejax_" + hashlib.sha256("\0".join([text, *_machine()]).encode()).hexdigest()[:32]
             if name not in _loaded:
                 kept = kept_on_disk.load(name)

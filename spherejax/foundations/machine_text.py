@@ -103,6 +103,20 @@ _DATA = 24
 """Where a buffer says where its numbers are."""
 
 
+def head(n_arguments: int, n_results: int) -> str:
+    """How a function begins that XLA calls: with pointers to the numbers, `%a0`, ... and `%r0`, ..."""
+    lines = [_HEAD]
+    for letter, of, n in (("a", "arguments", n_arguments), ("r", "results", n_results)):
+        for i in range(n):
+            lines += [
+                f"  %{letter}{i}.place = getelementptr inbounds ptr, ptr %{of}, i64 {i}",
+                f"  %{letter}{i}.buffer = load ptr, ptr %{letter}{i}.place",
+                f"  %{letter}{i}.data = getelementptr inbounds i8, ptr %{letter}{i}.buffer, i64 {_DATA}",
+                f"  %{letter}{i} = load ptr, ptr %{letter}{i}.data",
+            ]
+    return "\n".join(lines)
+
+
 class Text:
     """The text of a function of LLVM for a line.
 
@@ -271,22 +285,36 @@ class Text:
     # The whole --------------------------------------------------------------------------------------------------------
 
     def written(self) -> str:
-        """The text of the function."""
-        line = self.line
-        for letter, of, n in (
-            ("a", "arguments", len(line.shapes) + len(line.given)),
-            ("r", "results", len(line.outputs)),
-        ):
-            for i in range(n):
-                place = self._made(f"getelementptr inbounds ptr, ptr %{of}, i64 {i}")
-                buffer = self._made(f"load ptr, ptr {place}")
-                data = self._made(f"getelementptr inbounds i8, ptr {buffer}, i64 {_DATA}")
-                self.lines.append(f"  %{letter}{i} = load ptr, ptr {data}")
+        """The text of a function that XLA calls."""
+        body = self._body()
+        return "\n".join(
+            [*sorted(self.declared), head(self.n_arguments, self.n_results), *body, "  ret ptr null", "}", ""]
+        )
+
+    def written_inside(self, name: str) -> str:
+        """The text of a function that another one calls, with pointers to all arguments, then to all results."""
+        pointers = [f"ptr %a{i}" for i in range(self.n_arguments)] + [
+            f"ptr noalias %r{i}" for i in range(self.n_results)
+        ]
+        begin = f"define internal void @{name}({', '.join(pointers)}) nounwind {{\nwork:"
+        body = self._body()
+        return "\n".join([*sorted(self.declared), begin, *body, "  ret void", "}", ""])
+
+    @property
+    def n_arguments(self) -> int:
+        """Of the line."""
+        return len(self.line.shapes) + len(self.line.given)
+
+    @property
+    def n_results(self) -> int:
+        """Of the line."""
+        return len(self.line.outputs)
+
+    def _body(self) -> list[str]:
         self._part(is_wide=False)
         if (self.axes and any(self.spread.values())) or any(self.outputs_spread):
             self._over_all_lanes()
-        self.lines.append("  ret ptr null")
-        return "\n".join([*sorted(self.declared), _HEAD + "\n".join(self.lines), "}", ""])
+        return self.lines
 
     def _part(self, is_wide: bool) -> None:
         """What is over lanes, or what is not."""

@@ -125,8 +125,17 @@ class ScalarProgram:
 
     def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
         """As a call, with what `ahead` has evaluated for the same leading arguments."""
+        line, ahead = self.line_inside(ahead)
+        return self._tree_of(line(*self._flat(arguments), *ahead))
+
+    def line_inside(self, ahead: tuple[Array, ...]) -> tuple[StraightLine, tuple[Array, ...]]:
+        """What `inside` evaluates, from its arguments one after the other and what was evaluated ahead of them."""
         in_vectors = any(jnp.ndim(each) > 0 for each in ahead)
-        return self._tree_of(self._line("rest", in_vectors)(*self._flat(arguments), *ahead))
+        if ahead and not in_vectors and machine_code.is_on():
+            kinds = dict.fromkeys(each.dtype for each in ahead)
+            ahead = tuple(jnp.stack([each for each in ahead if each.dtype == kind]) for kind in kinds)
+            in_vectors = True
+        return self._line("rest", in_vectors), ahead
 
     def _tree_of(self, outputs) -> Any:
         return jax.tree.unflatten(self._tree, outputs)

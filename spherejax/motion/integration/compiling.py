@@ -5,7 +5,7 @@ from typing import Any
 
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.solvers.traits import is_linearly_implicit
+from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 
 LARGE = 10_000
 """Scalar operations of a right-hand side from which on a run is compiled soon rather than well.
@@ -39,13 +39,16 @@ def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
     return SOON if is_large(plan) else FEWER_WORDS
 
 
-def in_machine_code(plan: Any, solver: Any) -> bool:
-    """Whether the programs of a single run become machine code of their own: those of a stiff method, and large ones.
+def in_machine_code(plan: Any, solver: Any, with_rows: bool = False) -> bool:
+    """Whether the programs of a single run become machine code of their own.
 
-    The others are small, and their loop is one native function of XLA: 2,000 operations, twelve times in a step.
+    Not those of small systems with rows of sensitivities, by an explicit method: a call for each line of each stage
+    would cost more than it saves, and their loop is one native function of XLA.
     """
     scalar = program_for(state_rate, plan.structure, plan.scalar).scalar
-    return scalar is not None and (is_linearly_implicit(solver) or scalar.n_operations > LARGE)
+    if scalar is None:
+        return False
+    return is_linearly_implicit(solver) or scalar.n_operations > LARGE or (is_explicit(solver) and not with_rows)
 
 
 def is_large(plan: Any) -> bool:

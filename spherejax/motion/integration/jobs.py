@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations import machine_code
 from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Flag
@@ -158,7 +157,8 @@ class JobKind:
             room_of(plan),
             example_of(self.structure).layout.work_start,
             samples_of(self.structure, self.scalar),
-            alone_in_machine_code=in_machine_code(plan, self.solver),
+            alone_in_machine_code=in_machine_code(plan, self.solver, self.with_rows),
+            program=rate.scalar,
         )
         return self._of_rows(problem, rate) if self.with_rows else problem
 
@@ -180,6 +180,7 @@ class JobKind:
             audit=None if problem.audit is None else problem.audit.of_rows(),
             room=of_first_row(problem.room),
             samples=None if problem.samples is None else problem.samples.of_rows(),
+            program=None,
         )
 
 
@@ -362,8 +363,7 @@ class _Request(eqx.Module):
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
         theta = plan.theta(values, known)
-        with machine_code.wanted(in_machine_code(plan, self.rest)):
-            return job_of(plan, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
+        return job_of(plan, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
 
     def limits(self, plan: Plan, theta) -> Limits:
         """Of the audit."""

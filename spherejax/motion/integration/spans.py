@@ -116,6 +116,7 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         audit=None if audit is None else _audit(audit),
         room=None if problem.room is None else room,
         slack_of=None if problem.slack_of is None else slack,
+        program=None,
     )
 
 

@@ -7,6 +7,7 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.scalarize import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
 from spherejax.motion.integration.sampling import Samples
 from spherejax.motion.solvers.landing import Contacts
@@ -44,6 +45,7 @@ class LaneProblem(NamedTuple):
             where there are none.
         alone_in_machine_code: whether the programs of a single run become machine code of their own. Of many lanes
             XLA's vectors are better, and their loop is one native function.
+        program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
     """
 
     solver: diffrax.AbstractSolver
@@ -60,6 +62,7 @@ class LaneProblem(NamedTuple):
     samples: Samples | None = None
     slack_of: Callable | None = None
     alone_in_machine_code: bool = False
+    program: ScalarProgram | None = None
 
 
 class StepLog(NamedTuple):

@@ -15,10 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from spherejax.foundations import machine_code
 from spherejax.foundations.lanes import in_lanes
+from spherejax.foundations.machine_stages import can_be_called, stages
+from spherejax.foundations.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
 from spherejax.motion.solvers.traits import is_explicit
+
+_TIME = 1
+"""Place of t among the arguments of a program; y is behind it."""
 
 
 class Trial(NamedTuple):
@@ -53,9 +59,17 @@ class ExplicitStages:
         tableau: of the method.
         rate: takes (t, y, parameters) of one lane.
         with_dense_output: whether states inside a step are wanted from the method's own interpolation.
+        program: that `rate` evaluates inside, with the parameters' `theta` and `ahead`, or None.
     """
 
-    def __init__(self, tableau: diffrax.ButcherTableau, rate: Callable, with_dense_output: bool):
+    def __init__(
+        self,
+        tableau: diffrax.ButcherTableau,
+        rate: Callable,
+        with_dense_output: bool,
+        program: ScalarProgram | None = None,
+    ):
+        self.program = program
         n = len(tableau.b_sol)
         self.coefficients = np.zeros((n, n))
         for i, row in enumerate(tableau.a_lower, start=1):
@@ -81,6 +95,30 @@ class ExplicitStages:
         """
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
+        n_made = n if n_evaluated is None else n_evaluated
+        k = self._called(t, h, y, parameters, bend, n_made)
+        if k is None:
+            k = self._looped(t, h, y, parameters, bend, n_made)
+        end = y + _weighted(self.weights, k)
+        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
+
+    def _called(self, t, h, y, parameters, bend, n_made) -> Array | None:
+        """The increments of all stages of one lane by one call of machine code; None where there is none."""
+        if self.program is None or t.shape != (1,) or not machine_code.is_on():
+            return None
+        one = jax.tree.map(lambda x: x[..., 0], parameters)
+        line, ahead = self.program.line_inside(one.ahead)
+        if not can_be_called(line, y.shape[:1]):
+            return None
+        n = self.n_stages
+        others = one.theta, *ahead
+        k = stages(
+            line, _TIME, self.coefficients[:n, :n], self.instants[:n], t[0], h[0], bend[0], y[:, 0], n_made, others
+        )
+        return k[..., None]
+
+    def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
+        n = self.n_stages
         c = jnp.asarray(self.instants)
         rate = in_lanes(self.rate)
         # Each stage reads the increments that it needs, in one loop over lanes; a product of matrices is far slower.
@@ -92,10 +130,7 @@ class ExplicitStages:
             change = h * speed * rate(t + instant * h, moved, parameters)
             return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
 
-        n_made = n if n_evaluated is None else n_evaluated
-        k = jax.lax.fori_loop(0, n_made, with_stage, jnp.zeros((n, *y.shape)))
-        end = y + _weighted(self.weights, k)
-        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
+        return jax.lax.fori_loop(0, n_made, with_stage, jnp.zeros((n, *y.shape)))
 
 
 class MappedSteps:
@@ -120,10 +155,12 @@ class MappedSteps:
         return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
 
 
-def steps_of(solver: Any, rate: Callable, with_dense_output: bool) -> ExplicitStages | MappedSteps:
+def steps_of(
+    solver: Any, rate: Callable, with_dense_output: bool, program: ScalarProgram | None = None
+) -> ExplicitStages | MappedSteps:
     """How a solver makes the trial steps of a block; arguments as for `ExplicitStages`."""
     if is_explicit(solver):
-        return ExplicitStages(solver.tableau, rate, with_dense_output)
+        return ExplicitStages(solver.tableau, rate, with_dense_output, program)
     return MappedSteps(solver, rate)
 
 
