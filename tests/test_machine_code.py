@@ -215,6 +215,14 @@ def test_an_explicit_run_is_what_xla_makes_of_it(name, drift, monkeypatch):
     assert np.max(np.abs(run.ys - expected.ys)) > 0  # they are two programs
 
 
+@pytest.mark.parametrize("name", ["ideal", "friction", "lubricated"])
+def test_a_scene_whose_numbers_are_known_to_the_compiler(name):
+    """XLA writes what it knows into functions, and aborts where that leaves an argument unread."""
+    scene = sj.gallery.four_bar(cases.FOUR_BAR_MODELS[name])
+    found = jax.jit(lambda rtol: sj.simulate(scene, TS, rtol=rtol).ys)(1e-8)
+    np.testing.assert_allclose(found, sj.simulate(scene, TS, rtol=1e-8).ys, rtol=1e-9, atol=1e-7)
+
+
 def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch):
     """To the tolerance, and with as many steps."""
 

@@ -7,7 +7,8 @@ does itself with a small loop.
 
 XLA does so for a function with the attribute `xla_cpu_small_call`. It aborts the process where such a function has an
 argument that nothing reads (jaxlib 0.10), which a simplification may bring about at any time. Therefore each function
-returns one number of each of its arguments, too; nobody looks at them.
+returns one number of each of its arguments, too; nobody looks at them. And XLA is not told
+what is known when a loop begins: it would write that into the functions, and leave those arguments unread.
 """
 
 import math
@@ -185,14 +186,21 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
     if not is_loop or len(equations) < SMALLEST_KERNEL or not any(aval.size for aval in read_at_all):
         known.update(zip(outputs, function(*(_read(a, known) for a in inputs)), strict=True))
         return
-    given = [known[a] for a in inputs]
-    sources = [*{id(each): each for each in (x.vector if isinstance(x, _Part) else x for x in given)}.values()]
+    # What is empty has no place in memory, and is made anew.
+    given = [known[a] if aval.size else aval for a, aval in zip(inputs, read_at_all, strict=True)]
+    passed = (x.vector if isinstance(x, _Part) else x for x in given if not isinstance(x, ShapedArray))
+    sources = [*{id(each): each for each in passed}.values()]
     place = {id(each): at for at, each in enumerate(sources)}
     groups = _parts([(at, out.aval) for at, out in enumerate(outputs) if out not in whole])
     apart = [at for at in range(len(outputs)) if not any(at == name for group in groups for name, *_ in group)]
 
     def with_vectors(*values: Any) -> list:
-        taken = [x.taken(values[place[id(x.vector)]]) if isinstance(x, _Part) else values[place[id(x)]] for x in given]
+        def array(x: Any) -> Any:
+            if isinstance(x, ShapedArray):
+                return jnp.zeros(x.shape, x.dtype)
+            return x.taken(values[place[id(x.vector)]]) if isinstance(x, _Part) else values[place[id(x)]]
+
+        taken = map(array, given)
         found = function(*taken)
         return [*(found[at] for at in apart), *(_joined([found[name] for name, *_ in group]) for group in groups)]
 
@@ -238,6 +246,8 @@ def _while(parameters: Any, values: Sequence) -> list:
     n_conditions, n_fixed = parameters["cond_nconsts"], parameters["body_nconsts"]
     of_condition, fixed, start = np.split(np.arange(len(values)), [n_conditions, n_conditions + n_fixed])
     condition, body = (jex.jaxpr_as_fun(parameters[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+    # XLA must not know a number that enters: it would write it into the kernels, and leave an argument unread.
+    values = jax.lax.optimization_barrier([jnp.asarray(value) for value in values])
     given, kept, begin = ([values[i] for i in each] for each in (of_condition, fixed, start))
     avals = [each.aval for each in parameters["body_jaxpr"].jaxpr.outvars]
     groups = _parts([*enumerate(avals)])
@@ -260,8 +270,10 @@ def _while(parameters: Any, values: Sequence) -> list:
 
     whole = jax.make_jaxpr(lambda *all_of_it: packed(body(*all_of_it)))(*kept, *begin)
 
+    constants = jax.lax.optimization_barrier([jnp.asarray(value) for value in whole.consts])
+
     def turn(state: list) -> list:
-        return _evaluated(whole.jaxpr, whole.consts, [*kept, *parts(state)], is_loop=True)
+        return _evaluated(whole.jaxpr, constants, [*kept, *parts(state)], is_loop=True)
 
     first = packed([jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True)])
     return arrays(jax.lax.while_loop(lambda state: condition(*given, *arrays(state))[0], turn, first))
