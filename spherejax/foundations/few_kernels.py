@@ -13,7 +13,7 @@ what is known when a loop begins: it would write that into the functions, and le
 
 import math
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, NamedTuple
 
 import jax
@@ -162,7 +162,14 @@ def _read(atom: Any, known: dict) -> Any:
 
 
 def _as_function(equations: Sequence, inputs: Sequence, outputs: Sequence) -> Callable[..., list]:
-    return jex.jaxpr_as_fun(jex.ClosedJaxpr(jex.Jaxpr((), inputs, outputs, equations), ()))
+    program: Any = _nothing().replace(invars=inputs, outvars=outputs, eqns=equations)
+    return jex.jaxpr_as_fun(jex.ClosedJaxpr(program, ()))
+
+
+@cache
+def _nothing() -> Any:
+    """A program to begin with: one that is made from scratch would have to know the names of its arguments."""
+    return jax.make_jaxpr(lambda: ())().jaxpr
 
 
 def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -> None:
