@@ -1,10 +1,10 @@
 """What machine code saves of first calls, and what it costs in run time: the four-bar's film and its derivatives.
 
-    python benchmarks/machine_code.py     # six minutes, most of it XLA's
+    python benchmarks/machine_code.py     # four minutes, most of it XLA's
 
 Processor time of the first call of a process without a cache, imports not counted, and the shortest of 31 calls after
-it, with machine code for large programs and with XLA for all (`SPHEREJAX_MACHINE_CODE=0`), each three times by turns;
-the median is written. 0.2 s, 21 samples, rtol 1e-8, c 0.1 mm, 0.4 Pa s. The last column is the largest difference of
+it, with machine code and with XLA for all (`SPHEREJAX_MACHINE_CODE=0`), `TURNS` times by turns; the median is written.
+0.2 s, 21 samples, rtol 1e-8, c 0.1 mm, 0.4 Pa s. The last column is the largest difference of
 results, over the largest entry.
 """
 
@@ -44,7 +44,7 @@ CALLS = {
     "gradient by the clearance": "lambda: by_one(1e-4)",
     "derivatives by clearance and viscosity": "lambda: by_two(1e-4, 0.4)",
 }
-TURNS = 3
+TURNS = 1
 
 
 def said(call: str, machine_code: str) -> tuple[float, float, np.ndarray]:

@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend import core as jex
 
 import spherejax as sj
-from spherejax.foundations import machine_code, machine_text, straight_line
+from spherejax.foundations import few_kernels, machine_code, machine_text, straight_line
 from spherejax.foundations.few_kernels import in_few_kernels
 from spherejax.foundations.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
@@ -116,6 +117,23 @@ def test_loops_in_few_kernels_have_the_numbers_of_loops(small_ones_too):
         np.testing.assert_allclose(two, np.stack([other] * 2), rtol=1e-12)
 
 
+def kernels(jaxpr):
+    for equation in jaxpr.eqns:
+        if equation.primitive.name == "few_kernels":
+            yield equation
+        for inner in jex.jaxprs_in_params(equation.params):
+            yield from kernels(inner)
+
+
+@pytest.mark.parametrize("n", [20, 1000])
+def test_what_a_loop_writes_down_is_not_copied_by_kernels(n, small_ones_too):
+    with machine_code.wanted():
+        found = [*kernels(jax.make_jaxpr(in_few_kernels(wandering(FIELD, n)))(*ARGUMENTS).jaxpr)]
+    assert found
+    sizes = {out.aval.size for kernel in found for out in kernel.outvars}
+    assert max(sizes) <= few_kernels.LARGEST_JOINED
+
+
 def test_loops_without_calls_are_left_alone():
     def text(wrap):
         return jax.jit(wrap(wandering(field))).lower(*ARGUMENTS).as_text()
@@ -209,7 +227,7 @@ def test_an_explicit_run_is_what_xla_makes_of_it(name, drift, monkeypatch):
     for function in (integrate, integrated):
         function.clear()
     run = made()
-    assert int(run.stats.n_steps) == pytest.approx(int(expected.stats.n_steps), rel=0.05)
+    assert int(run.stats.n_steps) == pytest.approx(int(expected.stats.n_steps), rel=0.1)
     np.testing.assert_array_equal(run.stats.n_onsets, expected.stats.n_onsets)
     np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-8, atol=1e-8)
     assert np.max(np.abs(run.ys - expected.ys)) > 0  # they are two programs

@@ -34,6 +34,10 @@ SMALLEST_KERNEL = 2
 _INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Operations that stand for a program, and where it is."""
 
+LARGEST_JOINED = 2048
+"""Entries of an array that a kernel may make, at most: it cannot change one in place, as XLA itself does with samples
+and steps that a loop writes down, but copies it."""
+
 LARGEST_PART = 64
 """Entries of an array that is passed on as a part of a vector, at most."""
 
@@ -77,6 +81,8 @@ def _calls(equation: Any) -> bool:
 def _joins(equation: Any) -> bool:
     """Whether an operation may be part of a kernel."""
     if equation.effects or _calls(equation):
+        return False
+    if any(getattr(out.aval, "size", 0) > LARGEST_JOINED for out in equation.outvars):
         return False
     if equation.primitive.name == "scatter":  # in one place: to XLA an update of a slice
         return math.prod(equation.invars[1].aval.shape[:-1]) == 1

@@ -10,9 +10,9 @@ from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 LARGE = 10_000
 """Scalar operations of a right-hand side from which on a run is compiled soon rather than well.
 
-A four-bar has 2,000 of them, a robot arm of nine joints (Panda) 15,000. Where XLA compiles the programs, LLVM takes more
-than half of the time that it needs for so many; not asked to optimise, it saves a quarter to a third of Panda's first
-call. Where they are machine code it has little to do, and this saves a tenth (`benchmarks/robot_start.py`)."""
+A four-bar has 2,000 of them, a robot arm of nine joints (Panda) 15,000. Where XLA compiles the programs, LLVM takes
+more than half of the time that it needs for so many; not asked to optimise, it saves a quarter to a third of Panda's
+first call. Where they are machine code it has little to do, and this saves a tenth (`benchmarks/robot_start.py`)."""
 
 FEWER_WORDS = {"xla_llvm_enable_noalias_metadata": False}
 """A stiff method's program is thousands of scalars, and LLVM is told of each pair that they do not overlap.
