@@ -7,8 +7,8 @@ does itself with a small loop.
 
 XLA does so for a function with the attribute `xla_cpu_small_call`. It aborts the process where such a function has an
 argument that nothing reads (jaxlib 0.10), which a simplification may bring about at any time. Therefore each function
-returns one number of each of its arguments, too; nobody looks at them. And XLA is not told
-what is known when a loop begins: it would write that into the functions, and leave those arguments unread.
+returns one number of each of its arguments, too; nobody looks at them. And XLA is not told what is known when a
+loop begins: it would write that into the functions, and leave those arguments unread.
 """
 
 import math

@@ -81,19 +81,18 @@ def is_on() -> bool:
 
 _lock = threading.RLock()
 _loaded: dict[str, tuple[Any, bytes]] = {}
-_of_line: dict[tuple, tuple[str, Any]] = {}
 _listening = threading.local()
 
 
 def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]) -> str:
     """The target of a custom call that evaluates a line: compiled, or found where another process has left it."""
-    return called_text((id(line), lanes, axes), line, lambda: Text(line, lanes, axes).written())
+    return called_text((lanes, axes), line, lambda: Text(line, lanes, axes).written())
 
 
 def called_text(key: tuple, line: Any, written: Callable[[], str]) -> str:
     """As `called`, for what is written for a line, told by a key."""
     with _lock:
-        if key not in _of_line:
+        if key not in line.called:
             text = written()
             name = "spherejax_" + hashlib.sha256("\0".join([text, *_machine()]).encode()).hexdigest()[:32]
             if name not in _loaded:
@@ -102,8 +101,8 @@ def called_text(key: tuple, line: Any, written: Callable[[], str]) -> str:
                 if kept is None:
                     kept_on_disk.save(name, content)
                 _load(name, content)
-            _of_line[key] = name, line  # with the line, so that its identity is not another's
-        name, _ = _of_line[key]
+            line.called[key] = name
+        name = line.called[key]
     heard = getattr(_listening, "names", None)
     if heard is not None:
         heard.add(name)

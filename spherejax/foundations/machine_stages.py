@@ -73,7 +73,7 @@ def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, line: Any, 
 
 
 def _lowered(context: Any, *arguments: Any, line: StraightLine, at: int, method: tuple) -> Sequence:
-    key = id(line), "stages", at, method
+    key = "stages", at, method
     name = machine_code.called_text(key, line, lambda: _text(line, at, *method))
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 

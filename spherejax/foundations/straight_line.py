@@ -53,6 +53,7 @@ class StraightLine:
         self.graph, self.outputs, self.shapes, self.given = graph, tuple(outputs), tuple(shapes), tuple(given)
         self.flat_given = tuple(int(node) for group in self.given for node in group.ravel())
         self.in_machine_code = in_machine_code
+        self.called: dict[tuple, str] = {}  # names of its machine code, which go when it goes
         self._spread: dict = {}
         self._jitted: dict = {}
         self._derivatives: dict[tuple[bool, ...], Derivative] = {}
