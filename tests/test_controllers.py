@@ -401,9 +401,20 @@ def test_network_is_a_scalar_program_or_says_so():
     y = np.zeros(14)
     y[:4], y[7] = (0.5, 0.0, 0.0, 1.0), 0.7
     np.testing.assert_allclose(program.compute(theta, 0.0, y)[7], network(jnp.array([0.5, 0.7])), rtol=1e-13)
-    structure, _ = flatten_system(compile_scene(_pushed(NeuralForce(_network(jax.nn.relu)))).system)
-    with pytest.warns(sj.ArrayPathWarning, match="custom_jvp"):
-        program_for(state_rate, structure)
+
+
+def test_neural_law_with_a_derivative_rule_of_its_own_keeps_the_scalar_program():
+    structure, theta = flatten_system(compile_scene(_pushed(NeuralForce(_network(jax.nn.relu)))).system)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        program = program_for(state_rate, structure)
+    assert program.scalar is not None
+    y = jnp.zeros(14).at[jnp.array([0, 1, 3, 7])].set(jnp.array([0.5, 0.1, 1.0, 0.7]))
+    for way in (jax.jacfwd, jax.jacrev):
+        by_scalars = way(lambda y: program(jnp.asarray(theta), 0.0, y))(y)
+        by_arrays = way(lambda y: state_rate(structure.system(jnp.asarray(theta)), 0.0, y))(y)
+        assert by_arrays[7, 0] != 0
+        np.testing.assert_allclose(by_scalars, by_arrays, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.slow

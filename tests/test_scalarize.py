@@ -200,7 +200,7 @@ def test_powers_keep_their_derivative_at_zero(exponent):
         assert float(jax.grad(program)(x)) == pytest.approx(float(jax.grad(power)(x)), rel=1e-14)
 
 
-# Operations without a rule -------------------------------------------------------------------------------------------
+# Derivative rules of a user's own -------------------------------------------------------------------------------------
 
 
 @jax.custom_jvp
@@ -210,10 +210,71 @@ def _ramp(x):
 
 _ramp.defjvp(lambda primals, tangents: (_ramp(*primals), jnp.where(primals[0] > 0, 1.0, 0.5) * tangents[0]))
 
+
+@jax.custom_jvp
+def _root(x):
+    """The derivative of what it is made of is not finite at 0, and so is the second one behind a rule that guards."""
+    return jnp.sqrt(jnp.maximum(x, 0.0))
+
+
+_root.defjvp(
+    lambda primals, tangents: (
+        _root(*primals),
+        jnp.where(primals[0] > 0, 0.5 / jnp.where(primals[0] > 0, _root(primals[0]), 1.0), 0.0) * tangents[0],
+    )
+)
+
+
+@jax.custom_jvp
+def _both(x, y):
+    return x * y, x
+
+
+_both.defjvp(lambda primals, tangents: (_both(*primals), (7.0 * tangents[1] * primals[0], 2.0 * tangents[0])))
+
+WITH_RULES = {
+    "a slope of its own": lambda v: _ramp(v) @ v,
+    "a guarded root": lambda v: _root(v[0] * v[0] - v[1]) + _root(v[2]) ** 3,
+    "two results": lambda v: _both(v[0], v[1] * v[2])[0] * jnp.sin(_both(v[1], 2.0)[1]),
+    "relu": lambda v: jax.nn.relu(v) @ jnp.array([1.0, 2.0, 3.0]) * v[0],
+    "softplus": lambda v: jax.nn.softplus(v).sum(),
+    "one in the other": lambda v: _ramp(_root(v)).sum(),
+    "as it is": lambda v: _both(v[0], v[1])[1] * v[0],
+}
+
+
+@pytest.mark.parametrize("name", WITH_RULES)
+@pytest.mark.parametrize("v", [(0.3, -1.2, 2.1), (0.0, 0.0, 0.0), (1.0, 1.0, -1.0)], ids=str)
+def test_derivative_rules_are_followed(name, v):
+    function, v = WITH_RULES[name], jnp.array(v)
+    program = sj.scalarize(function, VECTOR)
+    for way in (lambda f: f, jax.jacfwd, jax.jacrev, jax.hessian, lambda f: jax.jacfwd(jax.hessian(f))):
+        assert_agree(way(program)(v), way(function)(v))
+
+
+def test_derivative_rule_of_too_high_an_order_is_refused():
+    function = sj.scalarize(_root, SCALAR)
+    for _ in range(3):
+        function = jax.grad(function)
+    assert float(function(4.0)) == pytest.approx(0.375 / 32, rel=1e-14)
+    with pytest.raises(sj.NotScalarizable, match="custom_jvp"):
+        jax.grad(function)(4.0)
+
+
+# Operations without a rule -------------------------------------------------------------------------------------------
+
+
+@jax.custom_vjp
+def _turned(x):
+    return x
+
+
+_turned.defvjp(lambda x: (x, None), lambda _, along: (-along,))
+
 UNKNOWN = {
     "sort": (lambda v: jnp.sort(v), "sort"),
     "eigh": (lambda v: jnp.linalg.eigh(jnp.outer(v, v) + jnp.eye(3) * v)[0], "eigh|triangular|tril|custom"),
-    "custom_jvp": (lambda v: _ramp(v), "custom_jvp"),
+    "custom_vjp": (lambda v: _turned(v), "custom_vjp"),
     "while": (lambda v: jax.lax.while_loop(lambda c: c[0] < 3, lambda c: c + 1, v), "while"),
     "cumsum": (lambda v: jnp.cumsum(v), "cumsum"),
     "argmax": (lambda v: v * jnp.argmax(v), "argmax"),
@@ -251,7 +312,7 @@ class Odd(sj.AbstractForce):
         return {"rocker": sj.Wrench(0.01 * r, jnp.zeros(3))}
 
 
-@pytest.mark.parametrize("kind", ["sort", "eigh", "custom_jvp"])
+@pytest.mark.parametrize("kind", ["sort", "eigh", "custom_vjp"])
 def test_unknown_operation_falls_back_with_a_warning_and_right_values(kind):
     scene = sj.gallery.four_bar()
     scene = sj.Scene(scene.bodies, scene.joints, {"odd": Odd(kind)}, gravity=scene.gravity)

@@ -137,6 +137,7 @@ WRITE: dict[str, Callable] = {
     "sqrt": stablehlo.sqrt,
     "pow": stablehlo.power,
     "root_guarded_at_zero": _root_guarded_at_zero,
+    "marked": lambda a: a,
     "select": lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
     "max": stablehlo.maximum,
     "min": stablehlo.minimum,

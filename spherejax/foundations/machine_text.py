@@ -33,10 +33,11 @@ _INTRINSIC = {
 
 _FLOATS = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
 _WHOLE = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}
+_NOTHING = frozenset(["stop_gradient", "marked"])
 _ARITHMETIC = frozenset(["add", "sub", "mul"])
 _LOGIC = frozenset(["and", "or", "xor"])
 _OF_FLOATS = _LIBRARY | _INTRINSIC.keys() | {"div", "neg", "rsqrt", "clamp", "sign", "is_finite", "logistic", "round"}
-_OF_ANY = frozenset(["select", "stop_gradient"])
+_OF_ANY = frozenset(["select", *_NOTHING])
 
 
 def can_be_written(line: Any) -> bool:
@@ -216,7 +217,7 @@ class Text:
         if name == "select":
             predicate, on_false, on_true = values
             return self._made(f"select {self._type(BOOL, is_wide)} {predicate}, {kind} {on_true}, {kind} {on_false}")
-        if name == "stop_gradient":
+        if name in _NOTHING:
             return values[0]
         if name in _ARITHMETIC:  # as XLA does, a product and a sum may be one operation
             word = f"f{name} contract" if of == FLOAT else name

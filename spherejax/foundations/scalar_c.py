@@ -50,6 +50,7 @@ C: dict[str, Callable[..., str]] = {
     "is_finite": lambda a: f"isfinite({a}) != 0",
     "rem": _call("fmod"),
     "stop_gradient": lambda a: a,
+    "marked": lambda a: a,
     **{name: _between(sign) for name, sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="))},
     **{name: _between(sign) for name, sign in (("eq", "=="), ("ne", "!="), ("xor", "^"), ("and", "&"), ("or", "|"))},
     **{

@@ -32,7 +32,7 @@ class Forward:
 
         Args:
             graph: the nodes.
-            nodes: those that are needed, in an order of evaluation.
+            nodes: those that are needed, in an order of evaluation, with the slopes of marked nodes.
             tangents: of what moves, the input of `slopes` that is its tangent.
 
         Other args:
@@ -41,7 +41,10 @@ class Forward:
         self.values, self.slopes = graph.copy(), Graph()
         self.given: dict[int, int] = {}
         self._of: dict[int, int] = {node: self.slopes.input(place) for node, place in tangents.items()}
+        self._linear: set[int] = set()
         for node in nodes:
+            if graph.operations[node] == "tangent" or any(a in self._linear for a in graph.arguments[node]):
+                self._linear.add(node)
             if node not in self._of and node not in still:
                 slope = self._slope(node)
                 if slope is not None:
@@ -51,10 +54,28 @@ class Forward:
         """The node of `slopes` for a node's derivative; None for what does not move."""
         return self._of.get(node)
 
+    def needed(self, outputs: Sequence[int]) -> list[int]:
+        """The nodes of `slopes` that these depend on.
+
+        Raises:
+            NotScalarizable: where a derivative is of higher order than rules are followed.
+        """
+        found = self.slopes.needed(outputs)
+        if any(self.slopes.operations[node] == "refused" for node in found):
+            raise NotScalarizable("a derivative of so high an order through a function with jax.custom_jvp")
+        return found
+
     def _slope(self, node: int) -> int | None:
         graph, operation = self.values, self.values.operations[node]
         arguments = graph.arguments[node]
-        moving = [self._of.get(a) for a in arguments]
+        if operation == "tangent":
+            return self._of.get(arguments[0])
+        if operation == "marked":
+            slope = graph.parameters[node]
+            return self.slopes.node("refused", (), FLOAT) if slope is None else self._of.get(slope)
+        # What is linear in tangents is followed along these: all else in it are its coefficients.
+        along = self._linear if node in self._linear else None
+        moving = [self._of.get(a) if along is None or a in along else None for a in arguments]
         if graph.dtypes[node] != FLOAT or all(slope is None for slope in moving):
             return None
         rule = _RULES.get(operation) if isinstance(operation, str) else None

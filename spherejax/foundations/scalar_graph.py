@@ -30,9 +30,10 @@ class Graph:
     """Nodes of a scalar program under construction; a node is named by its index.
 
     Attributes:
-        operations: the operation of each node: a name of `EMIT`, a JAX primitive, `"constant"` or `"input"`.
+        operations: the operation of each node: a name of `EMIT`, a JAX primitive, `"constant"`, `"input"`, or
+            `"tangent"`, which nothing but a slope depends on.
         arguments: the earlier nodes that each node reads.
-        parameters: a constant's value, an input's position, or a primitive's parameters.
+        parameters: a constant's value, an input's position, the slope of a marked node, or a primitive's parameters.
         dtypes: the NumPy dtype of each node.
     """
 
@@ -93,6 +94,19 @@ class Graph:
     def input(self, position: tuple[int, int]) -> int:
         """The node of one entry of one argument: `position = (argument, flat index)`."""
         return self.node("input", (), FLOAT, position)
+
+    def tangent(self, node: int) -> int:
+        """Stands for the tangent of a node in what `marked` is given; a structural zero for what does not move."""
+        if self.is_constant(node):
+            return self.constant(0, FLOAT)
+        return self.node("tangent", (node,), FLOAT)
+
+    def marked(self, node: int, slope: int | None) -> int:
+        """A node with a derivative of its own: one that is linear in tangents of others, `slope`; None is refused.
+
+        Its value is the node's. Whoever differentiates the graph takes the slope, and does not look behind the node.
+        """
+        return node if self.is_constant(node) else self.node("marked", (node,), self.dtypes[node], slope)
 
     def predicate_of(self, node: int) -> int:
         """The boolean node that an integer 0 or 1 was made from, or the node itself."""
@@ -226,10 +240,13 @@ class Graph:
 
     # Emission ---------------------------------------------------------------------------------------------------
 
-    def needed(self, outputs: Sequence[int], given: Collection[int] = ()) -> list[int]:
+    def needed(self, outputs: Sequence[int], given: Collection[int] = (), with_slopes: bool = False) -> list[int]:
         """The nodes that the outputs depend on, in an order in which they can be evaluated.
 
-        Nodes that are `given` are not looked behind.
+        Args:
+            outputs: nodes.
+            given: nodes that are not looked behind.
+            with_slopes: with the slopes of marked nodes, and what they depend on.
         """
         given = frozenset(given)
         is_needed = np.zeros(len(self.operations), bool)
@@ -238,6 +255,8 @@ class Graph:
             if is_needed[index] and index not in given:
                 for argument in self.arguments[index]:
                     is_needed[argument] = True
+                if with_slopes and self.operations[index] == "marked" and self.parameters[index] is not None:
+                    is_needed[self.parameters[index]] = True
         return [int(index) for index in np.flatnonzero(is_needed)]
 
     def invariants(self, outputs: Sequence[int], given: Collection[int]) -> list[int]:
@@ -259,11 +278,11 @@ class Graph:
         return sorted(index for index in frontier if self.operations[index] not in ("constant", "input"))
 
     def count(self, outputs: Sequence[int], given: Collection[int] = ()) -> Counter:
-        """How many operations of each name the outputs need (constants, inputs and given nodes not counted)."""
+        """How many operations of each name the outputs need (`FREE` and given nodes not counted)."""
         names = Counter()
         for index in self.needed(outputs, given):
             operation = self.operations[index]
-            if operation not in ("constant", "input") and index not in given:
+            if operation not in FREE and index not in given:
                 names[operation if isinstance(operation, str) else operation.name] += 1
         return names
 
@@ -318,6 +337,9 @@ class Graph:
             return np.asarray(primitive.bind(*operands, **dict(self.parameters[index]))).item()
 
 
+FREE = frozenset({"constant", "input", "marked"})
+"""Names of nodes that cost nothing."""
+
 _COMMUTATIVE = frozenset({"add", "mul"})
 
 
@@ -329,6 +351,7 @@ def _root_guarded_at_zero(a):
 
 EMIT: dict[str, Callable] = {
     "root_guarded_at_zero": _root_guarded_at_zero,
+    "marked": lambda a: a,
     "add": lax.add,
     "sub": lax.sub,
     "mul": lax.mul,
@@ -340,6 +363,7 @@ EMIT: dict[str, Callable] = {
 }
 
 COMPUTE: dict[str, Callable] = {
+    "marked": lambda a: a,
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,

@@ -1,5 +1,8 @@
 """Follows the operations of JAX with arrays of names of scalar nodes."""
 
+import itertools
+from contextlib import contextmanager
+
 import jax
 import jax.core
 import numpy as np
@@ -7,6 +10,7 @@ from jax.extend import core as jex
 
 from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph, NotScalarizable, TooManyOperations
 from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, move_names
+from spherejax.foundations.scalar_solves import SOLVES
 
 WASTE = 2
 """Nodes of a graph for each operation that is needed in the end, at most: what proves unused is made first (measured on
@@ -19,6 +23,7 @@ class Interpreter:
     def __init__(self, graph: Graph, maximum_operations: int | None = None):
         self.graph = graph
         self.limit = maximum_operations
+        self._depth = 0
 
     def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
         """The names of a jaxpr's outputs."""
@@ -31,7 +36,8 @@ class Interpreter:
             environment[variable] = self.names_of(constant)
         environment.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
-            outputs = self.equation(equation, [read(atom) for atom in equation.invars])
+            given = equation, [read(atom) for atom in equation.invars]
+            outputs = self.marked(jaxpr, *given) if self._follows_rule(equation) else self.equation(*given)
             environment.update(zip(equation.outvars, outputs, strict=True))
             if self.limit is not None and len(self.graph.operations) > WASTE * self.limit:
                 raise TooManyOperations(f"more than {self.limit} scalar operations")
@@ -42,6 +48,8 @@ class Interpreter:
         if isinstance(value, jax.core.Tracer):
             raise NotScalarizable("the function closes over a traced value; pass it as an argument")
         array = np.asarray(value)
+        if array.dtype == jax.dtypes.float0:
+            array = np.zeros(array.shape, BOOL)
         dtype = graph_dtype(array.dtype)
         names = [self.graph.constant(entry, dtype) for entry in array.ravel()]
         return np.array(names, np.int64).reshape(array.shape)
@@ -76,6 +84,56 @@ class Interpreter:
         """The names of what a function gives that stands for an operation."""
         closed = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars))
         return self.run(closed.jaxpr, closed.consts, inputs)
+
+    # Derivative rules -------------------------------------------------------------------------------------------------
+
+    def _follows_rule(self, equation) -> bool:
+        """Whether its derivative is to be taken by the operation's own rule, not through what it is made of."""
+        if equation.primitive.name in SOLVES:  # whose rule is the same, but shorter
+            return self._depth == 0
+        return equation.primitive.name == "custom_jvp_call" and self._depth <= HIGHEST_DERIVATIVE
+
+    def marked(self, jaxpr, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        """The names of what an operation gives, marked with what its derivative rule gives."""
+        places = [i for i, variable in enumerate(equation.outvars) if _has_derivative(variable)]
+        with self._at(HIGHEST_DERIVATIVE + 1):  # rules of what it is made of do not count
+            values = self.equation(equation, inputs)
+        slopes = itertools.repeat(None)
+        if self._depth < HIGHEST_DERIVATIVE:
+            with self._at(self._depth + 1):
+                slopes = self._slopes(jaxpr, equation, inputs, [equation.outvars[i] for i in places])
+        for i, names in zip(places, slopes, strict=False):
+            values[i] = _each(self.graph.marked, values[i], np.full(values[i].shape, None) if names is None else names)
+        return values
+
+    def _slopes(self, jaxpr, equation, inputs: list[np.ndarray], wanted: list) -> list[np.ndarray]:
+        """What the derivative rule of an operation gives, linear in the tangents of its arguments."""
+        given = {atom: x for atom, x in zip(equation.invars, inputs, strict=True) if not isinstance(atom, jex.Literal)}
+        moving = {atom: _each(self.graph.tangent, x) for atom, x in given.items() if atom.aval.dtype == FLOAT}
+        alone = jaxpr.replace(constvars=[], invars=[*given], outvars=wanted, eqns=[equation])
+        evaluated = jex.jaxpr_as_fun(jex.ClosedJaxpr(alone, []))
+
+        def along(arguments, tangents):
+            known = dict(zip(given, arguments, strict=True))
+
+            def of_moving(*numbers):
+                moved = known | dict(zip(moving, numbers, strict=True))
+                return evaluated(*(moved[atom] for atom in given))
+
+            return jax.jvp(of_moving, [known[atom] for atom in moving], tangents)[1]
+
+        closed = jax.make_jaxpr(along)([atom.aval for atom in given], [atom.aval for atom in moving])
+        return self.run(closed.jaxpr, closed.consts, [*given.values(), *moving.values()])
+
+    @contextmanager
+    def _at(self, depth: int):
+        before, self._depth = self._depth, depth
+        try:
+            yield
+        finally:
+            self._depth = before
+
+    # Operations -------------------------------------------------------------------------------------------------------
 
     def elementwise(self, primitive, inputs, parameters, shape, dtype) -> np.ndarray:
         """A node for each entry."""
@@ -121,7 +179,22 @@ class Interpreter:
         ]
 
 
+def _has_derivative(variable) -> bool:
+    """Whether something that is read may move. JAX has no public name for what is not read."""
+    return type(variable).__name__ != "DropVar" and variable.aval.dtype == FLOAT
+
+
+def _each(function, *arrays: np.ndarray) -> np.ndarray:
+    """A function of nodes, for each entry."""
+    names = [function(*each) for each in zip(*(array.ravel().tolist() for array in arrays), strict=True)]
+    return np.array(names, np.int64).reshape(arrays[0].shape)
+
+
+HIGHEST_DERIVATIVE = 3
+"""Order up to which derivative rules of a user's functions (`jax.custom_jvp`) are followed; higher ones are refused."""
+
 _INLINED = {
+    "custom_jvp_call": "call_jaxpr",
     "jit": "jaxpr",
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
@@ -138,7 +211,7 @@ def graph_dtype(dtype) -> np.dtype:
         raise NotScalarizable(f"values of type {dtype}") from None
     if dtype == FLOAT:
         return FLOAT
-    if kind == "b":
+    if kind == "b" or dtype == jax.dtypes.float0:  # the second is the tangent of an index, which nothing reads
         return BOOL
     if kind in "iu":
         return INT

@@ -1,8 +1,9 @@
 """How each JAX primitive acts on arrays of scalar node names; used by `spherejax.foundations.scalarize`.
 
 Three families: primitives that only move entries (executed on the names), elementwise primitives (one node an
-entry), and those with a rule of their own (products, sums, the symmetric solve). Derivative rules attached by hand
-(`custom_jvp`, `custom_vjp`) are refused: inlining the function under them would lose the rule.
+entry), and those with a rule of their own (products, sums, the symmetric solve). Derivative rules attached by hand are
+followed (`custom_jvp`; see `scalar_interpreter`) or refused (`custom_vjp`, which says nothing of tangents): inlining
+the function under them would lose the rule.
 """
 
 from functools import reduce

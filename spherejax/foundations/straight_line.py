@@ -24,6 +24,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from spherejax.foundations import machine_code
+from spherejax.foundations.line_lanes import in_first_lanes, narrowed, widened
 from spherejax.foundations.line_writer import Shape, Writer, sizes
 from spherejax.foundations.machine_text import can_be_written
 from spherejax.foundations.scalar_derivatives import Forward, Transposed
@@ -70,7 +71,7 @@ class StraightLine:
 
     def told_by(self) -> tuple:
         """What it computes, for fingerprints of programs."""
-        graph, nodes = self.graph, self.nodes
+        graph, nodes = self.graph, self._with_slopes
         place = {node: at for at, node in enumerate(nodes)}
         given = {node: at for at, node in enumerate(self.flat_given)}
         lines = tuple(
@@ -79,7 +80,9 @@ class StraightLine:
             else (
                 str(graph.operations[node]),
                 tuple(place[a] for a in graph.arguments[node]),
-                repr(graph.parameters[node]),
+                repr(
+                    place.get(graph.parameters[node]) if graph.operations[node] == "marked" else graph.parameters[node]
+                ),
                 str(graph.dtypes[node]),
             )
             for node in nodes
@@ -95,6 +98,10 @@ class StraightLine:
     def nodes(self) -> list[int]:
         """What is needed, in an order in which it can be evaluated."""
         return self.graph.needed(self._flat, self.flat_given)
+
+    @cached_property
+    def _with_slopes(self) -> list[int]:
+        return self.graph.needed(self._flat, self.flat_given, with_slopes=True)
 
     @cached_property
     def is_worth_a_call(self) -> bool:
@@ -150,7 +157,7 @@ class StraightLine:
             for entry, node in enumerate(entries)
             if node is not None
         }
-        forward = Forward(self.graph, self.nodes, tangents, frozenset(self.flat_given))
+        forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_given))
         zero = forward.slopes.constant(0, FLOAT)
         found = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
         follows = tuple(any(each is not None for each in slopes) for slopes in found)
@@ -159,7 +166,7 @@ class StraightLine:
             for output, slopes, has_some in zip(self.outputs, found, follows, strict=True)
             if has_some
         ]
-        needed = set(forward.slopes.needed([int(node) for output in slopes for node in output.ravel()]))
+        needed = set(forward.needed([int(node) for output in slopes for node in output.ravel()]))
         given = {node: name for node, name in forward.given.items() if name in needed}
         coefficients = grouped([*given], forward.values, self.in_machine_code)
         names = [np.array([given[int(node)] for node in each.ravel()]).reshape(each.shape) for each in coefficients]
@@ -340,47 +347,11 @@ def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine
     slopes = _straight_line.bind(*along, *coefficients, line=derivative.slopes, lanes=lanes, axes=over)
     _, narrow = derivative.slopes.spread(over)
     wide = itertools.compress(spread, derivative.follows)
-    moved = iter(_widened(*each, lanes) for each in zip(slopes, narrow, wide, strict=True))
+    moved = iter(widened(*each, lanes) for each in zip(slopes, narrow, wide, strict=True))
     return values, [
         next(moved) if follows else ad.Zero(jax.typeof(value).to_tangent_aval())
         for value, follows in zip(values, derivative.follows, strict=True)
     ]
-
-
-def _widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
-    """The same over other axes of lanes; along those that are not wanted all entries are the same.
-
-    A vector of coefficients has all lanes of its entries.
-    """
-    if axes == wanted:
-        return x
-    n_inner = x.ndim - axes.bit_count()
-    own = [axis for axis in range(len(lanes)) if axes >> axis & 1]
-    for at, axis in reversed([*enumerate(own)]):
-        if not wanted >> axis & 1:
-            x = jax.lax.index_in_dim(x, 0, n_inner + at, keepdims=False)
-    axes &= wanted
-    among = [axis for axis in range(len(lanes)) if wanted >> axis & 1]
-    dims = [*range(n_inner), *(n_inner + at for at, axis in enumerate(among) if axes >> axis & 1)]
-    return jax.lax.broadcast_in_dim(x, (*x.shape[:n_inner], *sizes(lanes, wanted)), dims)
-
-
-def _in_first_lanes(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
-    """The same over more axes of lanes: in the first lane of these, with zeros in the others."""
-    if axes == wanted:
-        return x
-    n_inner = x.ndim - axes.bit_count()
-    among = [(axis, n) for axis, n in enumerate(lanes) if wanted >> axis & 1]
-    new = [n_inner + at for at, (axis, _) in enumerate(among) if not axes >> axis & 1]
-    padding = [(0, 0, 0)] * n_inner + [(0, 0 if axes >> axis & 1 else n - 1, 0) for axis, n in among]
-    return jax.lax.pad(jnp.expand_dims(x, new), jnp.zeros((), x.dtype), padding)
-
-
-def _narrowed(x: Array, axes: int, wanted: int) -> Array:
-    """The sum over the axes of lanes that are not wanted."""
-    n_inner = x.ndim - axes.bit_count()
-    among = [axis for axis in range(axes.bit_length()) if axes >> axis & 1]
-    return jnp.sum(x, [n_inner + at for at, axis in enumerate(among) if not wanted >> axis & 1])
 
 
 def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
@@ -393,7 +364,7 @@ def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes
     # counts once, and is told to the first.
     own = [(x, has) for x, has, each in zip(cotangents, spread, told, strict=True) if each]
     widest = _joined(has for _, has in own)
-    given = [_in_first_lanes(x, has, widest, lanes) for x, has in own]
+    given = [in_first_lanes(x, has, widest, lanes) for x, has in own]
     stays = [not moves for moves in linear]
     still = [*itertools.compress(arguments, stays)]
     back = line.transposed(linear, told)
@@ -401,7 +372,7 @@ def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes
     _, found_over = back.spread(over)
     found = _straight_line.bind(*given, *still, line=back, lanes=lanes, axes=over)
     parts = iter(
-        _widened(_narrowed(x, has, has & wanted), has & wanted, wanted, lanes)
+        widened(narrowed(x, has, has & wanted), has & wanted, wanted, lanes)
         for x, has, wanted in zip(found, found_over, itertools.compress(axes, linear), strict=True)
     )
     return [next(parts) if moves else None for moves in linear]

@@ -83,6 +83,18 @@ class ConstraintSet:
         return _joined(found.rows.rate_at_rest for found in self.groups)
 
     @property
+    def jacobians(self) -> tuple[tuple[Array, Array], ...]:
+        """D_i and D_j of each group."""
+        return tuple(found.rows.jacobians for found in self.groups)
+
+    def with_jacobians(self, jacobians: Sequence[tuple[Array, Array]]) -> "ConstraintSet":
+        """The same equations with other derivatives."""
+        groups = zip(self.groups, jacobians, strict=True)
+        return ConstraintSet(
+            [found._replace(rows=found.rows._replace(jacobians=each)) for found, each in groups], self.names
+        )
+
+    @property
     def ends(self) -> tuple[tuple[int, int], ...]:
         """Numbers of the two bodies of each joint, 0 for the ground, in the order of the equations."""
         return tuple(ends for found in self.groups for ends in zip(found.group.first, found.group.second, strict=True))
@@ -196,7 +208,7 @@ def _inverse_mass(body: Body, motion: BodyMotion) -> InverseMass:
 
 def mobility_of(constraints: ConstraintSet, masses: InverseMass) -> Mobility:
     """S = D M^-1 D^T by its blocks."""
-    return constraint_mobility([found.rows.jacobians for found in constraints.groups], constraints.ends, masses)
+    return constraint_mobility(constraints.jacobians, constraints.ends, masses)
 
 
 def solved(
@@ -252,19 +264,43 @@ def solve_augmented(
     the light body cancel to one part in 1e9, and the noise of its acceleration would cost ten thousand times the
     steps. The factorization is shared; the pass costs a fifth of the right-hand side.
     """
-    free = masses.times(loads)
     if not constraints.groups:
-        return Solution(free, {}, jnp.zeros(0))
-    mobility = mobility_of(constraints, masses)
+        return Solution(masses.times(loads), {}, jnp.zeros(0))
 
-    def corrected(accelerations, multipliers):
-        """Multipliers that make up for what the accelerations lack, and the accelerations with them."""
-        more = solved(constraints, mobility, constraints.times(accelerations) - desired, smallest_pivot)
-        return accelerations - masses.times(constraints.transposed_times(more)), multipliers + more
+    def balanced(jacobians, masses: InverseMass, free: BodyVectors, desired: Array) -> tuple[BodyVectors, Array]:
+        """Accelerations with D a = gamma, from those without constraints, and the multipliers that make them so."""
+        equations = constraints.with_jacobians(jacobians)
+        mobility = mobility_of(equations, masses)
+        accelerations, multipliers = free, jnp.zeros_like(desired)
+        for _ in range(1 + refine):
+            more = solved(equations, mobility, equations.times(accelerations) - desired, smallest_pivot)
+            accelerations = accelerations - masses.times(equations.transposed_times(more))
+            multipliers = multipliers + more
+        return accelerations, multipliers
 
-    accelerations, multipliers = corrected(free, jnp.zeros_like(desired))
-    if refine:
-        accelerations, multipliers = corrected(accelerations, multipliers)
+    def solution(jacobians, masses: InverseMass, loads: BodyVectors, desired: Array) -> tuple[BodyVectors, Array]:
+        return balanced(jacobians, masses, masses.times(loads), desired)
+
+    def along(primals, tangents):
+        # With lambda held, a and D a move; what D a then lacks is made up for as in the value. So the derivative is a
+        # solution with the same S, whose own derivative would take half of the operations of all.
+        (jacobians, masses, *_), (*_, desired_along) = primals, tangents
+        accelerations, multipliers = solution(*primals)
+
+        def held(jacobians, masses, loads):
+            return masses.times(loads - constraints.with_jacobians(jacobians).transposed_times(multipliers))
+
+        def taken(jacobians):
+            return constraints.with_jacobians(jacobians).times(accelerations)
+
+        _, held_along = jax.jvp(held, primals[:3], tangents[:3])
+        _, taken_along = jax.jvp(taken, primals[:1], tangents[:1])
+        slopes = balanced(jacobians, masses, held_along, desired_along - taken_along)
+        return (accelerations, multipliers), slopes
+
+    with_rule = jax.custom_jvp(solution)
+    with_rule.defjvp(along)
+    accelerations, multipliers = with_rule(constraints.jacobians, masses, loads, desired)
     return Solution(accelerations, constraints.split(multipliers), multipliers)
 
 

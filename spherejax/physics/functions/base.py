@@ -94,8 +94,8 @@ class Network(eqx.Module):
         numbers: its arrays.
         structure: all else of it (static).
 
-    Limits: `tanh`, `sin`, `jax.nn.sigmoid` and `swish` keep the scalar program; `relu`, `softplus` and others with
-    derivative rules of their own run on array code, with a warning. Arrays of a floating type alone are numbers.
+    Limits: activations of `jax.nn` keep the scalar program, those with derivative rules of their own (`relu`) as well.
+    Arrays of a floating type alone are numbers.
     """
 
     numbers: tuple[Any, ...]
