@@ -6,10 +6,11 @@
 import os
 import subprocess
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cases
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +27,7 @@ from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.jobs import _with_slopes, integrated
 from spherejax.motion.integration.lanes.stages import ExplicitStages
+from spherejax.motion.integration.sensitivity_rows import linearized, rows_rate
 from spherejax.motion.start.assembly import as_ideal, assemble_now
 
 pytestmark = pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
@@ -202,6 +204,60 @@ def test_stages_in_one_call_are_those_of_the_loop(method, size):
         np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-16)
 
 
+class Rows(NamedTuple):
+    value: Given
+    slopes: Given
+
+    @property
+    def theta(self):
+        return self.value.theta
+
+    @property
+    def ahead(self):
+        return self.value.ahead
+
+
+@pytest.mark.parametrize("n_rows", [1, 2, 3, 4, 5, 9])
+@pytest.mark.parametrize("size", [1, 7, 21])
+def test_stages_with_rows_in_one_call_are_those_of_the_loop(n_rows, size):
+    """Of as many rows as fill vectors, and others; with numbers and truths that are evaluated ahead of the loop."""
+
+    def rate(theta, t, y):
+        stiff = jnp.where(theta[0] > 0.5, theta[1] ** 2, 1.0)
+        return jnp.roll(y, 1) * jnp.exp(theta[0]) - jnp.where(y > 0.5, jnp.sin(theta[1] * t) * y * y, stiff * y)
+
+    theta, y = jnp.array([0.7, 2.0]), 0.1 + jnp.arange(float(size)) / size
+    program = scalarize(rate, theta, jnp.zeros(()), y)
+    directions = jnp.cos(jnp.arange(2.0 * n_rows)).reshape(n_rows, 2)
+    given = linearized(lambda theta: Given(theta, program.ahead(theta)), theta, directions)
+    rows = jnp.concatenate([y[None], jnp.sin(jnp.arange(1.0 * n_rows * size)).reshape(n_rows, size)])
+    inside = Inside(program)
+    steps = ExplicitStages(
+        diffrax.Dopri8().tableau, lambda t, rows, given: rows_rate(inside, given, t, rows), True, program
+    )
+    lane = jax.tree.map(lambda x: x[..., None], (jnp.array(0.2), jnp.array(0.3), rows, Rows(*given)))
+
+    def increments(bend, n):
+        t, t_next, rows, given = lane
+        return steps.step(t, t_next, rows, given, (), jnp.zeros(1, bool), jnp.array([bend]), n).dense_info["k"]
+
+    for bend, n in ((0.0, None), (-0.6, None), (0.9, jnp.array(2)), (0.3, jnp.array(0))):
+        expected = increments(bend, n)
+        with machine_code.wanted():
+            text = jax.jit(increments).lower(bend, n).as_text()
+            found = jax.jit(increments)(bend, n)
+        assert text.count("stablehlo.custom_call @spherejax_") == 1
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+
+
+class Inside(NamedTuple):
+    program: Any
+
+    def inside(self, theta, ahead, t, y):
+        return self.program.inside(ahead, theta, t, y)
+
+
 # Runs -----------------------------------------------------------------------------------------------------------------
 
 TS = jnp.linspace(0.0, 0.02, 5)
@@ -231,6 +287,40 @@ def test_an_explicit_run_is_what_xla_makes_of_it(name, drift, monkeypatch):
     np.testing.assert_array_equal(run.stats.n_onsets, expected.stats.n_onsets)
     np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-8, atol=1e-8)
     assert np.max(np.abs(run.ys - expected.ys)) > 0  # they are two programs
+
+
+@pytest.mark.parametrize(("name", "n_rows"), [("ideal", 1), ("friction", 1), ("friction", 3), ("bushing", 3)])
+def test_derivatives_of_an_explicit_run_are_what_xla_makes_of_them(name, n_rows, monkeypatch):
+    """Through onsets."""
+
+    def height(moved):
+        scene = sj.gallery.four_bar(cases.FOUR_BAR_MODELS[name])
+        bodies = {
+            body: eqx.tree_at(lambda b: (b.mass, b.position), each, (each.mass * moved[0], each.position + shift))
+            for (body, each), shift in zip(scene.bodies.items(), shifts(moved), strict=True)
+        }
+        return sj.simulate(eqx.tree_at(lambda s: s.bodies, scene, bodies), jnp.linspace(0, 0.02, 9), rtol=1e-9).ys
+
+    def shifts(moved):
+        mixed = jnp.cos(jnp.outer(jnp.arange(9.0), jnp.arange(1.0, 1 + n_rows))) @ (moved - 1)
+        return 1e-6 * mixed.reshape(3, 3)
+
+    def made():
+        return jax.jit(jax.jacfwd(height))(jnp.ones(n_rows))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(machine_code, "is_available", lambda: False)
+        expected = made()
+        jax.clear_caches()
+    for function in (integrate, integrated, _with_slopes):
+        function.clear()
+    with machine_code.listened() as codes:
+        found = made()
+    assert codes()
+    for of_found, of_expected in zip(np.moveaxis(found, -1, 0), np.moveaxis(expected, -1, 0), strict=True):
+        largest = np.max(np.abs(of_expected))
+        assert largest > 0
+        np.testing.assert_allclose(of_found, of_expected, rtol=1e-6, atol=1e-6 * largest)
 
 
 @pytest.mark.parametrize("name", ["ideal", "friction", "lubricated"])

@@ -292,14 +292,17 @@ class Text:
             [*sorted(self.declared), head(self.n_arguments, self.n_results), *body, "  ret ptr null", "}", ""]
         )
 
-    def written_inside(self, name: str) -> str:
-        """The text of a function that another one calls, with pointers to all arguments, then to all results."""
+    def written_inside(self, name: str) -> tuple[set[str], str]:
+        """What a function that another one calls needs declared, and its text.
+
+        It has pointers to all arguments, then to all results.
+        """
         pointers = [f"ptr %a{i}" for i in range(self.n_arguments)] + [
             f"ptr noalias %r{i}" for i in range(self.n_results)
         ]
         begin = f"define internal void @{name}({', '.join(pointers)}) nounwind {{\nwork:"
         body = self._body()
-        return "\n".join([*sorted(self.declared), begin, *body, "  ret void", "}", ""])
+        return self.declared, "\n".join([begin, *body, "  ret void", "}", ""])
 
     @property
     def n_arguments(self) -> int:

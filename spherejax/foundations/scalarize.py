@@ -130,12 +130,25 @@ class ScalarProgram:
 
     def line_inside(self, ahead: tuple[Array, ...]) -> tuple[StraightLine, tuple[Array, ...]]:
         """What `inside` evaluates, from its arguments one after the other and what was evaluated ahead of them."""
-        in_vectors = any(jnp.ndim(each) > 0 for each in ahead)
+        in_vectors = _are_vectors(ahead)
         if ahead and not in_vectors and machine_code.is_on():
             kinds = dict.fromkeys(each.dtype for each in ahead)
             ahead = tuple(jnp.stack([each for each in ahead if each.dtype == kind]) for kind in kinds)
             in_vectors = True
         return self._line("rest", in_vectors), ahead
+
+    def slopes_inside(self, ahead: tuple[Array, ...], slopes: tuple[Array | None, ...]) -> tuple[Array | None, ...]:
+        """Derivatives of what was evaluated ahead, as the line of `line_inside` takes it.
+
+        Args:
+            ahead: what was evaluated.
+            slopes: its derivatives, with a leading axis; None of what is no float.
+        """
+        if _are_vectors(ahead) or not machine_code.is_on():
+            return slopes
+        kinds = dict.fromkeys(each.dtype for each in ahead)
+        moving = [each for each in slopes if each is not None]
+        return tuple(jnp.stack(moving, -1) if kind == FLOAT else None for kind in kinds)
 
     def _tree_of(self, outputs) -> Any:
         return jax.tree.unflatten(self._tree, outputs)
@@ -154,6 +167,10 @@ class ScalarProgram:
         if shapes != self._shapes:
             raise ValueError(f"the scalar program {self.name} was made for shapes {self._shapes}, got {shapes}")
         return flat
+
+
+def _are_vectors(ahead: tuple[Array, ...]) -> bool:
+    return any(jnp.ndim(each) > 0 for each in ahead)
 
 
 def scalarize(

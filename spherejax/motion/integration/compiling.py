@@ -38,16 +38,12 @@ def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
     return SOON if is_large(plan) else FEWER_WORDS
 
 
-def in_machine_code(plan: Any, solver: Any, with_rows: bool = False) -> bool:
-    """Whether the programs of a single run become machine code of their own.
-
-    Not those of small systems with rows of sensitivities, by an explicit method: a call for each line of each stage
-    would cost more than it saves, and their loop is one native function of XLA.
-    """
+def in_machine_code(plan: Any, solver: Any) -> bool:
+    """Whether the programs of a single run become machine code of their own."""
     scalar = program_for(state_rate, plan.structure, plan.scalar).scalar
     if scalar is None:
         return False
-    return is_linearly_implicit(solver) or scalar.n_operations > LARGE or (is_explicit(solver) and not with_rows)
+    return is_linearly_implicit(solver) or is_explicit(solver) or scalar.n_operations > LARGE
 
 
 def is_large(plan: Any) -> bool:

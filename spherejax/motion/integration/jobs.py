@@ -157,7 +157,7 @@ class JobKind:
             room_of(plan),
             example_of(self.structure).layout.work_start,
             samples_of(self.structure, self.scalar),
-            alone_in_machine_code=in_machine_code(plan, self.solver, self.with_rows),
+            alone_in_machine_code=in_machine_code(plan, self.solver),
             program=rate.scalar,
         )
         return self._of_rows(problem, rate) if self.with_rows else problem
@@ -180,7 +180,6 @@ class JobKind:
             audit=None if problem.audit is None else problem.audit.of_rows(),
             room=of_first_row(problem.room),
             samples=None if problem.samples is None else problem.samples.of_rows(),
-            program=None,
         )
 
 

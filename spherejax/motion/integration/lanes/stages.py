@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from spherejax.foundations import machine_code
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine_stages import can_be_called, stages
+from spherejax.foundations.machine_stages import can_be_called, stages, stages_with_rows
 from spherejax.foundations.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
@@ -59,7 +59,8 @@ class ExplicitStages:
         tableau: of the method.
         rate: takes (t, y, parameters) of one lane.
         with_dense_output: whether states inside a step are wanted from the method's own interpolation.
-        program: that `rate` evaluates inside, with the parameters' `theta` and `ahead`, or None.
+        program: that `rate` evaluates inside, with the parameters' `theta` and `ahead`, or None. Of a state with rows
+            below it the rates of these are the program's derivative, with the parameters' `slopes`.
     """
 
     def __init__(
@@ -108,14 +109,15 @@ class ExplicitStages:
             return None
         one = jax.tree.map(lambda x: x[..., 0], parameters)
         line, ahead = self.program.line_inside(one.ahead)
-        if not can_be_called(line, y.shape[:1]):
+        if not can_be_called(line, y.shape[:-1]):
             return None
         n = self.n_stages
-        others = one.theta, *ahead
-        k = stages(
-            line, _TIME, self.coefficients[:n, :n], self.instants[:n], t[0], h[0], bend[0], y[:, 0], n_made, others
-        )
-        return k[..., None]
+        method = self.coefficients[:n, :n], self.instants[:n]
+        given = line, _TIME, *method, t[0], h[0], bend[0], y, n_made, (one.theta, *ahead)
+        if y.ndim == 2:
+            return stages(*given)
+        along = one.slopes.theta, *self.program.slopes_inside(one.ahead, one.slopes.ahead)
+        return stages_with_rows(*given, along)
 
     def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
         n = self.n_stages
