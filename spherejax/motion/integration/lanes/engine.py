@@ -291,10 +291,9 @@ class _Queue:
         lanes, waiting, account, ys, n_lane_steps, log, looks = carry
         before = lanes
         is_look = jnp.array(False) if looks is None else looks.is_looking
-        steps: Any = self.steps
-        n_stages = None if looks is None else looks.n_stages(steps.n_stages)
+        n_stages = None if looks is None else looks.n_stages(self._n_stages(lanes))
         bend = self.control.bend_of_time(lanes.controller_state, lanes.t_next - lanes.t)
-        trial = steps.step(
+        trial = self.steps.step(
             lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, bend, n_stages
         )
         lanes = self.judged(lanes, trial, is_look)
@@ -313,6 +312,17 @@ class _Queue:
             jnp.any(has_ended), self._refilled, lambda _, *same: same, has_ended, lanes, waiting, account
         )
         return *refilled, ys, n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1]), log, looks
+
+    def _n_stages(self, lanes: Lane) -> Any:
+        """How many stages the coming step needs: Dopri8 has a fourteenth for what is inside a step alone."""
+        steps: Any = self.steps
+        if steps.n_used == steps.n_stages or self.capacity:
+            return steps.n_stages
+        n = self.ts.shape[0]
+        coming = jnp.maximum(lanes.n_samples, 1)
+        # A sample at the end of a step is its end.
+        is_inside = (coming < n) & (self.ts[jnp.minimum(coming, n - 1)] < lanes.t_next)
+        return jnp.where(jnp.any(is_inside), steps.n_stages, steps.n_used)
 
     def _looked(self, before: Lane, _, looks: Looks, k) -> tuple[Array, Looks]:
         """Where the next look or the first step ends, after a look."""

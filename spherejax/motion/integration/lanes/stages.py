@@ -55,6 +55,8 @@ def own_time(share: Array, bend: Array) -> Array:
 class ExplicitStages:
     """Trial steps by the tableau of an explicit Runge-Kutta method.
 
+    Of all `n_stages` the first `n_used` make the step and its error; the others are for states inside it.
+
     Args:
         tableau: of the method.
         rate: takes (t, y, parameters) of one lane.
@@ -78,7 +80,7 @@ class ExplicitStages:
         self.instants = np.concatenate([[0.0], tableau.c])
         self.weights, self.error_weights = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
         n_used = _last_used(self.weights, self.error_weights)
-        self.n_stages = n if with_dense_output else n_used
+        self.n_stages, self.n_used = n if with_dense_output else n_used, n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
         self.stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
         self.can_look = can_look(self.coefficients, self.instants)
