@@ -28,6 +28,7 @@ from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.jobs import _with_slopes, integrated
 from spherejax.motion.integration.lanes.stages import ExplicitStages
 from spherejax.motion.integration.sensitivity_rows import linearized, rows_rate
+from spherejax.motion.results.observed import observed
 from spherejax.motion.start.assembly import as_ideal, assemble_now
 
 pytestmark = pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
@@ -321,6 +322,33 @@ def test_derivatives_of_an_explicit_run_are_what_xla_makes_of_them(name, n_rows,
         largest = np.max(np.abs(of_expected))
         assert largest > 0
         np.testing.assert_allclose(of_found, of_expected, rtol=1e-6, atol=1e-6 * largest)
+
+
+def test_what_is_observed_is_what_xla_makes_of_it(monkeypatch):
+    """All quantities of all samples, also mapped and differentiated."""
+    run = sj.simulate(sj.gallery.four_bar(cases.FOUR_BAR_MODELS["friction"]), TS, rtol=1e-6)
+    structure, theta = flatten_system(run.system)
+    args = structure, run.scalar
+
+    def made():
+        observed.clear()
+        theta_now = jnp.asarray(theta)
+        several = jnp.stack([run.ys, 1.001 * run.ys])
+        yield observed(*args, theta_now, run.ts, run.ys)
+        yield jax.jit(jax.vmap(lambda ys: observed(*args, theta_now, run.ts, ys)))(several)
+        yield jax.jit(jax.jacfwd(lambda s: observed(*args, theta_now, run.ts, s * run.ys)))(1.0)
+        yield jax.jit(jax.grad(lambda s: jnp.sum(observed(*args, theta_now, run.ts, s * run.ys).kinetic_energy)))(1.0)
+
+    with machine_code.listened() as codes:
+        found = [*made()]
+    assert codes()
+    with monkeypatch.context() as patched:
+        patched.setattr(machine_code, "is_available", lambda: False)
+        jax.clear_caches()
+        expected = [*made()]
+    observed.clear()
+    for each, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(each, other, rtol=1e-7, atol=1e-12 + 1e-7 * np.max(np.abs(other), initial=0))
 
 
 @pytest.mark.parametrize("name", ["ideal", "friction", "lubricated"])

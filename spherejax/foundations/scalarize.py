@@ -21,7 +21,7 @@ from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.scalar_c import c_functions
 from spherejax.foundations.scalar_graph import FLOAT, Graph, TooManyOperations
 from spherejax.foundations.scalar_interpreter import Interpreter
-from spherejax.foundations.straight_line import StraightLine, grouped
+from spherejax.foundations.straight_line import StraightLine, grouped, is_called
 
 
 class ScalarProgram:
@@ -149,6 +149,12 @@ class ScalarProgram:
         kinds = dict.fromkeys(each.dtype for each in ahead)
         moving = [each for each in slopes if each is not None]
         return tuple(jnp.stack(moving, -1) if kind == FLOAT else None for kind in kinds)
+
+    @property
+    def can_be_machine_code(self) -> bool:
+        """Whether `inside` becomes machine code where that is wanted."""
+        with machine_code.wanted():
+            return is_called(self._line("rest", True), ())
 
     def _tree_of(self, outputs) -> Any:
         return jax.tree.unflatten(self._tree, outputs)

@@ -325,12 +325,26 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
         alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
         found = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
         return [jnp.expand_dims(x, 0) for x in found], [0] * len(found)
+    if lanes and line.in_machine_code and machine_code.is_available():
+        return _batched_by_a_loop(arguments, dims, line=line, lanes=lanes, axes=axes)
     last = 1 << len(lanes)
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
     now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
     found = _straight_line.bind(*turned, line=line, lanes=(*lanes, n), axes=now)
     _, spread = line.spread(now)
     return found, [x.ndim - 1 if over & last else None for x, over in zip(found, spread, strict=True)]
+
+
+def _batched_by_a_loop(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
+    """Machine code has one axis of lanes: it is called again for each place of another one."""
+    moved = [None if dim is None else jnp.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
+
+    def one(parts: Sequence) -> list[Array]:
+        found = (x if part is None else part for x, part in zip(arguments, parts, strict=True))
+        return _straight_line.bind(*found, **how)
+
+    found = jax.lax.map(one, moved)
+    return found, [0] * len(found)
 
 
 def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):

@@ -7,16 +7,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system
-from spherejax.motion.equations.observables import Observation, looked_up, observe
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findings, suspects
@@ -25,12 +22,13 @@ from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationErr
 from spherejax.motion.results.dataset import table_of, to_dataset
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
+from spherejax.motion.results.observed import looked_up_at, observed, of_body, unpacked
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.redundancy import ConstraintReport, report_at, singular_joints
-from spherejax.physics.state import Layout, State, unpack
+from spherejax.physics.state import State
 
 if TYPE_CHECKING:
     import xarray
@@ -143,23 +141,23 @@ class Trajectory(eqx.Module, Reported):
     @property
     def state(self) -> State:
         """The state by name, with leading axis of samples."""
-        return _unpacked(self.system.layout, self.ys)
+        return unpacked(self.system.layout, self.ys)
 
     def position(self, body: str) -> Float[Array, "n 3"]:
         """Center of mass of a body, world axes [m]."""
-        return _of_body(self.state.position, self._body(body))
+        return of_body(self.state.position, self._body(body))
 
     def quaternion(self, body: str) -> Float[Array, "n 4"]:
         """Orientation of a body, unit quaternion, scalar first."""
-        return _of_body(self.state.quaternion, self._body(body))
+        return of_body(self.state.quaternion, self._body(body))
 
     def velocity(self, body: str) -> Float[Array, "n 3"]:
         """Velocity of a body's center of mass, world axes [m/s]."""
-        return _of_body(self.state.velocity, self._body(body))
+        return of_body(self.state.velocity, self._body(body))
 
     def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
         """Angular velocity of a body, world axes [rad/s]."""
-        return _of_body(self.state.angular_velocity, self._body(body))
+        return of_body(self.state.angular_velocity, self._body(body))
 
     # Observables -------------------------------------------------------------------------------------------------
 
@@ -167,7 +165,7 @@ class Trajectory(eqx.Module, Reported):
     def observation(self) -> Observation:
         """All observables at all samples, evaluated on first use."""
         structure, theta = flatten_system(self.system)
-        return _observed(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
+        return observed(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
 
     def acceleration(self, body: str) -> Float[Array, "n 3"]:
         """Acceleration of a body's center of mass, world axes [m/s^2]."""
@@ -251,7 +249,7 @@ class Trajectory(eqx.Module, Reported):
     @cached_property
     def _looked_up(self) -> dict[str, dict[str, Array]]:
         structure, theta = flatten_system(self.system)
-        return _looked_up(structure, jnp.asarray(theta), self.ys)
+        return looked_up_at(structure, jnp.asarray(theta), self.ys)
 
     def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:
         """Named results of a force element, e.g. `run.force("shock")["length"]` [m].
@@ -413,37 +411,3 @@ class Trajectory(eqx.Module, Reported):
         if self._joint(joint) not in values:
             raise SceneError(f"joint {joint!r} is not spherical: it has no eccentricity")
         return values[joint]
-
-
-# Compiled, though it is little: by themselves a dozen kernels would be kept for each number of samples, 1.5 MB each.
-@bounded_jit(what="the state of a run")
-def _unpacked(layout: Layout, ys) -> State:
-    return unpack(layout, ys)
-
-
-@bounded_jit(what="the state of a body")
-def _of_body(quantity, body: int):
-    return quantity[..., body, :]
-
-
-@bounded_jit(what="what is looked up of a run")
-def _looked_up(structure, theta, ys) -> dict[str, dict[str, Array]]:
-    """As array code: what is looked up may search and loop, which scalar programs do not."""
-    return jax.vmap(lambda y: looked_up(structure.system(theta), y))(ys)
-
-
-@bounded_jit(what="the quantities of a run")
-def _observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
-    """Observe sample after sample: one scalar program in one loop that writes one row a sample."""
-    program = program_for(observe, structure, use_scalars)
-    ahead = program.ahead(theta)
-
-    def flat(t, y):
-        return ravel_pytree(program.inside(theta, ahead, t, y))[0]
-
-    rows = jax.lax.map(lambda sample: flat(*sample), (ts, ys))
-    example = jax.eval_shape(program, theta, ts[0], ys[0])
-    leaves, tree = jax.tree.flatten(example)
-    sizes = [int(np.prod(leaf.shape)) for leaf in leaves]
-    columns = jnp.split(rows, np.cumsum(sizes)[:-1].tolist(), axis=1)
-    return jax.tree.unflatten(tree, [c.reshape(-1, *leaf.shape) for c, leaf in zip(columns, leaves, strict=True)])
