@@ -100,12 +100,12 @@ def work_precision(
     tell = _Progress(report, len(scenes) * (1 + len(solvers) * len(tolerances)) + n_repeats)
     found: list[Found] = []
     references = {}
-    for name, one in scenes.items():
-        lab = _Laboratory(name, one, t1, counts[name], solvers, max_seconds, atol_ratio)
-        references[name] = lab.make_reference(tolerances[-1])
-        tell(f"{name}: reference")
+    for model, one in scenes.items():
+        lab = _Laboratory(model, one, t1, counts[model], solvers, max_seconds, atol_ratio)
+        references[model] = lab.make_reference(tolerances[-1])
+        tell(f"{model}: reference")
         for solver in solvers:
-            found += lab.rows(solver, tolerances, references[name], tell)
+            found += lab.rows(solver, tolerances, references[model], tell)
     rows = _timed(found, n_repeats, tell)
     return WorkPrecision(tuple(rows), references, t1, max(counts.values()), target, name)
 
