@@ -216,8 +216,36 @@ def test_the_command(tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
+def test_the_command_answers_in_the_units_that_were_asked_for(tmp_path):
+    options = [
+        "sensitivity",
+        "four-bar",
+        "--joint",
+        "bushing",
+        "--by",
+        "stiffness=1e5",
+        "--t1",
+        "0.01",
+        "--samples",
+        "3",
+    ]
+    tables = []
+    for quantity in ("position.rocker.z", "position.rocker.z [mm]"):
+        out = tmp_path / str(len(tables))
+        assert main([*options, "--of", quantity, "--out", str(out)]) == 0
+        with (out / "sensitivities.csv").open() as file:
+            tables.append([*csv.reader(file)])
+    (heads, *rows), (heads_mm, *rows_mm) = tables
+    assert "position.rocker.z [m]" in heads
+    assert heads_mm == [head.replace("[m", "[mm") for head in heads]
+    np.testing.assert_allclose(np.array(rows_mm, float)[:, 1:], 1e3 * np.array(rows, float)[:, 1:], rtol=1e-12)
+    assert np.all(np.array(rows, float)[-1] != 0)
+
+
 def test_bad_commands(capsys):
     base = ["sensitivity", "four-bar", "--of", "position.rocker"]
+    assert main([*base[:3], "position.rocker.z [N]", "--joint", "bushing", "--by", "stiffness=1e5"]) == 2
+    assert "a length [m] is expected" in capsys.readouterr().err
     assert main([*base, "--joint", "bushing", "--by", "stiffnes"]) == 2
     assert "--by stiffnes: no such number" in capsys.readouterr().err
     assert main([*base, "--joint", "bushing", "--by", "rocket.mass"]) == 2

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.scene_numbers import UnitOf, number_at, require_quantities, unit_of_option, units_in
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.shown import Wanted
 from spherejax.command_line.sweep import builder
 
 DESCRIPTION = """\
@@ -59,7 +61,7 @@ def add_sensitivity(commands) -> None:
         action="append",
         required=True,
         metavar="QUANTITY",
-        help='e.g. "position.rocker", "position.rocker.z", "reaction.coupler_rocker", "mechanical_energy"; may be '
+        help='e.g. "position.rocker", "position.rocker.z [mm]", "reaction.coupler_rocker", "mechanical_energy"; may be '
         "repeated",
     )
     what.add_argument("--samples", type=whole, default=201, metavar="N", help="sample times (default: 201)")
@@ -89,20 +91,32 @@ def find_sensitivities(options: argparse.Namespace) -> int:
     build = builder(found, options, names, "--by")
     _parameters(options, units_in(found.scene(options), found.studied))  # a unit of another dimension is refused
     values = {key: _value(found, options, build, names, key, parameters[name]) for key, name in names.items()}
-    require_quantities(found.scene(options), options.observables)
+    asked = require_quantities(found.scene(options), options.observables, units=True)
     result = sj.sensitivity(
         build,
         values,
         np.linspace(0.0, options.t1, number_of_samples(options.samples)),
-        observables=options.observables,
+        observables=[*dict.fromkeys(one.name for one in asked)],
         rtol=options.rtol,
         solver=SOLVERS[options.solver]() if options.solver else None,
     )
+    result = _told(result, asked)
     print(result)
     if folder is not None:
         make_folder(folder)
         _write(result, folder, options.overwrite)
     return 0
+
+
+def _told(result: sj.Sensitivities, asked: Sequence[Wanted]) -> sj.Sensitivities:
+    """Observables in the units in which they were asked for."""
+    units = {one.name: one for one in asked}
+    shown = [(column, units[column.name].shown(column.unit)) for column in result.columns]
+    columns = [
+        replace(column, unit=how.unit, values=column.values / how.factor, slopes=column.slopes / how.factor)
+        for column, how in shown
+    ]
+    return replace(result, columns=tuple(columns))
 
 
 def _parameters(
