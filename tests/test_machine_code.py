@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.extend import core as jex
+from jax.flatten_util import ravel_pytree
 
 import spherejax as sj
 from spherejax.foundations import few_kernels, machine_code, machine_text, straight_line
@@ -135,6 +136,34 @@ def test_what_a_loop_writes_down_is_not_copied_by_kernels(n, small_ones_too):
     assert found
     sizes = {out.aval.size for kernel in found for out in kernel.outvars}
     assert max(sizes) <= few_kernels.LARGEST_JOINED
+
+
+@pytest.mark.parametrize("kind", ["sum", "max", "all", "dot", "squares"])
+@pytest.mark.parametrize("n", [4, 26, 121])
+def test_large_sums_between_calls_are_left_to_xla(kind, n, small_ones_too):
+    """To which a library makes them, and then it cannot write a kernel that has one."""
+    reduced = {
+        "sum": lambda x: jnp.sum(x, 1),
+        "max": lambda x: jnp.max(x, 1),
+        "all": lambda x: jnp.full(n, jnp.sum(x)),
+        "dot": lambda x: x @ x[0],
+        "squares": lambda x: jnp.sum(x * x, 1),
+    }[kind]
+
+    def run(rate):
+        def turn(state):
+            i, y, x, _ = state
+            change = rate(y)
+            return i + 1, y + 0.01 * change, x * (1 + 1e-3 * change[0]), reduced(x)
+
+        start = jnp.zeros((), jnp.int64), ARGUMENTS[0], jnp.ones((n, 40)), jnp.zeros(n)
+        return jax.lax.while_loop(lambda state: state[0] < 4, turn, start)
+
+    expected = jax.jit(lambda: run(field))()
+    with machine_code.wanted():
+        found = jax.jit(in_few_kernels(lambda: run(FIELD)))()
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 def test_loops_without_calls_are_left_alone():
@@ -322,6 +351,24 @@ def test_derivatives_of_an_explicit_run_are_what_xla_makes_of_them(name, n_rows,
         largest = np.max(np.abs(of_expected))
         assert largest > 0
         np.testing.assert_allclose(of_found, of_expected, rtol=1e-6, atol=1e-6 * largest)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bushing", "lubricated"])
+def test_a_run_is_differentiated_by_all_of_its_numbers(name):
+    """Some ninety rows: more than fit in the arrays that kernels take."""
+    numbers, scene = ravel_pytree(jax.tree.map(jnp.asarray, sj.gallery.four_bar(cases.FOUR_BAR_MODELS[name])))
+
+    def height(numbers):
+        return sj.simulate(scene(numbers), TS, rtol=1e-9).position("rocker")[-1, 2]
+
+    slopes = jax.jit(jax.jacfwd(height))(numbers)
+    assert numbers.size > 80
+    assert np.all(np.isfinite(slopes))
+    at = int(jnp.argmax(jnp.abs(slopes * numbers)))
+    step = 1e-5 * jnp.abs(numbers[at]) * jnp.eye(numbers.size)[at]
+    difference = (height(numbers + step) - height(numbers - step)) / (2 * step[at])
+    assert slopes[at] == pytest.approx(float(difference), rel=1e-5)
 
 
 def test_what_is_observed_is_what_xla_makes_of_it(monkeypatch):

@@ -38,6 +38,10 @@ LARGEST_JOINED = 2048
 """Entries of an array that a kernel may make, at most: it cannot change one in place, as XLA itself does with samples
 and steps that a loop writes down, but copies it."""
 
+LARGEST_SUMMED = 1024
+"""Entries of an array that a kernel may sum up, at most. XLA hands large sums to a library (YNNPACK), also within a
+function that is to be one kernel, and then has no way to write it: of 4,840 entries, not of 2,080 (jaxlib 0.10.2)."""
+
 LARGEST_PART = 64
 """Entries of an array that is passed on as a part of a vector, at most."""
 
@@ -50,6 +54,10 @@ _JOINED = (ELEMENTWISE | STRUCTURAL | {
 }) - {"scatter"}  # fmt: skip
 """Operations that a kernel may have. Of others XLA calls a library, or has no way to write them into a function: they
 stand alone, and so does what has an effect."""
+
+
+_SUMMED = frozenset(["reduce_and", "reduce_or", "reduce_max", "reduce_min", "reduce_sum", "reduce_prod", "dot_general"])
+"""Operations that may be handed to a library where they are large."""
 
 
 def in_few_kernels(function: Callable) -> Callable:
@@ -83,6 +91,8 @@ def _joins(equation: Any) -> bool:
     if equation.effects or _calls(equation):
         return False
     if any(getattr(out.aval, "size", 0) > LARGEST_JOINED for out in equation.outvars):
+        return False
+    if equation.primitive.name in _SUMMED and any(a.aval.size > LARGEST_SUMMED for a in equation.invars):
         return False
     if equation.primitive.name == "scatter":  # in one place: to XLA an update of a slice
         return math.prod(equation.invars[1].aval.shape[:-1]) == 1
