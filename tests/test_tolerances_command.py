@@ -26,7 +26,7 @@ def asked(monkeypatch):
     def of(*words):
         found = []
 
-        def study(options, build, spreads):
+        def study(options, build, spreads, observables):
             found.append((options, build, spreads))
             raise Asked
 
@@ -130,3 +130,37 @@ def test_methods_of_many_runs(capsys, tmp_path, method, runs, said):
         method, [None, None]
     )
     assert list(tmp_path.glob("*.png"))
+
+
+SHORT = ("--tolerance", "stiffness=+-20%", "--t1", "0.01", "--samples", "3")
+
+
+@pytest.mark.parametrize("method", ["budget", pytest.param("samples", marks=pytest.mark.slow)])
+def test_what_is_observed_is_told_in_its_unit(capsys, tmp_path, method):
+    """In the table, the file and the pictures; the check of the budget does not depend on it."""
+    quantity = {"budget": "position.rocker.z", "samples": "final position.rocker.z"}[method]
+    more = ("--method", method) if method == "budget" else ("--method", method, "--runs", "4")
+    tables, said = [], []
+    for unit in ("", " [um]"):
+        out = tmp_path / unit.strip(" []")
+        assert cli.main([*BUSHING, *SHORT, *more, "--of", f"{quantity}{unit}", "--out", str(out)]) == 0
+        said.append(capsys.readouterr().out)
+        with (out / "tolerances.csv").open() as file:
+            tables.append([*csv.reader(file)])
+    (heads, *rows), (heads_um, *rows_um) = tables
+    lengths = np.array(["[m" in head for head in heads])
+    assert np.any(lengths)
+    assert heads_um == [head.replace("[m", "[um") for head in heads]
+    factor = np.where(lengths, 1e6, 1.0)
+    np.testing.assert_allclose(np.array(rows_um, float), np.array(rows, float) * factor, rtol=1e-9)
+    told = [line for line in said[1].splitlines() if line.startswith(quantity.replace(" ", "_"))]
+    assert told
+    assert all(" um" in line for line in told)
+    assert [line for line in said[0].splitlines() if "hecked" in line] == [
+        line for line in said[1].splitlines() if "hecked" in line
+    ]
+
+
+def test_a_unit_of_another_dimension_is_refused_before_the_work(capsys):
+    assert cli.main([*BUSHING, *SHORT, "--of", "position.rocker.z [N]"]) == 2
+    assert "a length [m] is expected" in capsys.readouterr().err

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
 from spherejax.command_line.scene_numbers import UnitOf, number_at, require_quantities, unit_of_option, units_in
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
-from spherejax.command_line.shown import Wanted
+from spherejax.command_line.shown import sensitivities_in_units
 from spherejax.command_line.sweep import builder
 
 DESCRIPTION = """\
@@ -100,23 +99,12 @@ def find_sensitivities(options: argparse.Namespace) -> int:
         rtol=options.rtol,
         solver=SOLVERS[options.solver]() if options.solver else None,
     )
-    result = _told(result, asked)
+    result = sensitivities_in_units(result, asked)
     print(result)
     if folder is not None:
         make_folder(folder)
         _write(result, folder, options.overwrite)
     return 0
-
-
-def _told(result: sj.Sensitivities, asked: Sequence[Wanted]) -> sj.Sensitivities:
-    """Observables in the units in which they were asked for."""
-    units = {one.name: one for one in asked}
-    shown = [(column, units[column.name].shown(column.unit)) for column in result.columns]
-    columns = [
-        replace(column, unit=how.unit, values=column.values / how.factor, slopes=column.slopes / how.factor)
-        for column, how in shown
-    ]
-    return replace(result, columns=tuple(columns))
 
 
 def _parameters(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from spherejax.files.units import PURE, UnitError, factor_of, unit_in
@@ -10,6 +11,8 @@ from spherejax.foundations.errors import SceneError
 
 if TYPE_CHECKING:
     import xarray
+
+    import spherejax as sj
 
 
 class Shown(NamedTuple):
@@ -80,3 +83,14 @@ def wanted(text: str) -> Wanted:
 def in_units(dataset: xarray.Dataset, shown: Mapping[str, Shown]) -> xarray.Dataset:
     """The result of a sweep with its parameters in the units in which they are told."""
     return dataset.assign_coords({key: one.of(dataset[key]) for key, one in shown.items()})
+
+
+def sensitivities_in_units(found: sj.Sensitivities, asked: Sequence[Wanted]) -> sj.Sensitivities:
+    """Derivatives with what is observed in the units in which it was asked for."""
+    units = {one.name: one for one in asked}
+    shown = [(column, units[column.name].shown(column.unit)) for column in found.columns]
+    columns = [
+        replace(column, unit=how.unit, values=column.values / how.factor, slopes=column.slopes / how.factor)
+        for column, how in shown
+    ]
+    return replace(found, columns=tuple(columns))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,7 @@ from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
-from spherejax.command_line.shown import Shown, shown_in
+from spherejax.command_line.shown import Shown, Wanted, sensitivities_in_units, shown_in
 from spherejax.files.number_texts import NumberError, number_in
 from spherejax.files.units import UnitError, in_si
 
@@ -73,8 +75,9 @@ def add_tolerances(commands) -> None:
         action="append",
         required=True,
         metavar="QUANTITY",
-        help='what is observed: with the budget along time, "position.rocker.z"; with the other methods as of a sweep, '
-        '"final position.rocker", "peak reaction.coupler_rocker", "onsets.coupler_rocker"; may be repeated',
+        help='what is observed, in a unit in brackets if wanted: with the budget along time, "position.rocker.z [mm]"; '
+        'with the other methods as of a sweep, "final position.rocker", "peak reaction.coupler_rocker [kN]", '
+        '"onsets.coupler_rocker"; may be repeated',
     )
     what.add_argument("--method", choices=METHODS, default="budget", help="how it is found (default: budget)")
     what.add_argument(
@@ -123,7 +126,7 @@ def find_tolerances(options: argparse.Namespace) -> int:
     found = chosen(options)
     scene = found.scene(options)
     numbers = _numbers(options, found, scene)
-    require_quantities(scene, options.observables)
+    asked = require_quantities(scene, options.observables, units=True)
     spreads = _spreads(options, numbers, scene)  # which takes long to import: names have been judged
 
     def build(**values) -> sj.Scene:
@@ -132,21 +135,44 @@ def find_tolerances(options: argparse.Namespace) -> int:
             made = numbers[key].changed(made, value)
         return made
 
-    result = _study(options, build, spreads)
+    result = _in_units(_study(options, build, spreads, [*dict.fromkeys(one.name for one in asked)]), asked)
     print(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.ToleranceBudget) else result)
     if folder is not None:
         _write(result, folder, options.overwrite)
     return 0
 
 
-def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any]) -> Any:
+def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any], observables: list[str]) -> Any:
     ts = np.linspace(0.0, options.t1, number_of_samples(options.samples))
     how = {"rtol": options.rtol, "solver": SOLVERS[options.solver]() if options.solver else None}
     if options.method == "budget":
-        return sj.tolerance_budget(build, spreads, ts, observables=options.observables, **how)
+        return sj.tolerance_budget(build, spreads, ts, observables=observables, **how)
     n = RUNS[options.method] if options.runs is None else options.runs
     study = sj.sobol_indices if options.method == "sobol" else sj.monte_carlo
-    return study(build, spreads, ts, record=options.observables, n=n, seed=options.seed, **how)
+    return study(build, spreads, ts, record=observables, n=n, seed=options.seed, **how)
+
+
+def _in_units(result: Any, asked: Sequence[Wanted]) -> Any:
+    """The result with what is observed in the units in which it was asked for."""
+    from spherejax.studies.sweep.records import TAKEN
+    from spherejax.studies.uncertainty.outputs import outputs_of
+
+    units = {one.name: one for one in asked}
+    if isinstance(result, sj.ToleranceBudget):
+        found = sensitivities_in_units(result.sensitivities, asked)
+        parts = []
+        for part, column in zip(result.parts, found.columns, strict=True):
+            factor = units[column.name].shown(part.column.unit).factor
+            scaled = {name: getattr(part, name) / factor for name in ("effects", "deviation", "worst")}
+            parts.append(replace(part, column=column, **scaled))
+        return replace(result, sensitivities=found, parts=tuple(parts))
+    runs = result.runs
+    named = zip([name for name in runs.data_vars if name not in TAKEN], units.values(), strict=True)
+    told = {name: one.shown(runs[name].attrs.get("units", "")).of(runs[name]) for name, one in named}
+    if isinstance(result, sj.SobolIndices):  # shares have no unit: it has only been judged
+        return result
+    runs = runs.assign(told)
+    return replace(result, runs=runs, outputs=tuple(outputs_of(runs)))
 
 
 def _numbers(options: argparse.Namespace, found: Chosen, scene: sj.Scene) -> dict[str, Number]:
