@@ -83,6 +83,8 @@ def test_control_comes_back_at_once(tmp_path, monkeypatch):
     is_over = threading.Event()
     monkeypatch.setattr(crew, "compiled_for", lambda *_: None)
     began = []
+    # A shell starts what runs in its background with this signal ignored, and Python leaves it so.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def slow_chunk(*_):
         began.append(time.monotonic())
@@ -97,6 +99,7 @@ def test_control_comes_back_at_once(tmp_path, monkeypatch):
         assert time.monotonic() - began[0] < 30
     finally:
         is_over.set()
+        signal.signal(signal.SIGINT, before)
     assert "0 of 2 runs are in" in caught.value.__notes__[0]
     assert "goes on from there" in caught.value.__notes__[0]
 
