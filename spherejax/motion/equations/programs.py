@@ -40,6 +40,13 @@ and 7 us, 71,000 in 144 s and 138 us, for then they do not fit in the caches of 
 these compiles in 2 s, and takes 6, 10 and 27 us."""
 
 
+LARGEST_COMPUTED = 60_000
+"""Scalar operations up to which a program is made that is computed once and not compiled.
+
+It takes 60 us to make one of them; the array code of a film that is pressed to its wall (20,000) takes 11 s to compile,
+operation by operation."""
+
+
 class Program:
     """A function of a system as a callable `program(theta, t, y)`.
 
@@ -56,6 +63,7 @@ class Program:
         y_size: Sizes,
         n_ahead: int,
         is_quiet: bool,
+        largest: int = LARGEST_SCALAR_PROGRAM,
     ):
         self.function = function
         self.structure = structure
@@ -64,7 +72,7 @@ class Program:
         if use_scalars is False:
             return
         try:
-            limit = None if use_scalars else LARGEST_SCALAR_PROGRAM
+            limit = None if use_scalars else largest
             self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit)
         except TooManyOperations:
             self.too_large = True
@@ -132,6 +140,7 @@ def program_for(
     n_ahead: int = 1,
     *,
     is_quiet: bool = False,
+    largest: int = LARGEST_SCALAR_PROGRAM,
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -139,14 +148,15 @@ def program_for(
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
         use_scalars: True makes a scalar program of any size, False keeps the array code, None makes a scalar program of
-            up to `LARGEST_SCALAR_PROGRAM` operations.
+            up to `largest` operations.
         y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
         n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
 
     Other args:
         is_quiet: say nothing where a law has no scalar program.
+        largest: operations up to which a scalar program is made without being asked for.
     """
-    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet)
+    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet, largest)
 
 
 @lru_cache(maxsize=256)

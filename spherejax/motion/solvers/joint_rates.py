@@ -21,7 +21,7 @@ from spherejax.motion.equations.constraints import (
     solve_augmented,
 )
 from spherejax.motion.equations.loads import applied_wrenches, by_body
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import LARGEST_COMPUTED, program_for
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.joints.spherical import PlacedSpherical
@@ -92,7 +92,8 @@ def _rates_in_clearance(structure: Structure, numbers: bytes) -> np.ndarray:
 @lru_cache(maxsize=1024)
 def _rates_under_load(structure: Structure, numbers: bytes, patience: float) -> np.ndarray:
     theta = np.frombuffer(numbers)
-    found = program_for(pressed_actions, structure).compute(theta, 0.0, _described(structure, theta))
+    program = program_for(pressed_actions, structure, largest=LARGEST_COMPUTED)
+    found = program.compute(theta, 0.0, _described(structure, theta))
     decay = np.max(np.abs(np.linalg.eigvals(np.nan_to_num(found.decays))), axis=-1)
     frequency = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.nan_to_num(found.squares))), axis=-1))
     decay, frequency = decay.max(axis=1), frequency.max(axis=1)
