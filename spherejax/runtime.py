@@ -1,4 +1,4 @@
-"""What must be set before JAX's backend starts: 64-bit numbers, three compiler flags, a folder for programs.
+"""What must be set before JAX's backend starts: 64-bit numbers, four compiler flags, a folder for programs.
 
 The first flag lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
 does so for tiny loops only. The second lets one fusion have several outputs. Together with the scalar program of
@@ -7,6 +7,9 @@ LAPACK or multiplies matrices inside the loop.
 
 A third one lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which
 takes a tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse.
+
+The fourth keeps XLA from handing sums and products of matrices to a library (YNNPACK). It does so also within what is
+to be one kernel (`foundations.few_kernels`), and then cannot write it (jaxlib 0.10).
 
 Compiled programs are kept in the user's cache folder, so that the next process need not compile them again.
 """
@@ -31,6 +34,7 @@ _LOOP_OPTIONS = (
     "xla_cpu_use_multi_output_fusion",
 )
 _VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
+_LIBRARY = "--xla_cpu_experimental_ynn_fusion_type"
 
 
 class ConfigurationWarning(UserWarning):
@@ -236,14 +240,23 @@ def _with_flags(flags: str) -> str:
     words = flags.split()
     if _VECTOR_WIDTH not in flags:
         words.append(f"{_VECTOR_WIDTH}=512")
+    if _LIBRARY not in flags and _knows_library():
+        words.append(f"{_LIBRARY}=")
     missing = ",".join(option for option in _LOOP_OPTIONS if option.split("=")[0] not in flags)
     if not missing:
-        return flags if _VECTOR_WIDTH in flags else " ".join(words)
+        return flags if words == flags.split() else " ".join(words)
     for position, word in enumerate(words):
         if word.startswith(_BACKEND_OPTION):
             words[position] = f"{word},{missing}"
             return " ".join(words)
     return " ".join([*words, _BACKEND_OPTION + missing])
+
+
+def _knows_library() -> bool:
+    """Whether XLA has the flag: one that it does not know ends the process."""
+    from importlib.metadata import version
+
+    return tuple(map(int, version("jaxlib").split(".")[:2])) == (0, 10)
 
 
 def _backend_started() -> bool:
