@@ -18,7 +18,7 @@ from spherejax.motion.equations.loads import applied_wrenches, joint_loads
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.integrate import Parameters
-from spherejax.motion.solvers.implicit import hooks_of
+from spherejax.motion.solvers.implicit import systems_of
 from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.state import unpack
 
@@ -579,10 +579,10 @@ def test_linear_systems_of_stiff_methods_hold_the_friction(law):
     theta, t, gamma_h = jnp.asarray(theta), jnp.zeros(()), 1e-3
     y = jnp.asarray(displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 1, 0.0))
     rate = program_for(dynamics.state_rate, structure)
-    jacobian, factorize = hooks_of(structure)
+    systems = systems_of(structure)
     rhs = jnp.asarray(np.random.default_rng(1).normal(size=y.shape))
-    at, _ = jacobian(t, y, Parameters(theta, rate.ahead(theta)))
-    k = np.asarray(factorize(at, jnp.asarray(gamma_h))[0](rhs))
+    at, _ = systems.jacobian(t, y, Parameters(theta, rate.ahead(theta)))
+    k = np.asarray(systems.factorize(at, jnp.asarray(gamma_h))[0](rhs))
     J = np.asarray(jax.jacfwd(lambda y: rate(theta, t, y))(y))
     expected = np.linalg.solve(np.eye(len(y)) - gamma_h * J, rhs)
     np.testing.assert_allclose(k, expected, atol=1e-7 * np.max(np.abs(expected)))

@@ -1,6 +1,7 @@
 """The linear systems of Rosenbrock steps in a mechanism's own structure: exact, sparse, differentiable."""
 
 import cases
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,11 +9,15 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.foundations import machine_code
+from spherejax.foundations.few_kernels import in_few_kernels
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.implicit_rows import solver_of_rows
 from spherejax.motion.integration.integrate import Parameters, as_ideal
-from spherejax.motion.solvers.implicit import hooks_of, with_structure
+from spherejax.motion.integration.sensitivity_rows import RowParameters, linearized
+from spherejax.motion.solvers.implicit import systems_of, with_structure
 from spherejax.motion.start.assembly import assemble_now
 
 MODELS = {
@@ -79,12 +84,12 @@ def test_structured_solution_equals_the_dense_one(name):
     structure, theta = flatten_system(system)
     theta, t = jnp.asarray(theta), jnp.asarray(0.01)
     rate = program_for(state_rate, structure)
-    jacobian, factorize = hooks_of(structure)
+    systems = systems_of(structure)
 
     @jax.jit
     def structured(y, rhs):
-        at, _ = jacobian(t, y, Parameters(theta, rate.ahead(theta)))
-        solve, regular = factorize(at, jnp.asarray(GAMMA_H))
+        at, _ = systems.jacobian(t, y, Parameters(theta, rate.ahead(theta)))
+        solve, regular = systems.factorize(at, jnp.asarray(GAMMA_H))
         return solve(rhs), regular
 
     def dense(y, rhs):
@@ -108,7 +113,7 @@ def test_derivative_by_time_of_a_driven_mechanism():
     rate = program_for(state_rate, structure)
     y = states_of(system)[1]
     args = Parameters(jnp.asarray(theta), rate.ahead(jnp.asarray(theta)))
-    by_time = jax.jit(lambda t: hooks_of(structure)[0](t, y, args)[1])(0.01)
+    by_time = jax.jit(lambda t: systems_of(structure).jacobian(t, y, args)[1])(0.01)
     step = 1e-6
     differences = (rate(theta, 0.01 + step, y) - rate(theta, 0.01 - step, y)) / (2 * step)
     assert float(jnp.max(jnp.abs(by_time))) > 1.0
@@ -143,7 +148,7 @@ def test_derivatives_pass_through_the_structured_solve():
     scene = four_bar(sj.Bushing(law=sj.VectorElastomer(1e5, 1e-3)))
     system = compile_scene(scene).system
     structure, theta = flatten_system(system)
-    jacobian, factorize = hooks_of(structure)
+    systems = systems_of(structure)
     y = states_of(system)[1]
     rng = np.random.default_rng(2)
     theta, rhs = jnp.asarray(theta), jnp.asarray(rng.normal(size=y.shape))
@@ -151,8 +156,9 @@ def test_derivatives_pass_through_the_structured_solve():
     theta_dot, y_dot = 1e-2 * theta * rng.normal(size=theta.shape), 1e-2 * jnp.asarray(rng.normal(size=y.shape))
 
     def moved(s):
-        at, _ = jacobian(jnp.zeros(()), y + s * y_dot, Parameters(theta + s * theta_dot, ()))
-        return factorize(at, GAMMA_H * (1 + s))[0](rhs * (1 + 2 * s))
+        numbers = theta + s * theta_dot
+        at, _ = systems.jacobian(jnp.zeros(()), y + s * y_dot, Parameters(numbers, systems.rate.ahead(numbers)))
+        return systems.factorize(at, GAMMA_H * (1 + s))[0](rhs * (1 + 2 * s))
 
     along = jax.jit(lambda s: jax.jvp(moved, (s,), (1.0,)))  # one program for the values and the derivative
     h = 1e-3
@@ -170,3 +176,57 @@ def test_only_rosenbrock_methods_without_a_jacobian_get_the_structure():
     assert with_structure(explicit, structure) is explicit
     assert with_structure(own, structure) is own
     assert with_structure(sj.Rodas4P(), structure).jacobian is not None
+
+
+STEPS = [
+    *((method, "film", n_rows) for method in (sj.Rodas5P, sj.Rodas4P, sj.Ros34PW2) for n_rows in (0, 2)),
+    *((sj.Rodas5P, "film", n_rows) for n_rows in (1, 3, 9)),
+    *((method, "pushed", n_rows) for method in (sj.Rodas5P, sj.Ros34PW2) for n_rows in (0, 2)),
+    *((sj.Rodas5P, name, n_rows) for name in ("ideal", "bristles", "friction in a joint") for n_rows in (0, 2)),
+    *((sj.Ros34PW2, name, 2) for name in ("bristles", "bushing")),
+]
+"""Methods, models and numbers of sensitivities whose steps are made in one call, and stage by stage."""
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "n_rows"),
+    [pytest.param(*step, marks=[] if step[1] == "film" and step[2] < 3 else [pytest.mark.slow]) for step in STEPS],
+)
+@pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
+def test_a_step_in_one_call_is_that_of_the_loop(method, name, n_rows):
+    """State, sensitivities, error estimate and dense output; time, numbers and state all matter."""
+    models = {**MODELS, "pushed": sj.Lubricated(1e-4), "friction in a joint": sj.Ideal(sj.Threlfall(), 0.01)}
+    forces = {"push": Push("rocker", 3.0)} if name == "pushed" else {}
+    system = compile_scene(four_bar(models[name], forces=forces)).system
+    structure, theta = flatten_system(system)
+    rate, theta = program_for(state_rate, structure), jnp.asarray(theta)
+    y = states_of(system)[0]
+    t0, h = jnp.asarray(0.3), jnp.asarray(1e-5)
+    mixed = np.random.default_rng(0).normal(size=(n_rows, theta.size + y.size))
+    theta_dot, y_dot = 1e-2 * theta * mixed[:, : theta.size], 1e-3 * jnp.asarray(mixed[:, theta.size :])
+    term = diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y))
+
+    def step(theta, y):
+        if not n_rows:
+            parameters, solver = Parameters(theta, rate.ahead(theta)), with_structure(method(), structure)
+            found = solver.step(term, t0, t0 + h, y, parameters, None, jnp.array(False))
+        else:
+            value, slopes = linearized(lambda theta: Parameters(theta, rate.ahead(theta)), theta, theta_dot)
+            rows = jnp.concatenate([y[None], y_dot])
+            solver = solver_of_rows(method(), structure, rate)
+            parameters = RowParameters(value, slopes, None)
+            found = solver.step(term, t0, t0 + h, rows, parameters, None, jnp.array(False))
+        return found[0], found[1], found[2]["bends"]
+
+    expected = jax.jit(step)(theta, y)
+    with machine_code.wanted(), machine_code.listened() as codes:
+        found = jax.jit(in_few_kernels(step))(theta, y)
+        traced = str(jax.make_jaxpr(lambda *given: step(*given))(theta, y))
+    assert codes()
+    assert "rosenbrock_stages" in traced
+    begin = jnp.concatenate([y[None], y_dot])
+    size = 1e-9 * np.max(np.abs(jnp.atleast_2d(expected[0]) - begin), axis=1)  # of rounding, in what cancels
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(
+            jnp.atleast_2d(one) / size[:, None], jnp.atleast_2d(other) / size[:, None], 1e-7, 1.0
+        )

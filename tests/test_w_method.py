@@ -14,7 +14,7 @@ from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.integrate import Parameters
-from spherejax.motion.solvers.implicit import hooks_of, inexact_hooks_of, with_structure
+from spherejax.motion.solvers.implicit import inexact_systems_of, systems_of, with_structure
 from spherejax.motion.solvers.low_rank import inexact_product, solve_inexact_stage
 from spherejax.motion.solvers.rosenbrock_tableaus import ROS34PW2
 
@@ -262,7 +262,7 @@ def test_what_is_left_out_is_not_stiff(name):
 def test_a_system_with_bristles_keeps_the_exact_matrix():
     model = sj.Dry(clearance=1e-4, friction=sj.LuGre())
     structure, _ = flatten_system(compile_scene(sj.gallery.four_bar(model)).system)
-    assert inexact_hooks_of(structure) is hooks_of(structure)
+    assert inexact_systems_of(structure) is systems_of(structure)
 
 
 # Steps of a mechanism

@@ -81,7 +81,7 @@ def _calls(equation: Any) -> bool:
     """Whether machine code is called in an operation."""
     if equation.primitive.name == "straight_line":
         return is_called(equation.params["line"], equation.params["lanes"])
-    if equation.primitive.name == "stages":
+    if equation.primitive.name in ("stages", "rosenbrock_stages"):
         return True
     return any(_calls(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
 

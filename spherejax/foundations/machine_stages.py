@@ -20,6 +20,19 @@ from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from spherejax.foundations import machine_code
+from spherejax.foundations.machine_lines import (
+    TURN,
+    add_scaled,
+    call_of,
+    lanes_for,
+    listed,
+    loaded,
+    room_for,
+    spread_out,
+    stored,
+    turned,
+    zeroed,
+)
 from spherejax.foundations.machine_text import LANES_AT_A_TIME, Text, head
 from spherejax.foundations.scalar_graph import BOOL, FLOAT
 from spherejax.foundations.straight_line import StraightLine
@@ -42,7 +55,7 @@ def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
 
 
 def _size(size: int, shape: tuple[int, ...]) -> int:
-    return size if len(shape) == 1 else size * (1 + _lanes(shape[0] - 1))
+    return size if len(shape) == 1 else size * (1 + lanes_for(shape[0] - 1))
 
 
 def stages(
@@ -103,11 +116,6 @@ def stages_with_rows(
     return k
 
 
-def _lanes(n_rows: int) -> int:
-    """Lanes for so many rows: vectors of three or five numbers are taken to pieces."""
-    return n_rows if n_rows <= 2 else 4 if n_rows <= 4 else -(-n_rows // LANES_AT_A_TIME) * LANES_AT_A_TIME
-
-
 class _Method(NamedTuple):
     """Place of t among the arguments of f, and the tableau."""
 
@@ -152,7 +160,7 @@ def _text(line: StraightLine, rows: _Rows | None, method: _Method) -> str:
     """The function that XLA calls: what it is given and gives has rows first, where the stages have lanes last."""
     declared, inner, n_arguments = _stages_text(line, rows, method)
     before, after, pointers = [], [], [*(f"%a{i}" for i in range(n_arguments)), "%r0"]
-    width = _lanes(rows.n) if rows else 0
+    width = lanes_for(rows.n) if rows else 0
     if rows is not None and width > 1:
         n, n_values = len(method.instants), int(line.outputs[0].size)
         inner += TURN
@@ -164,27 +172,27 @@ def _text(line: StraightLine, rows: _Rows | None, method: _Method) -> str:
         for i, size in enumerate(tangents, first):
             pointers[i] = f"%lanes{i}"
             before += [
-                _memory(f"%lanes{i}", size * width),
-                _zeros(f"%lanes{i}", size * width),
-                _turn("in", f"%a{i}", f"%lanes{i}", 0, size, rows.n, width),
+                room_for(f"%lanes{i}", size * width),
+                zeroed(f"%lanes{i}", size * width),
+                turned("in", f"%a{i}", f"%lanes{i}", 0, size, rows.n, width),
             ]
         pointers[_STATE], pointers[-1] = "%state", "%k"
-        before += [_memory("%state", n_values * (1 + width)), _zeros("%state", n_values * (1 + width))]
-        before.append(_turn("in", "%a4", "%state", n_values, n_values, rows.n, width))
-        before.append(_memory("%k", n * n_values * (1 + width)))
+        before += [room_for("%state", n_values * (1 + width)), zeroed("%state", n_values * (1 + width))]
+        before.append(turned("in", "%a4", "%state", n_values, n_values, rows.n, width))
+        before.append(room_for("%k", n * n_values * (1 + width)))
         for i in range(n):
             before += [
                 f"  %k{i} = getelementptr inbounds double, ptr %k, i64 {i * n_values * (1 + width)}",
                 f"  %r{i}.row = getelementptr inbounds double, ptr %r0, i64 {i * n_values * (1 + rows.n)}",
             ]
-            after.append(_turn("out", f"%k{i}", f"%r{i}.row", n_values, n_values, rows.n, width))
+            after.append(turned("out", f"%k{i}", f"%r{i}.row", n_values, n_values, rows.n, width))
     new_line = "\n"
     return f"""\
 {new_line.join(sorted(declared))}
 {inner}
 {head(n_arguments, 1)}
 {new_line.join(before)}
-{_called("stages", pointers)}{new_line.join(after)}
+{call_of("stages", pointers)}{new_line.join(after)}
   ret ptr null
 }}
 """
@@ -193,57 +201,20 @@ def _text(line: StraightLine, rows: _Rows | None, method: _Method) -> str:
 _STATE = 4
 """Place of y among the arguments of the stages; before it are t, h, bend and the number of stages."""
 
-TURN = "".join(
-    f"""
-define internal void @turn.{way}(ptr %from, ptr noalias %to, i64 %before, i64 %size, i64 %n, i64 %width) nounwind {{
-start:
-  %bytes = mul i64 %before, 8
-  call void @llvm.memcpy.p0.p0.i64(ptr %to, ptr %from, i64 %bytes, i1 false)
-  %f = getelementptr inbounds double, ptr %from, i64 %before
-  %t = getelementptr inbounds double, ptr %to, i64 %before
-  br label %row
-row:
-  %r = phi i64 [0, %start], [%r.next, %row.end]
-  %r.begin = mul i64 %r, %size
-  br label %entry
-entry:
-  %e = phi i64 [0, %row], [%e.next, %entry]
-  %at.rows = add i64 %r.begin, %e
-  %e.begin = mul i64 %e, %width
-  %at.lanes = add i64 %e.begin, %r
-  %p = getelementptr inbounds double, ptr %f, i64 %at.{source}
-  %q = getelementptr inbounds double, ptr %t, i64 %at.{target}
-  %x = load double, ptr %p
-  store double %x, ptr %q
-  %e.next = add i64 %e, 1
-  %e.done = icmp sge i64 %e.next, %size
-  br i1 %e.done, label %row.end, label %entry
-row.end:
-  %r.next = add i64 %r, 1
-  %r.done = icmp sge i64 %r.next, %n
-  br i1 %r.done, label %end, label %row
-end:
-  ret void
-}}
-"""
-    for way, source, target in (("in", "rows", "lanes"), ("out", "lanes", "rows"))
-)
-"""Functions that copy some numbers, and what follows in rows into lanes or back."""
-
 
 def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method) -> tuple[set[str], str, int]:
     """What is to be declared, functions (`stages` has pointers to all arguments, and to k), the number of arguments."""
     at, coefficients, instants = method
-    n, n_values, width = len(instants), int(line.outputs[0].size), _lanes(rows.n) if rows else 0
+    n, n_values, width = len(instants), int(line.outputs[0].size), lanes_for(rows.n) if rows else 0
     size = n_values * (1 + width)
     rate = Text(line, (), (0,) * (len(line.shapes) + len(line.given)))
     declared, inner = rate.written_inside("rate")
     numbers = (f"%a{i}" for i in itertools.count(_STATE + 1))
     pointers = ["%time" if i == at else "%moved" if i == at + 1 else next(numbers) for i in range(rate.n_arguments)]
     made = [f"%made{i}" for i in range(1, len(line.outputs))]
-    calls = _called("rate", [*pointers, "%change", *made])
+    calls = call_of("rate", [*pointers, "%change", *made])
     memory = [
-        _memory(name, output.size, "i8" if line.dtype(output) == BOOL else "double")
+        room_for(name, output.size, "i8" if line.dtype(output) == BOOL else "double")
         for name, output in zip(made, line.outputs[1:], strict=True)
     ]
     if rows is not None:
@@ -252,7 +223,7 @@ def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method) -> tup
         declared, inner = declared | more, inner + along
         state = _place_of_state(rows, method)
         moving = ["%moved.rows" if i == state else next(numbers) for i in range(len(rows.line.shapes))]
-        calls += _called("along", [*moving, *made, "%change.rows"])
+        calls += call_of("along", [*moving, *made, "%change.rows"])
     n_arguments = rate.n_arguments + 3 + (sum(rows.moves) if rows else 0)
     chunks = [(begin, min(LANES_AT_A_TIME, size - begin)) for begin in range(0, size, LANES_AT_A_TIME)]
 
@@ -262,14 +233,14 @@ def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method) -> tup
     new_line = "\n"
     arguments = ", ".join(f"ptr noalias %a{i}" for i in range(n_arguments))
     text = f"""\
-@coefficients = private constant [{n * n} x double] [{_numbers(x for row in coefficients for x in row)}]
-@instants = private constant [{n} x double] [{_numbers(instants)}]
+@coefficients = private constant [{n * n} x double] [{listed(x for row in coefficients for x in row)}]
+@instants = private constant [{n} x double] [{listed(instants)}]
 {inner}
 define internal void @stages({arguments}, ptr noalias %r0) nounwind {{
 work:
-{_memory("%time", 1)}
-{_memory("%moved", size)}
-{_memory("%change", size)}
+{room_for("%time", 1)}
+{room_for("%moved", size)}
+{room_for("%change", size)}
   %moved.rows = getelementptr inbounds double, ptr %moved, i64 {n_values}
   %change.rows = getelementptr inbounds double, ptr %change, i64 {n_values}
 {new_line.join(memory)}
@@ -278,7 +249,7 @@ work:
   %bend = load double, ptr %a2
   %n = load i64, ptr %a3
   call void @llvm.memset.p0.i64(ptr align 8 %r0, i8 0, i64 {8 * n * size}, i1 false)
-{each(lambda i, at, kind: _at(f"%y{i}", "%a4", at) + f"{chr(10)}  %begin{i} = load {kind}, ptr %y{i}, align 8")}
+{each(lambda i, at, kind: loaded(f"%begin{i}", "%a4", at, kind))}
   %some = icmp sgt i64 %n, 0
   br i1 %some, label %stage, label %end
 stage:
@@ -300,7 +271,7 @@ sum:
   br i1 %is.last, label %summed, label %sum
 summed:
 {each(lambda i, at, kind: f"  %m{i} = phi {kind} [%begin{i}, %stage], [%s{i}.next, %sum]")}
-{each(lambda i, at, kind: _at(f"%p.m{i}", "%moved", at) + f"{chr(10)}  store {kind} %m{i}, ptr %p.m{i}, align 8")}
+{each(lambda i, at, kind: stored(f"%m{i}", "%moved", at, kind))}
   %p.c = getelementptr inbounds double, ptr @instants, i64 %i
   %c = load double, ptr %p.c
   %rest = fsub double 0x3FF0000000000000, %c
@@ -334,58 +305,16 @@ def _place_of_state(rows: _Rows, method: _Method) -> int:
     return sum(rows.moves[: method.at])
 
 
-def _memory(name: str, size: int, kind: str = "double") -> str:
-    return f"  {name} = alloca [{size} x {kind}], align 64"
-
-
-def _zeros(name: str, size: int) -> str:
-    return f"  call void @llvm.memset.p0.i64(ptr {name}, i8 0, i64 {8 * size}, i1 false)"
-
-
-def _turn(way: str, source: str, target: str, n_before: int, size: int, n_rows: int, width: int) -> str:
-    return f"  call void @turn.{way}(ptr {source}, ptr {target}, i64 {n_before}, i64 {size}, i64 {n_rows}, i64 {width})"
-
-
-def _called(name: str, pointers: Sequence[str]) -> str:
-    return f"  call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})\n"
-
-
-def _numbers(values: Any) -> str:
-    return ", ".join(f"double 0x{int(np.float64(x).view(np.uint64)):016X}" for x in values)
-
-
-def _at(name: str, array: str, begin: int) -> str:
-    return f"  {name} = getelementptr inbounds double, ptr {array}, i64 {begin}"
-
-
-def _spread(name: str, value: str, kind: str) -> str:
-    width = kind[1 : kind.index(" ")]
-    return (
-        f"  {name}.one = insertelement {kind} poison, double {value}, i64 0\n"
-        f"  {name} = shufflevector {kind} {name}.one, {kind} poison, <{width} x i32> zeroinitializer"
-    )
-
-
 def _add(i: int, begin: int, kind: str) -> str:
-    return "\n".join(
-        [
-            _at(f"%p.k{i}", "%p.k", begin),
-            f"  %k{i} = load {kind}, ptr %p.k{i}, align 8",
-            _spread(f"%a{i}.wide", "%a", kind),
-            f"  %ak{i} = fmul contract {kind} %a{i}.wide, %k{i}",
-            f"  %s{i}.next = fadd contract {kind} %s{i}, %ak{i}",
-        ]
-    )
+    return f"{loaded(f'%k{i}', '%p.k', begin, kind)}\n{add_scaled(f'%s{i}.next', f'%s{i}', '%a', f'%k{i}', kind)}"
 
 
 def _keep(i: int, begin: int, kind: str) -> str:
     return "\n".join(
         [
-            _at(f"%p.f{i}", "%change", begin),
-            f"  %f{i} = load {kind}, ptr %p.f{i}, align 8",
-            _spread(f"%h{i}.wide", "%length", kind),
+            loaded(f"%f{i}", "%change", begin, kind),
+            spread_out(f"%h{i}.wide", "%length", kind),
             f"  %hf{i} = fmul {kind} %h{i}.wide, %f{i}",
-            _at(f"%p.to{i}", "%p.to", begin),
-            f"  store {kind} %hf{i}, ptr %p.to{i}, align 8",
+            stored(f"%hf{i}", "%p.to", begin, kind),
         ]
     )

@@ -137,6 +137,14 @@ class ScalarProgram:
             in_vectors = True
         return self._line("rest", in_vectors), ahead
 
+    def line_called(self) -> StraightLine:
+        """All of it."""
+        return self._line("whole")
+
+    def lines_ahead_and_inside(self) -> tuple[StraightLine | None, StraightLine]:
+        """What goes ahead, in vectors, None for nothing; and the rest, which takes these."""
+        return self._line("first", True) if self._ahead else None, self._line("rest", True)
+
     def slopes_inside(self, ahead: tuple[Array, ...], slopes: tuple[Array | None, ...]) -> tuple[Array | None, ...]:
         """Derivatives of what was evaluated ahead, as the line of `line_inside` takes it.
 

@@ -22,8 +22,15 @@ import jax.numpy as jnp
 
 from spherejax.model.system import Structure
 from spherejax.motion.equations.programs import Program
-from spherejax.motion.solvers.implicit import with_structure
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock, Ros34PW2, RosenbrockInterpolation, linearize_dense
+from spherejax.motion.solvers.implicit import LinearSystems, systems_for, with_structure
+from spherejax.motion.solvers.rosenbrock import (
+    AbstractRosenbrock,
+    Ros34PW2,
+    RosenbrockInterpolation,
+    linearize_dense,
+    solve_one_by_one,
+    step_from,
+)
 from spherejax.motion.solvers.traits import is_linearly_implicit
 
 
@@ -33,10 +40,12 @@ class DifferentiatedRosenbrock(diffrax.AbstractAdaptiveSolver):
     Attributes:
         own: the method on the state alone, with the system's linear algebra.
         rate: right-hand side of the state (static).
+        systems: that linear algebra (static); None where it has none of its own.
     """
 
     own: AbstractRosenbrock
     rate: Program = eqx.field(static=True)
+    systems: LinearSystems | None = eqx.field(static=True)
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = RosenbrockInterpolation
@@ -57,6 +66,11 @@ class DifferentiatedRosenbrock(diffrax.AbstractAdaptiveSolver):
         """All rows at `t1`, their error estimates, and what the dense output needs."""
         del terms, solver_state
         t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
+        if self.systems is not None:
+            tableau = self.own.tableau
+            stages = self.systems.stages_of_rows(tableau, t0, t1 - t0, y0, args.value, args.slopes)
+            if stages is not None:
+                return (*step_from(tableau, stages, y0, jnp.array(True)), None, diffrax.RESULTS.successful)
         term = diffrax.ODETerm(lambda t, y, numbers: self.rate.inside(numbers.theta, numbers.ahead, t, y))
 
         def of_state(numbers, y):
@@ -97,7 +111,12 @@ def solver_of_rows(solver: Any, structure: Structure, rate: Program) -> Any:
     """The method that integrates the state and its sensitivities; an explicit one is the same."""
     if not is_linearly_implicit(solver):
         return solver
-    return DifferentiatedRosenbrock(with_structure(solver, structure), rate)
+    systems = systems_for(solver, structure)
+    if systems is None:
+        return DifferentiatedRosenbrock(solver, rate, None)
+    return DifferentiatedRosenbrock(
+        _with_hooks(solver, systems.jacobian, systems.factorize_differentiated), rate, systems
+    )
 
 
 def rows_with_fixed_matrix(solver: Any, structure: Structure, rate: Program) -> Any:
@@ -117,6 +136,7 @@ def rows_with_fixed_matrix(solver: Any, structure: Structure, rate: Program) -> 
     def factorize(matrix_and_shape, gamma_h):
         matrix, shape = matrix_and_shape
         solve, is_regular = own.factorize(matrix, gamma_h)
+        solve = solve_one_by_one(solve)
         return lambda rhs: jax.vmap(solve)(rhs.reshape(shape)).ravel(), is_regular
 
     return _with_hooks(own, jacobian, factorize)
@@ -131,7 +151,7 @@ def solver_with_fixed_matrix(solver: AbstractRosenbrock, structure: Structure, r
 
     def factorize(matrix, gamma_h):
         solve, is_regular = own.factorize(matrix, gamma_h)
-        return _linear(solve), is_regular
+        return _linear(solve_one_by_one(solve)), is_regular
 
     return _with_hooks(own, jacobian, factorize)
 

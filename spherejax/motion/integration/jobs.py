@@ -144,8 +144,9 @@ class JobKind:
         def controller_of(numbers: Numbers):
             return controller_for(self.structure, *(tolerances if numbers.tolerances is None else numbers.tolerances))
 
+        solver = eqx.combine(arrays, self.solver)
         problem = LaneProblem(
-            with_structure(eqx.combine(arrays, self.solver), self.structure),
+            with_structure(solver, self.structure),
             controller_of,
             lambda t, y, numbers: rate.inside(numbers.theta, numbers.ahead, t, y),
             correction_for(plan),
@@ -160,9 +161,9 @@ class JobKind:
             alone_in_machine_code=in_machine_code(plan, self.solver),
             program=rate.scalar,
         )
-        return self._of_rows(problem, rate) if self.with_rows else problem
+        return self._of_rows(problem, solver, rate) if self.with_rows else problem
 
-    def _of_rows(self, problem: LaneProblem, rate) -> LaneProblem:
+    def _of_rows(self, problem: LaneProblem, solver: Any, rate) -> LaneProblem:
         """The same for the state and its sensitivities."""
         watch, usual = problem.watch, slack_of(self.solver)
 
@@ -170,7 +171,7 @@ class JobKind:
             return usual if numbers.slack is None else numbers.slack
 
         return problem._replace(
-            solver=solver_of_rows(problem.solver, self.structure, rate),
+            solver=solver_of_rows(solver, self.structure, rate),
             controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack(numbers)),
             slack_of=slack,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
@@ -272,23 +273,14 @@ def _rest(controller) -> Any:
     return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
 
 
-def is_made_in_a_lane(plan: Plan, options: Options) -> bool:
-    """Whether `run_of` takes a lane, where that can be.
-
-    A run of a Rosenbrock method whose numbers are all known goes by diffrax: alone it gains nothing in a lane.
-    """
-    is_alone = not plan.unknown and not isinstance(options.solver, diffrax.AbstractERK)
-    return not is_alone and can_be_a_job(plan.structure, options)
-
-
 def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`: in a lane or by diffrax, as `is_made_in_a_lane` says. `jax.vmap` of a lane is a queue of runs."""
+    """As `integrate`: in a lane where it can be, else by diffrax. `jax.vmap` of a lane is a queue of runs."""
     return bound_run(plan, options, values, known, ts, start, values_are_legal)()
 
 
 def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
     """`run_of` these arguments, to be called again and again."""
-    if is_made_in_a_lane(plan, options):
+    if can_be_a_job(plan.structure, options):
         return integrated.bound(plan, _Request.of(options), values, known, ts, start, values_are_legal)
     return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
 

@@ -22,7 +22,7 @@ from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivit
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
-from spherejax.motion.integration.jobs import bound_run, can_be_a_job, is_made_in_a_lane
+from spherejax.motion.integration.jobs import bound_run, can_be_a_job
 from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call
@@ -170,7 +170,7 @@ def _call(
         raise SceneError(BESIDE_THE_MOTION)
     if own_control:
         # diffrax's own loop has no better one to begin with; see `LandingController.init`.
-        by_trial = by_sensitivities and is_made_in_a_lane(plan, options)
+        by_trial = by_sensitivities and can_be_a_job(plan.structure, options)
         said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol)]

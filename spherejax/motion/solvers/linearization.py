@@ -156,9 +156,9 @@ class Pattern(NamedTuple):
         """Sums of the directions of each color; a direction that changes nothing is in none."""
         return np.eye(self.n_colors)[self.color].T * np.any(self.nonzero, axis=0)
 
-    def expand(self, changes: Float[Array, "n_colors n_rows"]) -> Float[Array, "n_rows n_directions"]:
+    def expand(self, changes: Float[Array, "n_rows n_colors"]) -> Float[Array, "n_rows n_directions"]:
         """The matrix of derivatives, from those along the seeds."""
-        return changes[self.color].T * self.nonzero
+        return changes[:, self.color] * self.nonzero
 
 
 def pattern_of(structure: Structure, change: Program) -> Pattern | None:
@@ -214,7 +214,7 @@ def stage_solver(pattern: Pattern):
         state = unpack(layout, y)
         motions = body_motions(system, state)
         constraints = constraint_set(system, t, motions)
-        by_direction = pattern.expand(changes.reshape(pattern.n_colors, -1))
+        by_direction = pattern.expand(changes.reshape(-1, pattern.n_colors))
         by_position, by_x = by_direction[:, :n_v], by_direction[:, n_v:]
         positions = [_position_elimination(system, state, i, h) for i in range(layout.n_bodies)]
         slaved = _block_diagonal([p.direction_by_velocity for p in positions])

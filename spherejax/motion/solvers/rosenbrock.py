@@ -9,7 +9,7 @@ order with any.
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -25,6 +25,23 @@ from spherejax.motion.solvers.rosenbrock_tableaus import RODAS4P, RODAS5P, ROS34
 
 Vector = Float[Array, " n"]
 LinearSolve = Callable[[Vector], Vector]
+
+
+class SolveOfStages(NamedTuple):
+    """The linear systems of a step whose stages can be made all at once.
+
+    Attributes:
+        one_by_one: () -> the solver of (I - gamma h J) x = rhs.
+        all_stages: (tableau, t0, dt, h, y, slope) -> what `stages_in_turn` returns.
+    """
+
+    one_by_one: Callable[[], LinearSolve]
+    all_stages: Callable[..., Float[Array, "s n"]]
+
+
+def solve_one_by_one(solve: LinearSolve | SolveOfStages) -> LinearSolve:
+    """The solver of a step's linear systems."""
+    return solve.one_by_one() if isinstance(solve, SolveOfStages) else solve
 
 
 def factorize_dense(jacobian: Float[Array, "n n"], gamma_h: Scalar) -> tuple[LinearSolve, Flag]:
@@ -94,7 +111,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
 
     tableau: eqx.AbstractClassVar[RosenbrockTableau]
     jacobian: eqx.AbstractVar[Callable[[Scalar, PyTree, Any], tuple[Any, Array]] | None]
-    factorize: eqx.AbstractVar[Callable[[Any, Scalar], tuple[LinearSolve, Flag]]]
+    factorize: eqx.AbstractVar[Callable[[Any, Scalar], tuple[Any, Flag]]]
     tangents_per_pass: eqx.AbstractVar[int]
 
     tolerates_inexact_jacobian: ClassVar[bool] = False
@@ -139,13 +156,14 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
 
         J, f_t = self._linearize(rate, t0, y, h, y0, args)
         solve, regular = self.factorize(J, self.tableau.gamma * h)
-        stages = self._stages(rate, solve, t0, t1 - t0, h, y, f_t)
+        slope = h * (t1 - t0).astype(y.dtype) * f_t
+        if isinstance(solve, SolveOfStages):
+            stages = solve.all_stages(self.tableau, t0, t1 - t0, h, y, slope)
+        else:
+            stages = stages_in_turn(self.tableau, rate, solve, t0, t1 - t0, h, y, slope)
 
-        y1 = y + _combine(self.tableau.b, stages)
-        valid = regular & jnp.all(jnp.isfinite(stages))
-        error = jnp.where(valid, _combine(self.tableau.e, stages), jnp.inf)
-        bends = tuple(unravel(_combine(row, stages)) for row in self.tableau.H)
-        dense = dict(y0=y0, y1=unravel(y1), bends=bends)
+        y1, error, dense = step_from(self.tableau, stages, y, regular)
+        dense = dict(y0=y0, y1=unravel(y1), bends=tuple(map(unravel, dense["bends"])))
         return unravel(y1), unravel(error), dense, None, RESULTS.successful
 
     def _linearize(
@@ -165,37 +183,61 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
         J, f_t = self.jacobian(direction.astype(t0.dtype) * t0, y0, args)
         return J, direction * f_t
 
-    def _stages(
-        self,
-        rate: Callable[[Scalar, Vector], Vector],
-        solve: LinearSolve,
-        t0: Scalar,
-        dt: Scalar,
-        h: Scalar,
-        y: Vector,
-        f_t: Vector,
-    ) -> Float[Array, "s n"]:
-        """All stages k_i; the loop holds one copy of the vector field and of the solve, which halves compile time.
 
-        `dt` is the step in the time that diffrax runs over (never negative), `h` the signed one.
-        """
-        gamma = self.tableau.gamma
-        slope = h * dt.astype(y.dtype) * f_t
+def step_from(
+    tableau: RosenbrockTableau, stages: Float[Array, "s *size"], y: Float[Array, "*size"], regular: Flag
+) -> tuple[Array, Array, dict[str, Any]]:
+    """The state at the end of a step, its error estimate, and what the dense output needs.
 
-        def stage(stages: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
-            i, A_i, C_i, c_i, d_i = row
-            f_i = rate(t0 + c_i * dt, y + _combine(A_i, stages))
-            rhs = h * f_i + _combine(C_i, stages) + d_i.astype(y.dtype) * slope
-            return stages.at[i].set(gamma * solve(rhs)), None
-
-        n_stages = self.tableau.n_stages
-        rows = (jnp.arange(n_stages), self.tableau.A, self.tableau.C, self.tableau.c, self.tableau.d)
-        return lax.scan(stage, jnp.zeros((n_stages, *y.shape), y.dtype), jax.tree.map(jnp.asarray, rows))[0]
+    Args:
+        tableau: of the method.
+        stages: all of them.
+        y: state at the start.
+        regular: whether they could be solved for.
+    """
+    y1 = y + _combine(tableau.b, stages)
+    valid = regular & jnp.all(jnp.isfinite(stages))
+    error = jnp.where(valid, _combine(tableau.e, stages), jnp.inf)
+    return y1, error, dict(y0=y, y1=y1, bends=tuple(_combine(row, stages) for row in tableau.H))
 
 
-def _combine(weights: ArrayLike, stages: Float[Array, "s n"]) -> Vector:
+def stages_in_turn(
+    tableau: RosenbrockTableau,
+    rate: Callable[[Scalar, Vector], Vector],
+    solve: LinearSolve,
+    t0: Scalar,
+    dt: Scalar,
+    h: Scalar,
+    y: Vector,
+    slope: Vector,
+) -> Float[Array, "s n"]:
+    """All stages k_i; the loop holds one copy of the vector field and of the solve, which halves compile time.
+
+    Args:
+        tableau: of the method.
+        rate: the vector field.
+        solve: of (I - gamma h J) x = rhs.
+        t0: start of the step [s].
+        dt: the step in the time that diffrax runs over (never negative) [s].
+        h: the signed one [s].
+        y: state at the start.
+        slope: h dt df/dt0.
+    """
+
+    def stage(stages: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
+        i, A_i, C_i, c_i, d_i = row
+        f_i = rate(t0 + c_i * dt, y + _combine(A_i, stages))
+        rhs = h * f_i + _combine(C_i, stages) + d_i.astype(y.dtype) * slope
+        return stages.at[i].set(tableau.gamma * solve(rhs)), None
+
+    rows = (jnp.arange(tableau.n_stages), tableau.A, tableau.C, tableau.c, tableau.d)
+    return lax.scan(stage, jnp.zeros((tableau.n_stages, *y.shape), y.dtype), jax.tree.map(jnp.asarray, rows))[0]
+
+
+def _combine(weights: ArrayLike, stages: Float[Array, "s *n"]) -> Float[Array, "*n"]:
     """sum_i weights_i stages_i, without a `dot`: one could keep the time loop from being one function."""
-    return jnp.sum(jnp.asarray(weights, stages.dtype)[:, None] * stages, axis=0)
+    wide = jnp.asarray(weights, stages.dtype).reshape(-1, *(1 for _ in stages.shape[1:]))
+    return jnp.sum(wide * stages, axis=0)
 
 
 @final

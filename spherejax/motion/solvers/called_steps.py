@@ -1,0 +1,228 @@
+"""The stages of a Rosenbrock step on a mechanism as one call of machine code, with and without sensitivities.
+
+What is called, one after the other: the frozen accelerations and multipliers, the derivatives of the residuals, the
+factors (`linearization`); then, for each stage, the right-hand side and the elimination. Of sensitivities, each of
+these that depends on the state has its derivative beside it, over lanes; the derivative of the matrix times k is
+
+    (dJ/dy Y + dJ/dp) k = S(c', k),
+
+bilinear in k and in the derivatives c' of the coefficients that J k is linear in k with: these are the same in all
+stages, and are evaluated once.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations import machine_code
+from spherejax.foundations.machine_rosenbrock import (
+    BEGIN_ROWS,
+    FOUND,
+    MOVED,
+    MOVED_ROWS,
+    RIGHT,
+    TIME,
+    Part,
+    RosenbrockMethod,
+    Rows,
+    Steps,
+    can_be_called,
+    made,
+    made_by_rate,
+    over_lanes,
+    rosenbrock_stages,
+    rows_of,
+)
+from spherejax.foundations.scalar_graph import FLOAT
+from spherejax.foundations.straight_line import StraightLine
+from spherejax.motion.equations.programs import Program
+
+T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6
+"""Arguments of the call: t, h, y, slope, theta, gamma h, others, what the right-hand side has evaluated ahead; then
+what has an axis of rows."""
+
+
+def called_whole(program: Program) -> StraightLine:
+    """All of a scalar program as one line."""
+    assert program.scalar is not None
+    return program.scalar.line_called()
+
+
+class CalledStep(NamedTuple):
+    """What is called in a step, and what it is given besides the caller's numbers.
+
+    Attributes:
+        steps: what is called.
+        rate: the right-hand side.
+        others: given.
+    """
+
+    steps: Steps
+    rate: Program
+    others: tuple[Float[np.ndarray, " n"], ...]
+
+    def __call__(self, tableau: Any, theta, ahead, gamma_h, start: tuple, slopes: Any = None) -> Array:
+        """All stages, from (t, h, h, y, slope)."""
+        t, h, _, y, slope = start
+        scalar = self.rate.scalar
+        assert scalar is not None
+        given = [theta, gamma_h, *map(jnp.asarray, self.others), *scalar.line_inside(ahead)[1]]
+        if slopes is not None:
+            along = scalar.slopes_inside(ahead, slopes.ahead)
+            given += [slopes.theta, *(x for x in along if x is not None)]
+        return rosenbrock_stages(self.steps._replace(method=RosenbrockMethod.of(tableau)), t, h, y, slope, *given)
+
+
+@dataclass(frozen=True)
+class Called:
+    """How a step's linear systems are made and solved by calls.
+
+    Attributes:
+        stage: what solves one of them.
+        ahead: what is evaluated before it.
+        known: where what it reads of that is found.
+        others: what else is given.
+        product: what J k is the derivative of, and where its arguments are found; None for the right-hand side.
+        place: of its argument that k is a tangent of.
+    """
+
+    stage: Program
+    ahead: tuple[tuple[Program, tuple[int | str, ...], int], ...]
+    known: tuple[str, ...]
+    others: tuple[Float[np.ndarray, " n"], ...]
+    product: tuple[Program, tuple[int, ...]] | None
+    place: int
+
+    @classmethod
+    def exact(cls, stage: Program, frozen: Program, change: Program, seeds: Float[np.ndarray, "k n"]) -> "Called":
+        """With the derivatives of the residuals along seeds."""
+        wide = len(seeds) if len(seeds) > 1 else 0
+        along = THETA, T, Y, made(0, 0), made(0, 1), OTHER
+        ahead = (frozen, (THETA, T, Y), 0), (change, along, wide)
+        return cls(stage, ahead, (made(1, 0),), (np.ascontiguousarray(seeds.T) if wide else seeds[0],), None, 2)
+
+    @classmethod
+    def inexact(cls, stage: Program, product: Program) -> "Called":
+        """With a matrix that a program multiplies by."""
+        # What it is multiplied with does not matter to what follows from the rest; a vector of its size is at hand.
+        return cls(stage, (), (), (), (product, (THETA, T, Y, Y)), 3)
+
+    def step(self, rate: Program, ahead: Any, size: int, slopes: Any = None) -> CalledStep | None:
+        """What is called in a step of a state of a size; None where it cannot be.
+
+        Args:
+            rate: the right-hand side.
+            ahead: what it has evaluated ahead.
+            size: of the state.
+            slopes: derivatives of its numbers, of `ahead` too, for a step of sensitivities.
+        """
+        programs = [rate, self.stage, *(program for program, *_ in self.ahead)]
+        programs += [] if self.product is None else [self.product[0]]
+        if not machine_code.is_on() or any(program.scalar is None for program in programs):
+            return None
+        assert rate.scalar is not None
+        assert self.stage.scalar is not None
+        line, ahead = rate.scalar.line_inside(ahead)
+        parts = [
+            Part(
+                called_whole(program),
+                sources,
+                (wide,) if wide else (),
+                (*(0 for _ in sources[1:]), 1) if wide else (),
+            )
+            for program, sources, wide in self.ahead
+        ]
+        first, rest = self.stage.scalar.lines_ahead_and_inside()
+        leading = THETA, T, Y, GAMMA_H, *self.known
+        factors = []
+        if first is not None:
+            factors = [made(len(parts), i) for i in range(len(first.outputs))]
+            parts.append(Part(first, leading))
+        begin = OTHER + len(self.others)
+        of_rate = tuple(range(begin, begin + len(ahead)))
+        solve = Part(rest, (*leading, RIGHT, *factors))
+        steps = Steps(tuple(parts), Part(line, (THETA, TIME, MOVED, *of_rate)), solve)
+        if slopes is not None:
+            sizes = {THETA: slopes.theta.shape[1]}
+            sizes |= {place: x.size for place, x in zip(of_rate, ahead, strict=True) if x.dtype == FLOAT}
+            tangents = _Tangents(slopes.theta.shape[0], sizes, begin + len(ahead))
+            product = (line, (THETA, T, Y, *of_rate)) if self.product is None else self._product()
+            steps = tangents.beside(steps, *product, self.place)
+        return CalledStep(steps, rate, self.others) if can_be_called(steps, size) else None
+
+    def _product(self) -> tuple[StraightLine, tuple[int, ...]]:
+        assert self.product is not None
+        program, sources = self.product
+        return called_whole(program), sources
+
+
+class _Tangents:
+    """Parts that make the tangents of what other parts make.
+
+    Args:
+        n: how many there are.
+        sizes: by argument of the call that has tangents, how many numbers it is.
+        begin: place of the first of these tangents among the arguments.
+    """
+
+    def __init__(self, n: int, sizes: dict[int, int], begin: int):
+        self.n = n
+        self.places = {argument: begin + i for i, argument in enumerate(sizes)}
+        self.given = tuple((self.places[argument], size) for argument, size in sizes.items())
+
+    def beside(self, steps: Steps, product: StraightLine, sources: tuple[int, ...], place: int) -> Steps:
+        """What is done in a step with sensitivities.
+
+        Args:
+            steps: without.
+            product: what J k is the derivative of.
+            sources: of its arguments.
+            place: of the one that k is a tangent of.
+        """
+        moves = [source == MOVED or source in self.places for source in steps.rate.sources]
+        rate = steps.rate.line.derivative(tuple(moves))
+        found = [made_by_rate(i) for i in range(1, len(rate.values.outputs))]
+        along = self._part(rate.slopes, compress(steps.rate.sources, moves), found)
+        ahead, bends = self._change_of_product(product, sources, place, len(steps.ahead))
+        again = [f"{RIGHT}.rows" if source == RIGHT else source for source in steps.solve.sources]
+        wide = [source == RIGHT for source in steps.solve.sources]
+        solve = over_lanes(steps.solve.line, again, wide, self.n)
+        rows = Rows(self.n, self.given, along, bends, solve, GAMMA_H)
+        return Steps((*steps.ahead, *ahead), Part(rate.values, steps.rate.sources), steps.solve, None, rows)
+
+    def _change_of_product(
+        self, line: StraightLine, sources: tuple[int, ...], place: int, at: int
+    ) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
+        """What is evaluated ahead, as parts from `at` on, and in each stage, of the derivative of J k at fixed k."""
+        # J k is linear in k with coefficients that follow from the numbers and the state: these and their tangents...
+        linear = line.derivative(tuple(i == place for i in range(len(sources))))
+        state = sources.index(Y)  # another one stands for the vector
+        moves = [source in self.places or i == state for i, source in enumerate(sources)]
+        bent = linear.values.derivative(tuple(moves))
+        n_own, n_values = len(line.outputs), len(linear.values.outputs)
+        found = [made(at, i) for i in range(n_values, len(bent.values.outputs))]
+        tangents = self._part(bent.slopes, compress(sources, moves), found)
+        follow = bent.follows[n_own:]
+        if not any(follow):
+            return (), ()
+        # ... and it is linear in the coefficients too.
+        product = linear.slopes.derivative((False, *follow))
+        order = [*compress(range(n_values), bent.follows)]
+        given = [made(at + 1, order.index(i)) for i in range(n_own, n_values) if bent.follows[i]]
+        found = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
+        wide = [*(True for _ in given), *(False for _ in found)]
+        change = over_lanes(product.slopes, [*given, *found], wide, self.n)
+        values = Part(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
+        return (Part(bent.values, sources), tangents), (values, change)
+
+    def _part(self, line: StraightLine, moving: Iterable[int | str], found: Sequence[str]) -> Part:
+        """The tangents that a line makes of those of the arguments that move, with coefficients that were found."""
+        names: dict[int | str, str] = {argument: rows_of(place) for argument, place in self.places.items()}
+        names |= {Y: BEGIN_ROWS, MOVED: MOVED_ROWS}
+        given = [names[source] for source in moving]
+        return over_lanes(line, [*given, *found], [*(True for _ in given), *(False for _ in found)], self.n)
