@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import version
 
 import diffrax
 import jax.numpy as jnp
@@ -99,6 +100,9 @@ def test_flags_of_the_user_are_kept():
     mine = "--xla_backend_extra_options=my_option"
     assert _with_flags(mine).startswith(mine + ",xla_cpu_small_while_loop_byte_threshold=")
     assert _with_flags(_with_flags(mine)) == _with_flags(mine)
+    # XLA ends the process over a flag that it does not know.
+    assert ("ynn_fusion_type=" in _with_flags(mine)) == version("jaxlib").startswith("0.10.")
+    assert _with_flags("--xla_cpu_experimental_ynn_fusion_type=reduce").count("ynn") == 1
 
 
 def test_a_block_of_which_few_may_run_looks_before_it_narrows():
