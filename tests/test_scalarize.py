@@ -1,5 +1,6 @@
 """The scalar program: agreement with the array code for every case, folding, elimination, and falling back."""
 
+import itertools
 import re
 import warnings
 from typing import ClassVar
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.foundations.scalar_graph import FLOAT, Graph
+from spherejax.foundations.scalar_graph import AS_NUMPY, FLOAT, Graph, NotScalarizable
 from spherejax.foundations.scalar_solves import _minimum_degree_order
+from spherejax.foundations.scalarize import scalarize
 from spherejax.foundations.symmetric_solve import symmetric_solve
 from spherejax.model.system import flatten_system
 from spherejax.motion.equations.contacts import crossings, memory_after_step, onset_slopes, relative_motions
@@ -399,6 +401,54 @@ def test_fixed_entries_are_folded_and_not_read():
     assert operations(function, VECTOR, fixed={(0, 0): 1.0}) == {"add": 1}
     program = sj.scalarize(function, VECTOR, fixed={(0, 0): 1.0})
     assert float(program(jnp.array([np.nan, 2.0, 3.0]))) == 5.0
+
+
+ORDER = np.argsort(np.random.default_rng(0).normal(size=(4, 5, 3)), axis=1)
+
+MOVES = {
+    "rows": lambda x: x[np.array([0, 2])],
+    "entries": lambda x: x[np.array([0, 2]), :, np.array([1, 2])],
+    "entries of the middle": lambda x: x[:, np.array([[0, 1], [3, 4]])],
+    "twice": lambda x: x[np.array([0, 2])][:, np.array([1, 1, 0])],
+    "taken": lambda x: jnp.take(x, np.array([2, 0]), axis=1),
+    "in an order": lambda x: jnp.take_along_axis(x, ORDER, axis=1),
+    "clipped": lambda x: x.at[np.array([0, 9]), 2].get(mode="clip"),
+    "mapped": lambda x: jax.vmap(lambda row, i: row[i])(x, np.array([0, 1, 4, 2])),
+    "last": lambda x: x[..., -1],
+    "a part": lambda x: jax.lax.dynamic_slice(x, (1, 2, 0), (2, 2, 3)),
+    "set": lambda x: x.at[1, 2].set(x[0, 0]),
+}
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_entries_are_moved_as_jax_moves_them(name):
+    x = jnp.asarray(np.random.default_rng(1).normal(size=(4, 5, 3)))
+    np.testing.assert_array_equal(scalarize(MOVES[name], x).compute(x), MOVES[name](x))
+
+
+def test_an_entry_that_is_not_there_is_refused():
+    with pytest.raises(NotScalarizable, match="out of range"):
+        scalarize(lambda x: x.at[np.array([0, 9])].get(mode="fill", fill_value=0.0), VECTOR)
+
+
+@pytest.mark.parametrize("name", AS_NUMPY)
+def test_known_numbers_are_evaluated_as_jax_evaluates_them(name):
+    """Also those that are no numbers."""
+    function = {"max": jax.lax.max, "min": jax.lax.min, "not": jax.lax.bitwise_not, "and": jax.lax.bitwise_and,
+                "or": jax.lax.bitwise_or, "xor": jax.lax.bitwise_xor}.get(name) or getattr(jax.lax, name)  # fmt: skip
+    numbers = [np.nan, -np.inf, -1.5, -0.0, 0.0, 0.3, 1.0, 2.5, np.inf]
+    numbers = [False, True] if name in ("not", "and", "or", "xor") else numbers
+    for count in (1, 2):
+        for given in itertools.product(numbers, repeat=count):
+            arrays = [np.asarray(x) for x in given]
+            try:
+                expected = function(*map(jnp.asarray, arrays))
+            except TypeError:  # of another number of arguments
+                break
+            with np.errstate(all="ignore"):
+                found = np.asarray(AS_NUMPY[name](*arrays))
+            assert found.dtype == expected.dtype
+            np.testing.assert_allclose(found, expected, rtol=1e-14, atol=0)
 
 
 def test_known_branches_are_taken_and_unknown_ones_selected():

@@ -227,9 +227,17 @@ class Graph:
         """Any elementwise JAX primitive, evaluated now when all its arguments are constants."""
         if all(self.is_constant(a) for a in arguments):
             values = [np.asarray(self.value(a)) for a in arguments]
-            with jax.ensure_compile_time_eval():
-                return self.constant(np.asarray(primitive.bind(*values, **dict(parameters))), dtype)
+            return self.constant(self._evaluated(primitive, values, parameters), dtype)
         return self.node(primitive, arguments, dtype, parameters)
+
+    def _evaluated(self, primitive: Any, values: list, parameters: Any) -> np.ndarray:
+        """A primitive of known numbers: by NumPy where it has the same, for JAX compiles a program for each."""
+        known = AS_NUMPY.get(primitive.name)
+        if known is not None:
+            with np.errstate(all="ignore"):
+                return np.asarray(known(*values))
+        with jax.ensure_compile_time_eval():
+            return np.asarray(primitive.bind(*values, **dict(parameters)))
 
     def _folded(self, operation: str, arguments: tuple[int, ...], evaluate: Callable) -> int:
         dtype = self.dtypes[arguments[0]]
@@ -332,9 +340,7 @@ class Graph:
             return known(*arguments)
         dtypes = [self.dtypes[a] for a in self.arguments[index]]
         operands = [np.asarray(a, dtype) for a, dtype in zip(arguments, dtypes, strict=True)]
-        with jax.ensure_compile_time_eval():
-            primitive: Any = operation
-            return np.asarray(primitive.bind(*operands, **dict(self.parameters[index]))).item()
+        return self._evaluated(operation, operands, self.parameters[index]).item()
 
 
 FREE = frozenset({"constant", "input", "marked"})
@@ -361,6 +367,16 @@ EMIT: dict[str, Callable] = {
     "sqrt": lax.sqrt,
     "select": lambda predicate, on_false, on_true: lax.select_n(predicate, on_false, on_true),
 }
+
+AS_NUMPY: dict[str, Callable] = {
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
+    "max": np.maximum, "min": np.minimum, "abs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil,
+    "exp": np.exp, "exp2": np.exp2, "log": np.log, "log1p": np.log1p, "expm1": np.expm1, "tanh": np.tanh,
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "cbrt": np.cbrt, "sqrt": np.sqrt, "not": np.invert,
+    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "is_finite": np.isfinite, "neg": np.negative,
+}  # fmt: skip
+"""Functions of NumPy that are those of JAX by these names, of float64, integers and truth values."""
 
 COMPUTE: dict[str, Callable] = {
     "marked": lambda a: a,

@@ -1,8 +1,9 @@
 """The hydrodynamically lubricated joint: a film that hands over to dry contact (sections 3.3 and 4.3)."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -33,8 +34,16 @@ from spherejax.physics.memory import MemoryEntry
 _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(12))
 
 
+_served: dict[Any, bool] = {}
+
+
 def _serves_every_direction(boundary: AbstractFilmBoundary) -> bool:
-    return boundary.swept_load(jnp.zeros(3), jnp.zeros(3)) is not None
+    # Its numbers do not matter, so it is asked once, and nothing is evaluated, which would compile each operation.
+    kind = jax.tree.structure(boundary)
+    if kind not in _served:
+        vector = jax.ShapeDtypeStruct((3,), jnp.float64)
+        _served[kind] = jax.eval_shape(boundary.swept_load, vector, vector) is not None
+    return _served[kind]
 
 
 def _usual_film(boundary: AbstractFilmBoundary) -> AbstractFilm:
@@ -125,7 +134,8 @@ class Lubricated(AbstractClearanceModel):
         self.e_h1 = e_h1
         self.boundary = Guembel() if boundary is None else boundary
         self.film = _usual_film(self.boundary) if film is None else film
-        _check_film(self.film, self.boundary)
+        if film is not None:
+            _check_film(film, self.boundary)
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
         self.conformity = conformity
