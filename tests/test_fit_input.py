@@ -63,7 +63,7 @@ TABLES = {
     "a word": ("time,position.ball.x\n1,2\n\n2,two\n", "drop.csv:4: column 'position.ball.x': 'two' is no number"),
     "decimal comma": ("time;a\n1;2,5\n", "drop.csv:2: column 'a': '2,5' is no number; write 2.5"),
     "long row": ("time,a\n1,2,3\n", "drop.csv:2: 3 cells in a row, but the head .line 1. names 2 columns"),
-    "wrong unit": ("time,position.ball.x [N]\n1,2\n", "drop.csv:1: column 'position.ball.x': 'N' is a force"),
+    "wrong unit": ("time,position.ball.x [N]\n1,2\n", "drop.csv:1: column 'position.ball.x': '2 N' is a force [N], but a length [m]"),
     "no unit": (
         "time,position.ball.x [qx]\n1,2\n",
         "drop.csv:1: column 'position.ball.x': 'qx' is no unit: 'qx' is not defined",
@@ -179,7 +179,7 @@ def test_command_fits_a_scene_file_to_a_table(tmp_path, capsys):
     from spherejax.cli import main
 
     write_scene(tmp_path)
-    words = ["fit", tmp_path / "ball.toml", "--measured", tmp_path / "ball.csv", "--noise", "1e-4"]
+    words = ["fit", tmp_path / "ball.toml", "--measured", tmp_path / "ball.csv", "--noise", "0.1 mm"]
     words += ["--start", "forces.spring.stiffness", "--start", "forces.spring.damping=300 N s/km:0.01:100"]
     assert main([*map(str, words), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
@@ -210,6 +210,7 @@ COMMANDS = {
     "twice": (["--start", "ball.mass=1", "--start", "ball.mass=2"], "--start ball.mass is given twice"),
     "array": (["--start", "ball.inertia=1"], "it is an array of shape (3,); give the name alone"),
     "noise": (["--start", "ball.mass=1", "--noise", "x=1", "--noise", "2"], "give one number for all columns, or"),
+    "unit of the noise": (["--start", "ball.mass=1", "--noise", "2 N"], "--noise 2 N: '2 N' is a force [N], but a length [m]"),
     "joint": (["--start", "stiffness=1"], "--stiffness changes nothing without --joint"),
 }
 
@@ -260,7 +261,7 @@ def test_a_table_with_names_of_its_own_is_read_by_a_mapping(tmp_path):
         ({"Zeit/ms": "time [ms]", "weg": "position.ball.x"}, "there is no column 'weg'; did you mean 'Weg'"),
         ({"Weg": "position.ball.x"}, "no column is named time"),
         ({"Zeit/ms": "time [mm]", "Weg": "position.ball.x"}, "'mm' is a length"),
-        ({"Zeit/ms": "time [ms]", "Weg": "position.ball.x [N]"}, "'N' is a force"),
+        ({"Zeit/ms": "time [ms]", "Weg": "position.ball.x [N]"}, "'2 N' is a force [N], but a length [m]"),
         ({"Zeit/ms": "time [ms]", "rest": "position.ball.x"}, "'x' is no number"),
     ],
 )

@@ -62,7 +62,8 @@ def add_fit(commands) -> None:
         "--noise",
         action="append",
         metavar="[NAME=]SIGMA",
-        help="standard deviation of the errors in SI units, of all columns or of one (default: from the residuals)",
+        help='standard deviation of the errors, of all columns or of one, in SI units or as "2 um" (default: from the '
+        "residuals)",
     )
     given.add_argument(
         "--column",
@@ -120,7 +121,7 @@ def fit_scene(options: argparse.Namespace) -> int:
         _builder(found, options),
         start,
         measured,
-        noise=_noise(options),
+        noise=_noise(options, scene, measured),
         method=sj.LevenbergMarquardt(max_iterations=options.max_iterations),
         starts=options.starts,
         horizon=Whole() if options.whole else None,
@@ -239,18 +240,31 @@ def _columns(options: argparse.Namespace) -> dict[str, str] | None:
     return columns or None
 
 
-def _noise(options: argparse.Namespace) -> Any:
+def _noise(options: argparse.Namespace, scene: sj.Scene, measured: list[sj.Measured]) -> Any:
+    """Standard deviations in SI units; a unit must be one of what was measured."""
     if options.noise is None:
         return None
     if len(options.noise) == 1 and "=" not in options.noise[0]:
-        return number_of("--noise", options.noise[0], options.noise[0])
+        text = options.noise[0]
+        return {name: _deviation(text, text, name, scene) for each in measured for name in each.values}
     noise = {}
     for text in options.noise:
-        name, equals, given = text.partition("=")
+        name, equals, sigma = (part.strip() for part in text.partition("="))
         if not equals:
             raise sj.SceneError(f"--noise {text}: give one number for all columns, or NAME=SIGMA for each")
-        noise[name] = number_of("--noise", text, given)
+        noise[name] = _deviation(text, sigma, name, scene)
     return noise
+
+
+def _deviation(text: str, sigma: str, name: str, scene: sj.Scene) -> float:
+    """One of them; a name that means nothing is told by the fit, which knows all that was measured."""
+    from spherejax.motion.equations.quantities import quantity
+
+    try:
+        unit = quantity(name, sj.compile_scene(scene).system).unit
+    except sj.SceneError:
+        unit = ""
+    return number_of("--noise", text, sigma, unit)
 
 
 def _print(fitted: sj.Fit, shown: dict[str, Shown]) -> None:
