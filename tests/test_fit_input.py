@@ -1,5 +1,7 @@
 """`sj.fit`: measurements from files and data sets, and what makes no sense is refused before anything is computed."""
 
+import re
+
 import fitting
 import jax.numpy as jnp
 import numpy as np
@@ -63,7 +65,10 @@ TABLES = {
     "a word": ("time,position.ball.x\n1,2\n\n2,two\n", "drop.csv:4: column 'position.ball.x': 'two' is no number"),
     "decimal comma": ("time;a\n1;2,5\n", "drop.csv:2: column 'a': '2,5' is no number; write 2.5"),
     "long row": ("time,a\n1,2,3\n", "drop.csv:2: 3 cells in a row, but the head .line 1. names 2 columns"),
-    "wrong unit": ("time,position.ball.x [N]\n1,2\n", "drop.csv:1: column 'position.ball.x': '2 N' is a force [N], but a length [m]"),
+    "wrong unit": (
+        "time,position.ball.x [N]\n1,2\n",
+        "drop.csv:1: column 'position.ball.x': '2 N' is a force [N], but a length [m]",
+    ),
     "no unit": (
         "time,position.ball.x [qx]\n1,2\n",
         "drop.csv:1: column 'position.ball.x': 'qx' is no unit: 'qx' is not defined",
@@ -181,8 +186,10 @@ def test_command_fits_a_scene_file_to_a_table(tmp_path, capsys):
     write_scene(tmp_path)
     words = ["fit", tmp_path / "ball.toml", "--measured", tmp_path / "ball.csv", "--noise", "0.1 mm"]
     words += ["--start", "forces.spring.stiffness", "--start", "forces.spring.damping=300 N s/km:0.01:100"]
+    words += ["--report", tmp_path / "fit.html"]
     assert main([*map(str, words), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
+    assert "forces.spring.damping [N s/km]" in re.sub("<[^>]*>", "", (tmp_path / "fit.html").read_text())
     assert "forces.spring.stiffness [N/m]" in told
     assert "forces.spring.damping [N s/km]" in told
     written = {path.name for path in (tmp_path / "out").iterdir()}
@@ -210,7 +217,10 @@ COMMANDS = {
     "twice": (["--start", "ball.mass=1", "--start", "ball.mass=2"], "--start ball.mass is given twice"),
     "array": (["--start", "ball.inertia=1"], "it is an array of shape (3,); give the name alone"),
     "noise": (["--start", "ball.mass=1", "--noise", "x=1", "--noise", "2"], "give one number for all columns, or"),
-    "unit of the noise": (["--start", "ball.mass=1", "--noise", "2 N"], "--noise 2 N: '2 N' is a force [N], but a length [m]"),
+    "unit of the noise": (
+        ["--start", "ball.mass=1", "--noise", "2 N"],
+        "--noise 2 N: '2 N' is a force [N], but a length [m]",
+    ),
     "joint": (["--start", "stiffness=1"], "--stiffness changes nothing without --joint"),
 }
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from fitting import DAMPER, INSTANTS, SENSOR, SPRING, START, oscillation, oscill
 
 import spherejax as sj
 from spherejax.studies.fit import Course, Ending, Whole, problem_of
-from spherejax.studies.fit.record import Held
+from spherejax.studies.fit.record import Held, no_worse_than_starts
 
 TRUTH = {"stiffness": SPRING, "damping": DAMPER}
 
@@ -436,3 +437,47 @@ def test_pictures_are_drawn(fitted):
     np.testing.assert_allclose(line.get_ydata(), oscillation(), atol=1e-4)
     costs = figures["history"].axes[0].lines[0].get_ydata()
     assert costs[-1] == pytest.approx(2 * fitted.cost / INSTANTS.size)
+
+
+# Other minima ---------------------------------------------------------------------------------------------------------
+
+
+def gone_to(problem, name, factor) -> Course:
+    """A course that ended with a number so many times too large."""
+    u = problem.unknowns.unknowns_of({**TRUTH, name: factor * TRUTH[name]})
+    course, found = Course(), problem.evaluate(u[None])
+    course.accept(u, found.residuals[0], found.jacobians[0])
+    course.ending = Ending.CONVERGED
+    return course
+
+
+def test_no_fit_ends_worse_than_it_began(problem):
+    """Parts of a record may lead away from a start that was better."""
+    start = problem.unknowns.unknowns_of({**TRUTH, "stiffness": 1.01 * SPRING})
+    astray = gone_to(problem, "stiffness", 3.0)
+    begun = []
+
+    def minimize(us):
+        begun.append(us)
+        return sj.LevenbergMarquardt().minimize(problem, us, noise_is_known=True, watch=lambda courses: None)
+
+    (found,) = no_worse_than_starts(problem, [astray], start[None], minimize)
+    np.testing.assert_array_equal(begun, [start[None]])
+    np.testing.assert_allclose(np.exp(found.u[0]), SPRING, rtol=1e-3)
+    assert [tuple(u) for u, _ in found.others] == [tuple(start), tuple(astray.u)]
+    assert found.others[1][1] == astray.cost > found.cost
+    # A start that is worse, or failed, changes nothing.
+    good = gone_to(problem, "stiffness", 1.0)
+    (same,) = no_worse_than_starts(problem, [good], start[None], minimize)
+    assert same is good
+    assert len(begun) == 1
+
+
+def test_other_parameters_that_fit_as_well_are_named(fitted):
+    far = fitted.problem.unknowns.unknowns_of({"stiffness": 2 * SPRING, "damping": DAMPER})
+    near = fitted.u
+    for others, said in (([(far, fitted.cost + 1.0)], True), ([(far, fitted.cost + 20.0), (near, fitted.cost)], False)):
+        changed = replace(fitted, courses=[replace(fitted.best, others=others)])
+        told = [each for each in changed.warnings if "fits as well" in each]
+        assert bool(told) is said
+        assert not told or "stiffness = 400" in told[0]

@@ -134,12 +134,25 @@ def fit_scene(options: argparse.Namespace) -> int:
     if folder is not None and fitted.best.us:
         names = _write(fitted, shown, folder, found.title or found.name, pictures=not options.no_pictures)
         print(f"wrote {', '.join(names)} to {folder}")
-    write_report(options, fitted, "")
+    write_report(options, _InUnits(fitted, shown), "")
     if fitted.best.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
     if not fitted.succeeded:
         raise sj.SimulationError(fitted.diagnosis)
     return 0
+
+
+class _InUnits(NamedTuple):
+    """A fit whose page tells the estimates in the units that were given."""
+
+    fitted: sj.Fit
+    shown: dict[str, Shown]
+
+    def report_page(self, title: str, scene: sj.Scene | None) -> Any:
+        """The page that `sj.report` writes."""
+        from spherejax.studies.fit.page import page_of
+
+        return page_of(self.fitted, title, scene, self.shown)
 
 
 class Begin(NamedTuple):

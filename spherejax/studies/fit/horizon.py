@@ -19,7 +19,7 @@ import numpy as np
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.fit.methods import Course, Ending, Method
 from spherejax.studies.fit.problem import Problem
-from spherejax.studies.fit.record import Held, Watching, of_the_whole
+from spherejax.studies.fit.record import Held, Watching, no_worse_than_starts, of_the_whole
 
 SMALLEST_SIZE = 1e-6
 """Residuals below this share of what was measured are errors of the runs: measurements without noise have no less."""
@@ -106,7 +106,10 @@ class _Growth:
         """Through the record, then the whole."""
         try:
             u = self._grown()
-            return self.fitted(self.problem, u).after(self.gone, np.inf)
+            found = self.fitted(self.problem, u).after(self.gone, np.inf)
+            start = self.start[None]
+            return no_worse_than_starts(self.problem, [found], start, lambda u: [self.fitted(self.problem, u[0])])[0]
+
         except KeyboardInterrupt:
             if self.gone is None:
                 raise

@@ -40,6 +40,7 @@ def warnings_of(fit) -> list[str]:
     return [
         *found,
         *_starts(fit),
+        *_elsewhere(fit),
         *_misfit(fit),
         *_lost(fit),
         *_bounds(fit),
@@ -76,6 +77,26 @@ def _starts(fit) -> list[str]:
             f"{elsewhere} of {len(fit.courses)} starts ended at other parameters with the same cost: the data do not "
             "tell them apart (see fit.starts)"
         )
+    return found
+
+
+def _elsewhere(fit) -> list[str]:
+    """Other parameters that the data do not rule out, though they lie outside the intervals."""
+    if not fit.best.others:
+        return []
+    from scipy import stats  # half a second, which not every process has to spend
+
+    known, found = fit.knowledge, []
+    bar = stats.chi2.ppf(fit.level, known.values.size)
+    low, high = known.intervals(fit.level).T
+    for u, cost in fit.best.others:
+        values = fit.problem.unknowns.flat_values_of(u)
+        if 2 * (cost - fit.cost) / known.variance < bar and np.any((values < low) | (values > high)):
+            where = ", ".join(f"{name} = {x:.6g}" for name, x in zip(fit.problem.unknowns.names, values, strict=True))
+            found.append(
+                f"{where} fits as well (half the sum of squares {cost:.4g}, against {fit.cost:.4g}) and lies outside "
+                "the intervals: they are those of one minimum among several. Give bounds, or starts=, or measure more"
+            )
     return found
 
 

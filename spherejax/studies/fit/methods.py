@@ -49,6 +49,7 @@ class Course:
         n_failed: runs that did not reach their end.
         diagnosis: why the last of these failed.
         was_rejected: whether the last step was taken back.
+        others: unknowns elsewhere that were looked at with the whole record, and half the sums of squares there.
     """
 
     us: list[np.ndarray] = field(default_factory=list)
@@ -61,6 +62,7 @@ class Course:
     n_failed: int = 0
     diagnosis: str = ""
     was_rejected: bool = False
+    others: list[tuple[np.ndarray, float]] = field(default_factory=list)
 
     @property
     def u(self) -> np.ndarray:

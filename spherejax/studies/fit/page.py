@@ -1,5 +1,6 @@
 """The report of a fit as a page."""
 
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -7,16 +8,17 @@ import numpy as np
 from spherejax.model.scene import Scene
 from spherejax.motion.runs.many import built
 from spherejax.output.report.page import Page, Picture, Table, Text
-from spherejax.studies.fit.report import deviation_of, headline, report
+from spherejax.studies.fit.report import Units, deviation_of, headline, report
 
 
-def page_of(fit, title: str, scene: Scene | None) -> Page:
+def page_of(fit, title: str, scene: Scene | None, units: Units = MappingProxyType({})) -> Page:
     """Estimates, what the data do not determine, figures, the fitted motions, numbers used.
 
     Args:
         fit: the fit.
         title: the heading.
         scene: whose numbers are listed; that of the first experiment at the estimates when None.
+        units: in which estimates are told; in SI units, and none is named, where nothing is said.
     """
     from spherejax.output.report.of_runs import add_motion, add_sources, add_versions, cautions_of
 
@@ -25,13 +27,13 @@ def page_of(fit, title: str, scene: Scene | None) -> Page:
     page = Page(title or f"Fit of {names}", verdict)
     page.failed += [] if fit.succeeded else fit.diagnosis.splitlines() or ["no minimum was found"]
     if not fit.best.us:
-        page.add("The fit", Text(report(fit).splitlines(), fixed=True))
+        page.add("The fit", Text(report(fit, units).splitlines(), fixed=True))
         add_versions(page)
         return page
     page.cautions += [*fit.warnings, *(each.explanation for each in fit.undetermined)]
     page.cautions += [f"{name}: {said}" for name, run in fit.runs.items() for said in cautions_of(run)]
-    page.add("Estimates", Text([headline(fit)]), _estimates(fit))  # what else `print(fit)` says stands on top
-    page.add("Measurements", _measurements(fit), _starts(fit))
+    page.add("Estimates", Text([headline(fit)]), _estimates(fit, units))  # what else `print(fit)` says stands on top
+    page.add("Measurements", _measurements(fit), _starts(fit, units))
     page.add("Figures", *(Picture(figure, f"{name}, {names}") for name, figure in fit.figures(title).items()))
     add_motion(page, fit.runs, scene)
     first = fit.problem.experiments[0].measured
@@ -39,14 +41,15 @@ def page_of(fit, title: str, scene: Scene | None) -> Page:
     return page
 
 
-def _estimates(fit) -> Table:
-    known = fit.knowledge
-    rows = [
-        (name, f"{value:.8g}", *deviation_of(value, deviation), f"{low:.6g}", f"{high:.6g}")
-        for name, value, deviation, (low, high) in zip(
-            fit.names, known.values, known.standard_deviations, known.intervals(fit.level), strict=True
-        )
-    ]
+def _estimates(fit, units: Units) -> Table:
+    known, rows = fit.knowledge, []
+    for name, value, deviation, (low, high) in zip(
+        fit.names, known.values, known.standard_deviations, known.intervals(fit.level), strict=True
+    ):
+        unit, factor = units.get(name, ("", 1.0))
+        value, deviation, low, high = (each / factor for each in (value, deviation, low, high))
+        head = f"{name} [{unit}]" if unit else name
+        rows.append((head, f"{value:.8g}", *deviation_of(value, deviation), f"{low:.6g}", f"{high:.6g}"))
     level = f"{100 * fit.level:g} %"
     heads = ("parameter", "estimate", "standard deviation", "percent", f"{level} from", f"{level} to")
     return Table(heads, rows, numeric=True)
@@ -66,9 +69,13 @@ def _measurements(fit) -> Table:
     return Table(("experiment", "what was measured", "values", "from [s]", "to [s]"), rows)
 
 
-def _starts(fit) -> Table:
+def _starts(fit, units: Units) -> Table:
+    def told(name: str, value: Any) -> str:
+        unit, factor = units.get(name, ("", 1.0))
+        return f"{name} = {value / factor:.6g} {unit}".rstrip()
+
     def said(values: dict[str, Any] | None) -> str:
-        return "-" if values is None else ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+        return "-" if values is None else ", ".join(told(*each) for each in values.items())
 
     rows = [
         (said(one["start"]), said(one["end"]), f"{one['cost']:.6g}", one["status"], str(one["n_iterations"]))

@@ -7,6 +7,7 @@ no such minimum yet; its estimates bring the next part, twice as long, in step.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -72,7 +73,9 @@ class Grown:
             again = np.where(np.array(lost)[:, None], first, us)
             second = method.minimize(problem, again, noise_is_known=noise_is_known, watch=watch)
             found = [new if was_lost else old for new, old, was_lost in zip(second, found, lost, strict=True)]
-        return [new.after(old, np.inf) if new.us else new for new, old in zip(found, courses, strict=True)]
+        found = [new.after(old, np.inf) if new.us else new for new, old in zip(found, courses, strict=True)]
+        whole = partial(method.minimize, problem, noise_is_known=noise_is_known, watch=watch)
+        return no_worse_than_starts(problem, found, first, whole)
 
     def _ends(self, problem: Problem) -> list[float]:
         """Ends of the parts that show enough for a fit [s]."""
@@ -80,6 +83,36 @@ class Grown:
         end = max(float(each.measured.ts[-1]) for each in problem.experiments)
         ends = [begin + (end - begin) / 2**i for i in range(self.doublings, 0, -1)]
         return [each for each in ends if _shows_enough(problem, each)]
+
+
+def no_worse_than_starts(
+    problem: Problem, courses: list[Course], starts: np.ndarray, minimize: Callable[[np.ndarray], list[Course]]
+) -> list[Course]:
+    """Courses whose minima are no larger than the costs at their starts, which a short part of a record may lead away.
+
+    What was looked at elsewhere is kept in `Course.others`.
+
+    Args:
+        problem: with the whole record.
+        courses: through its parts.
+        starts: of each.
+        minimize: from some unknowns, over the whole record.
+    """
+    moved = [i for i, each in enumerate(courses) if each.us and not np.array_equal(each.u, starts[i])]
+    if not moved or any(each.ending is Ending.INTERRUPTED for each in courses):
+        return courses
+    at = problem.evaluate(starts[moved])
+    costs = {i: np.inf if bad else cost_of(r) for i, r, bad in zip(moved, at.residuals, at.failed, strict=True)}
+    worse = [i for i in moved if costs[i] < courses[i].cost]
+    again = dict(zip(worse, minimize(starts[worse]) if worse else [], strict=True))
+    found = list(courses)
+    for i in moved:
+        others, other = [(starts[i], costs[i])], again.get(i)
+        if other is not None and other.us and other.cost < courses[i].cost:
+            others.append((courses[i].u, courses[i].cost))
+            found[i] = other.after(courses[i], np.inf)
+        found[i].others = others
+    return found
 
 
 def _shows_enough(problem: Problem, end: float) -> bool:
