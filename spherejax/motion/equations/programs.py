@@ -63,7 +63,7 @@ class Program:
         y_size: Sizes,
         n_ahead: int,
         is_quiet: bool,
-        largest: int = LARGEST_SCALAR_PROGRAM,
+        largest: int | None = None,
     ):
         self.function = function
         self.structure = structure
@@ -72,7 +72,7 @@ class Program:
         if use_scalars is False:
             return
         try:
-            limit = None if use_scalars else largest
+            limit = None if use_scalars else largest or LARGEST_SCALAR_PROGRAM
             self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit)
         except TooManyOperations:
             self.too_large = True
@@ -140,7 +140,7 @@ def program_for(
     n_ahead: int = 1,
     *,
     is_quiet: bool = False,
-    largest: int = LARGEST_SCALAR_PROGRAM,
+    largest: int | None = None,
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -148,13 +148,13 @@ def program_for(
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
         use_scalars: True makes a scalar program of any size, False keeps the array code, None makes a scalar program of
-            up to `largest` operations.
+            up to `LARGEST_SCALAR_PROGRAM` operations, or up to `largest`.
         y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
         n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
 
     Other args:
         is_quiet: say nothing where a law has no scalar program.
-        largest: operations up to which a scalar program is made without being asked for.
+        largest: operations up to which a scalar program is made without being asked for; None for the usual number.
     """
     return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet, largest)
 
