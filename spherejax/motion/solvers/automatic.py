@@ -148,7 +148,7 @@ def _choice_by_joints(system: System, known_rtol: float) -> Choice:
     if not is_concrete(theta):
         resistance = {name: system.spherical(name).model.medium for name in looked_at}
         return _choice_by_models(resistance, known_rtol, may_have_both=_is_small(structure))
-    fastest = max(_rates(system, structure, theta), key=lambda rate: rate.per_second / rate.limit(known_rtol))
+    fastest = _fastest(system, structure, theta, known_rtol)
     if fastest.per_second == 0:
         return Choice(diffrax.Dopri8(), "Dopri8: no friction acts faster than its contact vibrates under load")
     limit = fastest.limit(known_rtol)
@@ -237,11 +237,13 @@ class _Rate(NamedTuple):
         return explicit_rate_limit(rtol, self.time)
 
 
-def _rates(system: System, structure: Structure, theta) -> list[_Rate]:
-    """Of all joints. A ball that floats in a film or an elastomer vibrates as it does on any mechanism; one that is
-    held to its socket by friction or a film moves as slowly as the mechanism does."""
+def _fastest(system: System, structure: Structure, theta, rtol: float) -> _Rate:
+    """The rate that decides.
+
+    A ball that floats in a film or an elastomer vibrates as it does on any mechanism; one that is held to its socket by
+    friction or a film moves as slowly as the mechanism does.
+    """
     models = {name: system.spherical(name).model for name in system.force_joints}
-    time = float(time_scale(system))
     found = []
     if any(model.medium is not None for model in models.values()):
         floating = rates_in_clearance(structure, theta)
@@ -250,14 +252,22 @@ def _rates(system: System, structure: Structure, theta) -> list[_Rate]:
             for (name, model), rate in zip(models.items(), floating, strict=True)
             if model.medium is not None
         ]
-    if any(model.has_surfaces for model in models.values()):
-        pressed = rates_under_load(structure, theta, patience=time)
-        found += [
-            _Rate(name, "resists under load", float(rate), time)
-            for name, rate in zip(models, pressed, strict=True)
-            if models[name].has_surfaces
-        ]
-    return found
+    # What acts too fast in the clearance need not be looked at under load: of a film that takes a second.
+    if not any(rate.per_second > rate.limit(rtol) for rate in found):
+        found += _rates_under_load(system, structure, theta, models)
+    return max(found, key=lambda rate: rate.per_second / rate.limit(rtol))
+
+
+def _rates_under_load(system: System, structure: Structure, theta, models: dict[str, Any]) -> list[_Rate]:
+    if not any(model.has_surfaces for model in models.values()):
+        return []
+    time = float(time_scale(system))
+    pressed = rates_under_load(structure, theta, patience=time)
+    return [
+        _Rate(name, "resists under load", float(rate), time)
+        for name, rate in zip(models, pressed, strict=True)
+        if models[name].has_surfaces
+    ]
 
 
 def stiff_method(rtol: float) -> StiffMethod:
