@@ -280,3 +280,34 @@ def test_one_by_one_is_what_it_says():
         .eqns
     }
     assert {"add", "mul", "tanh"} <= names
+
+
+@jax.custom_jvp
+def doubled(x):
+    return x + x
+
+
+@doubled.defjvp
+def doubled_jvp(primals, tangents):
+    return doubled(*primals), doubled(*tangents)
+
+
+@jax.custom_jvp
+def bent(x):
+    return jnp.sin(2 * x)
+
+
+@bent.defjvp
+def bent_jvp(primals, tangents):
+    """With a function in it that has a rule itself."""
+    return bent(*primals), doubled(jnp.cos(2 * primals[0]) * tangents[0])
+
+
+def test_rules_within_rules_are_transposed():
+    program = scalarize(lambda y: bent(y) * y[0], Y)
+    weights = jnp.array([0.3, -1.2, 2.0])[: Y.size]
+
+    def slope(function, y):
+        return jax.grad(lambda y: weights @ function(y))(y)
+
+    np.testing.assert_allclose(slope(program, Y), slope(lambda y: bent(y) * y[0], Y), rtol=1e-14)

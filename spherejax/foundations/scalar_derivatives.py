@@ -232,6 +232,8 @@ class Transposed:
             parts = [along, graph.neg(along)]
         elif operation == "neg":
             parts = [graph.neg(along)]
+        elif operation == "marked":  # what is linear is its own derivative, whichever rule it has
+            parts = [along]
         elif operation == "mul" and not all(moves):
             parts = [graph.mul(along, arguments[1]), graph.mul(along, arguments[0])]
         elif operation == "div" and not moves[1]:
