@@ -311,3 +311,6 @@ def test_rules_within_rules_are_transposed():
         return jax.grad(lambda y: weights @ function(y))(y)
 
     np.testing.assert_allclose(slope(program, Y), slope(lambda y: bent(y) * y[0], Y), rtol=1e-14)
+    for second in (jax.hessian, lambda f: lambda y: jax.grad(lambda y: weights @ jax.grad(f)(y))(y)):
+        found, expected = (second(lambda y, f=f: weights @ f(y))(Y) for f in (program, lambda y: bent(y) * y[0]))
+        np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)

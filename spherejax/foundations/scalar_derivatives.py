@@ -72,6 +72,8 @@ class Forward:
             return self._of.get(arguments[0])
         if operation == "marked":
             slope = graph.parameters[node]
+            if slope is None and node in self._linear:  # what is linear is its own derivative, whichever rule it has
+                slope = arguments[0]
             return self.slopes.node("refused", (), FLOAT) if slope is None else self._of.get(slope)
         # What is linear in tangents is followed along these: all else in it are its coefficients.
         along = self._linear if node in self._linear else None
