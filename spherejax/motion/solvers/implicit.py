@@ -68,7 +68,7 @@ class LinearSystems:
         known_at: (theta, t, y) -> known.
         product_at: linearization -> a line, the place of one of its arguments, and all of them: J k is the derivative
             of what the line gives by that argument, along k.
-        called: the same as parts of one call of machine code; None where there is none.
+        called: the same as parts of one call of machine code, where that can be.
     """
 
     rate: Program
@@ -76,7 +76,7 @@ class LinearSystems:
     by_time: Callable[..., Float[Array, " size"]] | None
     known_at: Callable[..., tuple[Array, ...]]
     product_at: Callable[[Linearization], tuple[StraightLine, int, tuple[Array, ...]]]
-    called: Called | None
+    called: Called
 
     def jacobian(self, t, y, args) -> tuple[Linearization, Float[Array, " size"]]:
         """Where the systems are those of, and df/dt there."""
@@ -85,7 +85,7 @@ class LinearSystems:
 
     def factorize(self, at: Linearization, gamma_h: Scalar):
         """The solver of the systems, and that they can be solved."""
-        step = None if self.called is None else self.called.step(self.rate, at.ahead, at.y.shape[0])
+        step = self.called.step(self.rate, at.ahead, at.y.shape[0])
         if step is None:
             return self._solver(at, gamma_h, None), jnp.array(True)
         at_once = partial(self._all_stages, step, at, gamma_h)
@@ -178,8 +178,6 @@ class LinearSystems:
             rows: the state, its sensitivities below.
             value, slopes: what the right-hand side is given (theta, ahead), and its derivatives.
         """
-        if self.called is None:
-            return None
         step = self.called.step(self.rate, value.ahead, rows.shape[1], slopes)
         if step is None:
             return None
