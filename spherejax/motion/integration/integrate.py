@@ -296,7 +296,6 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
     if not example.contact_joints:
         return without_memory(crossing_at)
     layout, n_contacts = example.layout, len(example.contact_joints)
-    slopes = program_for(onset_slopes, structure, scalar)
     update = program_for(memory_after_step, structure, scalar, (layout.size, layout.size, n_contacts))
 
     @jax.custom_jvp
@@ -305,6 +304,7 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
 
     @memory.defjvp
     def memory_jvp(primals, tangents):
+        slopes = program_for(onset_slopes, structure, scalar)  # here, for most runs have no use for it
         slope = jax.lax.stop_gradient(slopes(primals[0], primals[1], primals[3]))
 
         def with_slope(theta, t, y_start, y_end):
