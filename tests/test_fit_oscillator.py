@@ -473,6 +473,20 @@ def test_no_fit_ends_worse_than_it_began(problem):
     assert len(begun) == 1
 
 
+def test_an_interrupt_while_the_start_is_looked_at_loses_nothing(problem, monkeypatch):
+    found = gone_to(problem, "stiffness", 1.0)
+    start = problem.unknowns.unknowns_of({**TRUTH, "stiffness": 1.01 * SPRING})
+
+    def interrupted(us):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(problem, "evaluate", interrupted)
+    (kept,) = no_worse_than_starts(problem, [found], start[None], interrupted)
+    assert kept is found
+    assert kept.ending is Ending.INTERRUPTED
+    assert kept.us
+
+
 def test_other_parameters_that_fit_as_well_are_named(fitted):
     far = fitted.problem.unknowns.unknowns_of({"stiffness": 2 * SPRING, "damping": DAMPER})
     near = fitted.u

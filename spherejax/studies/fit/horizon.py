@@ -109,7 +109,6 @@ class _Growth:
             found = self.fitted(self.problem, u).after(self.gone, np.inf)
             start = self.start[None]
             return no_worse_than_starts(self.problem, [found], start, lambda u: [self.fitted(self.problem, u[0])])[0]
-
         except KeyboardInterrupt:
             if self.gone is None:
                 raise

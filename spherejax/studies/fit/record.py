@@ -101,7 +101,12 @@ def no_worse_than_starts(
     moved = [i for i, each in enumerate(courses) if each.us and not np.array_equal(each.u, starts[i])]
     if not moved or any(each.ending is Ending.INTERRUPTED for each in courses):
         return courses
-    at = problem.evaluate(starts[moved])
+    try:
+        at = problem.evaluate(starts[moved])
+    except KeyboardInterrupt:  # what has been found is kept
+        for each in courses:
+            each.ending = Ending.INTERRUPTED
+        return courses
     costs = {i: np.inf if bad else cost_of(r) for i, r, bad in zip(moved, at.residuals, at.failed, strict=True)}
     worse = [i for i in moved if costs[i] < courses[i].cost]
     again = dict(zip(worse, minimize(starts[worse]) if worse else [], strict=True))
@@ -111,6 +116,8 @@ def no_worse_than_starts(
         if other is not None and other.us and other.cost < courses[i].cost:
             others.append((courses[i].u, courses[i].cost))
             found[i] = other.after(courses[i], np.inf)
+        elif other is not None and other.ending is Ending.INTERRUPTED:
+            found[i].ending = Ending.INTERRUPTED
         found[i].others = others
     return found
 
