@@ -11,6 +11,7 @@ import pytest
 import spherejax as sj
 from spherejax.foundations import machine_code
 from spherejax.foundations.few_kernels import in_few_kernels
+from spherejax.foundations.lanes import in_lanes
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -195,6 +196,58 @@ STEPS = [
 @pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
 def test_a_step_in_one_call_is_that_of_the_loop(method, name, n_rows):
     """State, sensitivities, error estimate and dense output; time, numbers and state all matter."""
+    step, theta, y, y_dot = step_of(method, name, n_rows)
+    expected = jax.jit(step)(theta, y)
+    with machine_code.wanted(), machine_code.listened() as codes:
+        found = jax.jit(in_few_kernels(step))(theta, y)
+        traced = str(jax.make_jaxpr(lambda *given: step(*given))(theta, y))
+    assert codes()
+    assert "rosenbrock_stages" in traced
+    begin = jnp.concatenate([y[None], y_dot])
+    size = 1e-9 * np.max(np.abs(jnp.atleast_2d(expected[0]) - begin), axis=1)  # of rounding, in what cancels
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(
+            jnp.atleast_2d(one) / size[:, None], jnp.atleast_2d(other) / size[:, None], 1e-7, 1.0
+        )
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "n_rows", "n_runs"),
+    [
+        pytest.param(*case, marks=[] if case[2] < 3 and case[3] < 9 else [pytest.mark.slow])
+        for case in [
+            *((sj.Rodas5P, "film", n_rows, n_runs) for n_rows in (0, 1, 2, 3) for n_runs in (3, 9)),
+            *((sj.Rodas5P, name, 2, 11) for name in ("pushed", "bristles", "friction in a joint")),
+            (sj.Ros34PW2, "bushing", 2, 11),
+        ]
+    ],
+)
+@pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
+def test_steps_of_many_runs_in_one_call_are_those_of_each(method, name, n_rows, n_runs):
+    """Groups of runs as vectors, of which the last ones overlap; each with numbers and a state of its own."""
+    step, theta, y, y_dot = step_of(method, name, n_rows)
+    thetas = theta * (1 + 1e-3 * jnp.arange(n_runs)[:, None])
+    ys = y * (1 + 1e-7 * jnp.arange(n_runs)[:, None])
+    expected = jax.lax.map(lambda given: step(*given), (thetas, ys))
+    with machine_code.wanted(), machine_code.listened() as codes:
+        found = jax.jit(in_few_kernels(lambda *given: in_lanes(step)(*given)))(thetas.T, ys.T)
+    assert codes()
+    found = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
+    begin = jnp.concatenate([y[None], y_dot])
+    size = 1e-9 * np.max(np.abs(jnp.atleast_2d(expected[0][0]) - begin), axis=1)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        scale = size if n_rows else size[0]
+        shape = (n_runs, -1, *((len(size),) if n_rows else ()), y.size)
+        np.testing.assert_allclose(
+            one.reshape(shape) / np.reshape(scale, (-1, 1)),
+            other.reshape(shape) / np.reshape(scale, (-1, 1)),
+            1e-7,
+            1.0,
+        )
+
+
+def step_of(method, name, n_rows):
+    """A step as a function of the numbers and the state, both, and the sensitivities."""
     models = {**MODELS, "pushed": sj.Lubricated(1e-4), "friction in a joint": sj.Ideal(sj.Threlfall(), 0.01)}
     forces = {"push": Push("rocker", 3.0)} if name == "pushed" else {}
     system = compile_scene(four_bar(models[name], forces=forces)).system
@@ -218,15 +271,4 @@ def test_a_step_in_one_call_is_that_of_the_loop(method, name, n_rows):
             found = solver.step(term, t0, t0 + h, rows, parameters, None, jnp.array(False))
         return found[0], found[1], found[2]["bends"]
 
-    expected = jax.jit(step)(theta, y)
-    with machine_code.wanted(), machine_code.listened() as codes:
-        found = jax.jit(in_few_kernels(step))(theta, y)
-        traced = str(jax.make_jaxpr(lambda *given: step(*given))(theta, y))
-    assert codes()
-    assert "rosenbrock_stages" in traced
-    begin = jnp.concatenate([y[None], y_dot])
-    size = 1e-9 * np.max(np.abs(jnp.atleast_2d(expected[0]) - begin), axis=1)  # of rounding, in what cancels
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(
-            jnp.atleast_2d(one) / size[:, None], jnp.atleast_2d(other) / size[:, None], 1e-7, 1.0
-        )
+    return step, theta, y, y_dot

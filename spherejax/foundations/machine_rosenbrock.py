@@ -8,7 +8,8 @@ evaluated ahead in the same call. Tangents of the state go along, if there are s
 
     k_i' = gamma S(h f_i' + sum_j C_ij k_j' + d_i h^2 (df/dt)' + gamma h J' k_i / gamma)
 
-f_i' is what makes the tangents of f, and J' k is given by parts of its own.
+f_i' is what makes the tangents of f, and J' k is given by parts of its own. Many runs are a loop around all of this,
+over groups of them (`machine_groups`).
 """
 
 from collections.abc import Sequence
@@ -24,25 +25,27 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
 from spherejax.foundations import machine_code
+from spherejax.foundations.machine_groups import Array as Given
+from spherejax.foundations.machine_groups import Groups, function_of
 from spherejax.foundations.machine_lines import (
-    TURN,
     add_scaled,
     call_of,
-    lanes_for,
+    entry_at,
     listed,
     loaded,
     room_for,
     spread_out,
     stored,
-    turned,
-    zeroed,
 )
-from spherejax.foundations.machine_text import LANES_AT_A_TIME, Text, head
+from spherejax.foundations.machine_text import Text, widest_for
 from spherejax.foundations.scalar_graph import BOOL, FLOAT
 from spherejax.foundations.straight_line import StraightLine
 
-LARGEST_STATE = 1024
-"""Entries of a state up to which a sum over stages is kept in registers and on the stack."""
+LARGEST_STATE = 128
+"""Vectors of a state, with its rows, up to which sums over stages are kept in registers and on the stack."""
+
+LARGEST_ROOM = 2**19
+"""Bytes of what is made in a step of a group of runs, at most: a thread of XLA's pool has a few megabytes."""
 
 
 class RosenbrockMethod(NamedTuple):
@@ -70,12 +73,14 @@ class Part(NamedTuple):
         sources: of each of its arguments: a number for one that the call is given, else a name: of what a stage makes
             (`TIME`, `MOVED`, `RIGHT`), or of what another part has made (`made`).
         lanes, axes: as of the operation `straight_line`.
+        n_rows: how many rows its lanes are for, instead of `lanes`.
     """
 
     line: StraightLine
     sources: tuple[int | str, ...]
     lanes: tuple[int, ...] = ()
     axes: tuple[int, ...] = ()
+    n_rows: int = 0
 
 
 TIME, MOVED, RIGHT, FOUND = "time", "moved", "right", "found"
@@ -102,10 +107,9 @@ def rows_of(argument: int) -> str:
 
 def over_lanes(line: StraightLine, sources: Sequence[int | str], wide: Sequence[bool], n_rows: int) -> "Part":
     """A part some of whose arguments are over lanes, one for each row."""
-    width = lanes_for(n_rows)
-    if width == 1:
+    if n_rows == 1:
         return Part(line, tuple(sources))
-    return Part(line, tuple(sources), (width,), tuple(map(int, wide)))
+    return Part(line, tuple(sources), axes=tuple(map(int, wide)), n_rows=n_rows)
 
 
 class Rows(NamedTuple):
@@ -154,8 +158,8 @@ class Steps(NamedTuple):
 
 def can_be_called(steps: Steps, size: int) -> bool:
     """Whether the stages of a step of a state of so many entries can be one call."""
-    n = size * (1 + (0 if steps.rows is None else lanes_for(steps.rows.n)))
-    if not machine_code.is_on() or not 0 < n <= LARGEST_STATE:
+    n = _size_of(steps, size, Groups())
+    if not machine_code.is_on() or not 0 < n <= LARGEST_STATE * Groups().at_a_time:
         return False
     if not all(part.line.in_machine_code and part.line.can_be_called for part in steps.parts):
         return False
@@ -163,6 +167,11 @@ def can_be_called(steps: Steps, size: int) -> bool:
         part.line.outputs[0].shape == (size,) and part.line.dtype(part.line.outputs[0]) == FLOAT
         for part in (steps.rate, steps.solve)
     )
+
+
+def _size_of(steps: Steps, size: int, groups: Groups) -> int:
+    """Entries of a state with its rows."""
+    return size * (1 + (0 if steps.rows is None else groups.lanes_for(steps.rows.n)))
 
 
 def rosenbrock_stages(steps: Steps, t: Array, h: Array, y: Array, slope: Array, *others: Array) -> Array:
@@ -174,7 +183,8 @@ def rosenbrock_stages(steps: Steps, t: Array, h: Array, y: Array, slope: Array, 
         slope: h^2 df/dt there, in the same shape.
         others: what else the parts are given; `sources` count from t.
     """
-    (k,) = _rosenbrock_stages.bind(t, h, y, slope, *others, steps=steps)
+    arguments = t, h, y, slope, *others
+    (k,) = _rosenbrock_stages.bind(*arguments, steps=steps, n_runs=None, shared=(False,) * len(arguments))
     return k
 
 
@@ -183,37 +193,66 @@ _rosenbrock_stages.multiple_results = True
 
 
 @_rosenbrock_stages.def_abstract_eval
-def _shapes(t: Any, h: Any, y: Any, slope: Any, *others: Any, steps: Steps) -> list:
-    del t, h, slope, others
+def _shapes(t: Any, h: Any, y: Any, slope: Any, *others: Any, steps: Steps, **how: Any) -> list:
+    del t, h, slope, others, how
     assert steps.method is not None
     return [ShapedArray((len(steps.method.c), *y.shape), y.dtype)]
 
 
-def _batched(arguments: Sequence, dims: Sequence, *, steps: Steps) -> tuple[Sequence, Sequence]:
-    """One run after the other; a run alone needs no axis."""
+def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
+    """More runs, on a last axis; a run alone needs none, and of two axes one is gone along."""
     n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
     if n == 1:
         alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
-        return [x[None] for x in _rosenbrock_stages.bind(*alone, steps=steps)], [0]
-    moved = [None if dim is None else jnp.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
+        return [x[None] for x in _rosenbrock_stages.bind(*alone, **how)], [0]
+    if how["n_runs"] is not None:
+        moved = [None if dim is None else jnp.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
 
-    def one(parts: Sequence) -> list[Array]:
-        found = (x if part is None else part for x, part in zip(arguments, parts, strict=True))
-        return _rosenbrock_stages.bind(*found, steps=steps)
+        def one(parts: Sequence) -> list[Array]:
+            found = (x if part is None else part for x, part in zip(arguments, parts, strict=True))
+            return _rosenbrock_stages.bind(*found, **how)
 
-    return jax.lax.map(one, moved), [0]
+        return jax.lax.map(one, moved), [0]
+    behind = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
+    shared = [dim is None for dim in dims]
+    for i in range(_N_OF_STEP):
+        behind[i] = jnp.broadcast_to(behind[i][..., None], (*behind[i].shape, n)) if shared[i] else behind[i]
+        shared[i] = False
+    (k,) = _rosenbrock_stages.bind(*behind, steps=how["steps"], n_runs=n, shared=tuple(shared))
+    return [k], [k.ndim - 1]
 
+
+_N_OF_STEP = 4
+"""Arguments that say where a step begins: t, h, y, slope."""
 
 batching.primitive_batchers[_rosenbrock_stages] = _batched
 
 
-def _lowered(context: Any, *arguments: Any, steps: Steps) -> Sequence:
-    key = "rosenbrock", len(arguments), steps  # kept with the solver, whose factors belong to its step
-    name = machine_code.called_text(key, steps.solve.line, lambda: _text(steps, len(arguments)))
+def _lowered(context: Any, *arguments: Any, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> Sequence:
+    given = _given(context.avals_in, steps, n_runs, shared)
+    key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
+    name = machine_code.called_text(key, steps.solve.line, lambda: _text(steps, given, n_runs))
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 
 mlir.register_lowering(_rosenbrock_stages, _lowered, platform="cpu")
+
+
+def _given(avals: Sequence, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> tuple[Given, ...]:
+    """The arguments of the call."""
+    rows, (size,) = steps.rows, steps.rate.line.outputs[0].shape
+    below: Any = () if rows is None else (size, rows.n)
+    of_rows = {} if rows is None else dict(rows.given)
+    found = [Given(1), Given(1), Given(size, *below), Given(size, *below)]
+    for i, aval in enumerate(avals[_N_OF_STEP:], _N_OF_STEP):
+        kind = "i8" if aval.dtype == BOOL else "double"
+        if i in of_rows:
+            assert rows is not None
+            found.append(Given(0, of_rows[i], rows.n, kind, shared[i]))
+        else:
+            n = aval.size // (1 if n_runs is None or shared[i] else n_runs)
+            found.append(Given(n, kind=kind, is_shared=shared[i]))
+    return tuple(found)
 
 
 class _Written(NamedTuple):
@@ -232,71 +271,105 @@ class _Written(NamedTuple):
     call: str
 
 
-def _part(part: Part, name: str, results: list[str]) -> _Written:
+def _part(part: Part, name: str, results: list[str], groups: Groups) -> _Written:
     line = part.line
-    text = Text(line, part.lanes, part.axes or (0,) * len(part.sources))
+    lanes = (groups.lanes_for(part.n_rows),) if part.n_rows else part.lanes
+    text = Text(line, lanes, part.axes or (0,) * len(part.sources), groups.width)
     declared, function = text.written_inside(name)
+    sizes = (
+        output.size * (text.n_lanes if over else 1) * groups.width
+        for output, over in zip(line.outputs, text.outputs_spread, strict=True)
+    )
     room = [
-        room_for(
-            f"%{result}", output.size * (text.n_lanes if over else 1), "i8" if line.dtype(output) == BOOL else "double"
-        )
-        for result, output, over in zip(results, line.outputs, text.outputs_spread, strict=True)
+        room_for(f"%{result}", size, "i8" if line.dtype(output) == BOOL else "double")
+        for result, output, size in zip(results, line.outputs, sizes, strict=True)
     ]
     pointers = [f"%a{source}" if isinstance(source, int) else f"%{source}" for source in part.sources]
     return _Written(declared, function, room, call_of(name, [*pointers, *(f"%{result}" for result in results)]))
 
 
-def _text(steps: Steps, n_arguments: int) -> str:
-    """The function that XLA calls: what it is given and gives has rows first, where the stages have lanes last."""
-    method, rows = steps.method, steps.rows
+def _groups(steps: Steps, n_runs: int | None) -> Groups:
+    """As wide as the values of the parts, and what is made in a step, allow."""
+    (size,), parts = steps.rate.line.outputs[0].shape, steps.parts
+    n_rows = 0 if steps.rows is None else steps.rows.n
+    assert steps.method is not None
+    if n_runs is None or size * (1 + n_rows) > LARGEST_STATE:
+        return Groups(n_runs)
+    made = sum(output.size for part in parts for output in part.line.outputs) * max(1, n_rows)
+    made += size * (1 + n_rows) * (len(steps.method.c) + 5)
+    room = max(1, LARGEST_ROOM // (8 * made))
+    return Groups.of(n_runs, min(room, widest_for(*(part.line for part in parts))))
+
+
+def _text(steps: Steps, given: Sequence[Given], n_runs: int | None) -> str:
+    """The function that XLA calls."""
+    groups, (size,) = _groups(steps, n_runs), steps.rate.line.outputs[0].shape
+    assert steps.method is not None
+    below: Any = () if steps.rows is None else (size, steps.rows.n)
+    result = Given(size, *below, n=len(steps.method.c))
+    declared, inner = _step(steps, len(given), groups)
+    return "\n".join([*sorted(declared), inner, function_of(given, result, groups, "step")])
+
+
+def _step(steps: Steps, n_arguments: int, groups: Groups) -> tuple[set[str], str]:
+    """What is to be declared, and functions: `step` has pointers to all arguments, and to k, of a group of runs."""
+    method, rows, one = steps.method, steps.rows, groups.one
     assert method is not None
-    n, (size,) = len(method.c), steps.rate.line.outputs[0].shape
-    width = 0 if rows is None else lanes_for(rows.n)
-    total = size * (1 + width)
+    n, width = len(method.c), groups.width
+    n_values = int(steps.rate.line.outputs[0].size)
+    size, total = n_values * width, _size_of(steps, n_values, groups) * width
     ahead = [
-        _part(part, f"part{at}", [made(at, i) for i in range(len(part.line.outputs))])
+        _part(part, f"part{at}", [made(at, i) for i in range(len(part.line.outputs))], groups)
         for at, part in enumerate(steps.ahead)
     ]
     others = [made_by_rate(i) for i in range(1, len(steps.rate.line.outputs))]
-    rate, solve = _part(steps.rate, "rate", ["change", *others]), _part(steps.solve, "solve", [FOUND])
+    rate = _part(steps.rate, "rate", ["change", *others], groups)
+    solve = _part(steps.solve, "solve", [FOUND], groups)
     every, behind = [*ahead, rate, solve], []
     if rows is not None:
-        along, again = _part(rows.along, "along", ["change.rows"]), _part(rows.solve, "solve.rows", ["found.rows"])
+        along = _part(rows.along, "along", ["change.rows"], groups)
+        again = _part(rows.solve, "solve.rows", ["found.rows"], groups)
         behind = [
-            _part(part, f"bend{at}", [f"bend{at}.{i}" for i in range(len(part.line.outputs))])
+            _part(part, f"bend{at}", [f"bend{at}.{i}" for i in range(len(part.line.outputs))], groups)
             for at, part in enumerate(rows.bends)
         ]
         every += [along, again, *behind]
     room = [line for each in [*ahead, *behind] for line in each.room] + rate.room[1:]
-    chunks = [(begin, min(LANES_AT_A_TIME, total - begin)) for begin in range(0, total, LANES_AT_A_TIME)]
+    step = groups.at_a_time
+    arguments = ", ".join(f"ptr noalias %a{i}" for i in range(n_arguments))
+    chunks = [(begin, min(step, total - begin)) for begin in range(0, total, step)]
 
     def each(write: Any) -> str:
         return "\n".join(write(i, begin, f"<{wide} x double>") for i, (begin, wide) in enumerate(chunks))
 
+    def of_each_run(name: str, number: str) -> str:
+        """A number that all runs share."""
+        return f"  {name} = fadd double {number}, 0x8000000000000000" if width == 1 else spread_out(name, number, one)
+
     new_line = "\n"
-    return f"""\
-{new_line.join(sorted(set().union(*(each.declared for each in every), _DECLARED)))}
+    text = f"""\
 @rows.A = private constant [{n * n} x double] [{listed(x for row in method.A for x in row)}]
 @rows.C = private constant [{n * n} x double] [{listed(x for row in method.C for x in row)}]
 @rows.c = private constant [{n} x double] [{listed(method.c)}]
 @rows.d = private constant [{n} x double] [{listed(method.d)}]
 @rows.gamma = private constant [1 x double] [{listed([method.gamma])}]
 {new_line.join(each.function for each in every)}
-{"" if rows is None else TURN}
-{head(n_arguments, 1)}
-{room_for("%time", 1)}
+define internal void @step({arguments}, ptr noalias %k) nounwind {{
+work:
+{room_for("%time", width)}
 {room_for("%moved", total)}
 {room_for("%change", total)}
 {room_for("%right", total)}
 {new_line.join(room)}
-{_taken_in(rows, size, width, n)}
-  %moved.rows = getelementptr inbounds double, ptr %moved, i64 {size}
-  %change.rows = getelementptr inbounds double, ptr %change, i64 {size}
-  %right.rows = getelementptr inbounds double, ptr %right, i64 {size}
-  %t = load double, ptr %a0
-  %h = load double, ptr %a1
+{new_line.join(entry_at(f"%{rows_of(i)}", f"%a{i}", 0) for i, _ in (rows.given if rows else ()))}
+{entry_at("%begin.rows", "%a2", size)}
+{entry_at("%moved.rows", "%moved", size)}
+{entry_at("%change.rows", "%change", size)}
+{entry_at("%right.rows", "%right", size)}
+  %t = load {one}, ptr %a0, align 8
+  %h = load {one}, ptr %a1, align 8
   %gamma = load double, ptr @rows.gamma
-{each(lambda i, at, kind: loaded(f"%begin{i}", "%begin", at, kind))}
+{each(lambda i, at, kind: loaded(f"%begin{i}", "%a2", at, kind))}
 {"".join(each.call for each in ahead)}  br label %stage
 stage:
   %i = phi i64 [0, %work], [%next, %solved]
@@ -321,79 +394,42 @@ summed:
 {each(partial(_sums, name="%{}{}.all"))}
 {each(lambda i, at, kind: stored(f"%m{i}.all", "%moved", at, kind))}
   %p.instant = getelementptr inbounds double, ptr @rows.c, i64 %i
-  %instant = load double, ptr %p.instant
-  %after = fmul double %instant, %h
-  %t.i = fadd double %t, %after
-  store double %t.i, ptr %time
+  %instant.of.all = load double, ptr %p.instant
+{of_each_run("%instant", "%instant.of.all")}
+  %after = fmul {one} %instant, %h
+  %t.i = fadd {one} %t, %after
+  store {one} %t.i, ptr %time, align 8
 {rate.call}{"" if rows is None else along.call}  %p.d = getelementptr inbounds double, ptr @rows.d, i64 %i
   %d = load double, ptr %p.d
   %to = mul nuw nsw i64 %i, {total}
   %found = getelementptr inbounds double, ptr %k, i64 %to
   %found.rows = getelementptr inbounds double, ptr %found, i64 {size}
-{each(_right_side)}
-{solve.call}{"" if rows is None else _solved_rows(rows, behind, again, size, total)}{each(_times_gamma)}
+{each(partial(_right_side, by_run=width > 1))}
+{solve.call}{"" if rows is None else _solved_rows(rows, behind, again, total - size, groups)}{each(_times_gamma)}
   br label %solved
 solved:
   %next = add nuw nsw i64 %i, 1
   %is.done = icmp sge i64 %next, {n}
   br i1 %is.done, label %end, label %stage
 end:
-{_given_back(rows, size, width, n)}
-  ret ptr null
+  ret void
 }}
 """
+    return set().union(*(each.declared for each in every)), text
 
 
-_DECLARED = frozenset(
-    ["declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)", "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"]
-)
-
-
-def _taken_in(rows: Rows | None, size: int, width: int, n: int) -> str:
-    """Where the stages find the state and its slope, and where they leave the increments."""
-    if rows is None:
-        return "\n".join(_same(f"%{name}", given) for name, given in (("begin", "%a2"), ("slope", "%a3"), ("k", "%r0")))
-    total = size * (1 + width)
-    lines = [room_for("%k", n * total)]
-    for name, given in (("begin", "%a2"), ("slope", "%a3")):
-        lines += [room_for(f"%{name}", total), zeroed(f"%{name}", total)]
-        lines.append(turned("in", given, f"%{name}", size, size, rows.n, width))
-    for argument, own in rows.given:
-        name = f"%{rows_of(argument)}"
-        lines += [room_for(name, own * width), zeroed(name, own * width)]
-        lines.append(turned("in", f"%a{argument}", name, 0, own, rows.n, width))
-    return "\n".join([*lines, f"  %begin.rows = getelementptr inbounds double, ptr %begin, i64 {size}"])
-
-
-def _same(name: str, other: str) -> str:
-    return f"  {name} = getelementptr inbounds double, ptr {other}, i64 0"
-
-
-def _given_back(rows: Rows | None, size: int, width: int, n: int) -> str:
-    """The increments in rows."""
-    if rows is None:
-        return ""
-    lines = []
-    for i in range(n):
-        lines += [
-            f"  %k.{i} = getelementptr inbounds double, ptr %k, i64 {i * size * (1 + width)}",
-            f"  %r.{i} = getelementptr inbounds double, ptr %r0, i64 {i * size * (1 + rows.n)}",
-            turned("out", f"%k.{i}", f"%r.{i}", size, size, rows.n, width),
-        ]
-    return "\n".join(lines)
-
-
-def _solved_rows(rows: Rows, behind: list[_Written], again: _Written, size: int, total: int) -> str:
-    """The tangents of what S has found."""
+def _solved_rows(rows: Rows, behind: list[_Written], again: _Written, size: int, groups: Groups) -> str:
+    """The tangents of what S has found; `size` numbers of them."""
     lines = [each.call.rstrip("\n") for each in behind]
     if behind:
-        lines.append(f"  %gamma.h = load double, ptr %a{rows.gamma_h}")
-        for i, at in enumerate(range(0, total - size, LANES_AT_A_TIME)):
-            kind = f"<{min(LANES_AT_A_TIME, total - size - at)} x double>"
+        step = groups.at_a_time
+        lines.append(f"  %gamma.h = load {groups.one}, ptr %a{rows.gamma_h}, align 8")
+        for i, at in enumerate(range(0, size, step)):
+            kind = f"<{min(step, size - at)} x double>"
             lines += [
                 loaded(f"%rr{i}", "%right.rows", at, kind),
                 loaded(f"%rb{i}", f"%bend{len(behind) - 1}.0", at, kind),
-                add_scaled(f"%rw{i}", f"%rr{i}", "%gamma.h", f"%rb{i}", kind),
+                add_scaled(f"%rw{i}", f"%rr{i}", "%gamma.h", f"%rb{i}", kind, groups.width > 1),
                 stored(f"%rw{i}", "%right.rows", at, kind),
             ]
     return "\n".join([*lines, again.call])
@@ -417,11 +453,11 @@ def _summed(i: int, at: int, kind: str) -> str:
     return "\n".join(lines)
 
 
-def _right_side(i: int, at: int, kind: str) -> str:
+def _right_side(i: int, at: int, kind: str, by_run: bool) -> str:
     lines = [
         loaded(f"%f{i}", "%change", at, kind),
-        loaded(f"%u{i}", "%slope", at, kind),
-        add_scaled(f"%b{i}", f"%s{i}.all", "%h", f"%f{i}", kind),
+        loaded(f"%u{i}", "%a3", at, kind),
+        add_scaled(f"%b{i}", f"%s{i}.all", "%h", f"%f{i}", kind, by_run),
         add_scaled(f"%w{i}", f"%b{i}", "%d", f"%u{i}", kind),
         stored(f"%w{i}", "%right", at, kind),
     ]

@@ -4,7 +4,8 @@
 
 One by one, twelve stages of a step would cost XLA a call and several kernels each, more than a small right-hand side
 takes. Here the stages are a loop around the line's own function. Tangents of the state go along, if there are some: its
-derivative's function is in the same loop, over as many lanes.
+derivative's function is in the same loop, over as many lanes. Many runs are a loop around all of this, over groups of
+them (`machine_groups`).
 """
 
 import itertools
@@ -20,25 +21,24 @@ from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from spherejax.foundations import machine_code
+from spherejax.foundations.machine_groups import Array as Given
+from spherejax.foundations.machine_groups import Groups, function_of
 from spherejax.foundations.machine_lines import (
-    TURN,
     add_scaled,
     call_of,
-    lanes_for,
+    entry_at,
     listed,
     loaded,
     room_for,
     spread_out,
     stored,
-    turned,
-    zeroed,
 )
-from spherejax.foundations.machine_text import LANES_AT_A_TIME, Text, head
+from spherejax.foundations.machine_text import Text, widest_for
 from spherejax.foundations.scalar_graph import BOOL, FLOAT
 from spherejax.foundations.straight_line import StraightLine
 
-LARGEST_STATE = 4096
-"""Entries of a state, with its rows, up to which a sum over stages is kept in registers and on the stack."""
+LARGEST_STATE = 512
+"""Vectors of a state, with its rows, up to which a sum over stages is kept in registers and on the stack."""
 
 
 def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
@@ -50,12 +50,10 @@ def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
     """
     (output, *others) = line.outputs
     is_state = not others and output.shape == shape[-1:] and line.dtype(output) == FLOAT
-    fits = output.size > 0 and _size(output.size, shape) <= LARGEST_STATE
+    # As one run, in vectors of several entries; of a group of runs each entry is a vector.
+    size = output.size if len(shape) == 1 else output.size * (1 + Groups().lanes_for(shape[0] - 1))
+    fits = 0 < size <= LARGEST_STATE * Groups().at_a_time
     return is_state and fits and line.in_machine_code and machine_code.is_available() and line.can_be_called
-
-
-def _size(size: int, shape: tuple[int, ...]) -> int:
-    return size if len(shape) == 1 else size * (1 + lanes_for(shape[0] - 1))
 
 
 def stages(
@@ -70,20 +68,18 @@ def stages(
     n_made: Any,
     others: Sequence[Array],
 ) -> Array:
-    """The increments k, shape (s, size, 1).
+    """The increments k, shape (s, size, n_runs).
 
     Args:
         line: f.
         at: place of t among its arguments; y is behind it.
         coefficients: a, shape (s, s), strictly lower.
         instants: c.
-        t, h, bend, y: as above; y of one lane, shape (size, 1).
+        t, h, bend, y: as above; with a last axis of runs, y of shape (size, n_runs).
         n_made: so many stages are evaluated, the first ones; increments of the others are zero.
-        others: the other arguments of the line, in order.
+        others: the other arguments of the line, in order; with a last axis of runs.
     """
-    arguments = t, h, bend, jnp.asarray(n_made, jnp.int64), y, *others
-    (k,) = _stages.bind(*arguments, line=line, rows=None, method=_Method.of(at, coefficients, instants))
-    return k
+    return _bound((t, h, bend, n_made, y, *others), line, None, _Method.of(at, coefficients, instants))
 
 
 def stages_with_rows(
@@ -99,20 +95,29 @@ def stages_with_rows(
     others: Sequence[Array],
     along: Sequence[Array | None],
 ) -> Array:
-    """The increments of a state and of tangents of it, shape (s, 1 + rows, size, 1).
+    """The increments of a state and of tangents of it, shape (s, 1 + rows, size, n_runs).
 
     Args:
         line, at, coefficients, instants, t, h, bend, n_made, others: as for `stages`.
-        rows: y, then tangents of it, of one lane, shape (1 + rows, size, 1); at least one.
+        rows: y, then tangents of it, shape (1 + rows, size, n_runs); at least one.
         along: tangents of `others`, with a leading axis of rows; None for what has none.
     """
     moves = tuple(each is not None for each in along)
     derivative = line.derivative((*moves[:at], False, True, *moves[at:]))
     assert derivative.follows == (True,), "a rate that does not depend on the state"
     tangents = [x for x in along if x is not None]
-    arguments = t, h, bend, jnp.asarray(n_made, jnp.int64), rows, *others, *tangents
     below = _Rows(derivative.slopes, moves, rows.shape[0] - 1)
-    (k,) = _stages.bind(*arguments, line=derivative.values, rows=below, method=_Method.of(at, coefficients, instants))
+    given = t, h, bend, n_made, rows, *others, *tangents
+    return _bound(given, derivative.values, below, _Method.of(at, coefficients, instants))
+
+
+def _bound(given: Sequence, line: StraightLine, rows: "_Rows | None", method: "_Method") -> Array:
+    t, h, bend, n_made, y, *others = given
+    n_runs = y.shape[-1]
+    if n_runs == 1:
+        t, h, bend, *others = (jnp.squeeze(x, -1) for x in (t, h, bend, *others))
+    arguments = t, h, bend, jnp.asarray(n_made, jnp.int64), y, *others
+    (k,) = _stages.bind(*arguments, line=line, rows=rows, method=method, n_runs=None if n_runs == 1 else n_runs)
     return k
 
 
@@ -146,91 +151,96 @@ def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: _Me
     return [ShapedArray((len(method.instants), *y.shape), y.dtype)]
 
 
-def _lowered(context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: _Method) -> Sequence:
+def _lowered(
+    context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: _Method, n_runs: int | None
+) -> Sequence:
     # A line with coefficients belongs to one line of slopes.
-    key = "stages", rows and rows.n, method
-    name = machine_code.called_text(key, line, lambda: _text(line, rows, method))
+    key = "stages", rows and rows.n, method, n_runs
+    name = machine_code.called_text(key, line, lambda: _text(line, rows, method, n_runs))
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 
 mlir.register_lowering(_stages, _lowered, platform="cpu")
 
 
-def _text(line: StraightLine, rows: _Rows | None, method: _Method) -> str:
-    """The function that XLA calls: what it is given and gives has rows first, where the stages have lanes last."""
-    declared, inner, n_arguments = _stages_text(line, rows, method)
-    before, after, pointers = [], [], [*(f"%a{i}" for i in range(n_arguments)), "%r0"]
-    width = lanes_for(rows.n) if rows else 0
-    if rows is not None and width > 1:
-        n, n_values = len(method.instants), int(line.outputs[0].size)
-        inner += TURN
-        declared |= {"declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"}
-        tangents = [
-            int(np.prod(shape)) for i, shape in enumerate(rows.line.shapes) if i != _place_of_state(rows, method)
-        ]
-        first = n_arguments - len(tangents)
-        for i, size in enumerate(tangents, first):
-            pointers[i] = f"%lanes{i}"
-            before += [
-                room_for(f"%lanes{i}", size * width),
-                zeroed(f"%lanes{i}", size * width),
-                turned("in", f"%a{i}", f"%lanes{i}", 0, size, rows.n, width),
-            ]
-        pointers[_STATE], pointers[-1] = "%state", "%k"
-        before += [room_for("%state", n_values * (1 + width)), zeroed("%state", n_values * (1 + width))]
-        before.append(turned("in", "%a4", "%state", n_values, n_values, rows.n, width))
-        before.append(room_for("%k", n * n_values * (1 + width)))
-        for i in range(n):
-            before += [
-                f"  %k{i} = getelementptr inbounds double, ptr %k, i64 {i * n_values * (1 + width)}",
-                f"  %r{i}.row = getelementptr inbounds double, ptr %r0, i64 {i * n_values * (1 + rows.n)}",
-            ]
-            after.append(turned("out", f"%k{i}", f"%r{i}.row", n_values, n_values, rows.n, width))
-    new_line = "\n"
-    return f"""\
-{new_line.join(sorted(declared))}
-{inner}
-{head(n_arguments, 1)}
-{new_line.join(before)}
-{call_of("stages", pointers)}{new_line.join(after)}
-  ret ptr null
-}}
-"""
+def _groups(line: StraightLine, rows: _Rows | None, n_runs: int | None) -> Groups:
+    size, lines = int(line.outputs[0].size), (line,) if rows is None else (line, rows.line)
+    widest = widest_for(*lines) if size * (1 + (rows.n if rows else 0)) <= LARGEST_STATE else 1
+    return Groups.of(n_runs, widest)
+
+
+def _text(line: StraightLine, rows: _Rows | None, method: _Method, n_runs: int | None) -> str:
+    groups = _groups(line, rows, n_runs)
+    declared, inner = _stages_text(line, rows, method, groups)
+    size = int(line.outputs[0].size)
+    below: Any = (size, rows.n) if rows else ()
+    others = [Given(int(np.prod(shape)), kind=kind) for shape, kind in _others(line, method)]
+    tangents = [Given(0, int(np.prod(shape)), rows.n) for shape in _tangents(rows, method)] if rows else []
+    given = Given(1), Given(1), Given(1), Given(1, kind="i64", is_shared=True), Given(size, *below), *others, *tangents
+    result = Given(size, *below, n=len(method.instants))
+    called = function_of(given, result, groups, "stages")
+    return "\n".join([*sorted(declared), inner, called])
+
+
+def _others(line: StraightLine, method: _Method) -> list[tuple[tuple[int, ...], str]]:
+    """Shapes and types of the arguments of f besides t and y."""
+    kinds = ["double"] * len(line.shapes) + ["i8" if line.dtype(group) == BOOL else "double" for group in line.given]
+    shapes = [*line.shapes, *(group.shape for group in line.given)]
+    both = [*zip(shapes, kinds, strict=True)]
+    return both[: method.at] + both[method.at + 2 :]
+
+
+def _tangents(rows: _Rows, method: _Method) -> list[tuple[int, ...]]:
+    """Shapes of the tangents that are given, besides that of the state."""
+    at = _place_of_state(rows, method)
+    return [shape for i, shape in enumerate(rows.line.shapes) if i != at]
 
 
 _STATE = 4
 """Place of y among the arguments of the stages; before it are t, h, bend and the number of stages."""
 
 
-def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method) -> tuple[set[str], str, int]:
-    """What is to be declared, functions (`stages` has pointers to all arguments, and to k), the number of arguments."""
+def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method, groups: Groups) -> tuple[set[str], str]:
+    """What is to be declared, and functions: `stages` has pointers to all arguments, and to k, of a group of runs."""
     at, coefficients, instants = method
-    n, n_values, width = len(instants), int(line.outputs[0].size), lanes_for(rows.n) if rows else 0
-    size = n_values * (1 + width)
-    rate = Text(line, (), (0,) * (len(line.shapes) + len(line.given)))
+    n, width, n_lanes = len(instants), groups.width, groups.lanes_for(rows.n) if rows else 0
+    n_values = int(line.outputs[0].size) * width
+    size = n_values * (1 + n_lanes)
+    rate = Text(line, (), (0,) * (len(line.shapes) + len(line.given)), width)
     declared, inner = rate.written_inside("rate")
     numbers = (f"%a{i}" for i in itertools.count(_STATE + 1))
     pointers = ["%time" if i == at else "%moved" if i == at + 1 else next(numbers) for i in range(rate.n_arguments)]
     made = [f"%made{i}" for i in range(1, len(line.outputs))]
     calls = call_of("rate", [*pointers, "%change", *made])
     memory = [
-        room_for(name, output.size, "i8" if line.dtype(output) == BOOL else "double")
+        room_for(name, output.size * width, "i8" if line.dtype(output) == BOOL else "double")
         for name, output in zip(made, line.outputs[1:], strict=True)
     ]
     if rows is not None:
-        over = (int(width > 1),) * len(rows.line.shapes) + (0,) * len(made)
-        more, along = Text(rows.line, (width,) * (width > 1), over).written_inside("along")
+        over = (int(n_lanes > 1),) * len(rows.line.shapes) + (0,) * len(made)
+        more, along = Text(rows.line, (n_lanes,) * (n_lanes > 1), over, width).written_inside("along")
         declared, inner = declared | more, inner + along
         state = _place_of_state(rows, method)
         moving = ["%moved.rows" if i == state else next(numbers) for i in range(len(rows.line.shapes))]
         calls += call_of("along", [*moving, *made, "%change.rows"])
     n_arguments = rate.n_arguments + 3 + (sum(rows.moves) if rows else 0)
-    chunks = [(begin, min(LANES_AT_A_TIME, size - begin)) for begin in range(0, size, LANES_AT_A_TIME)]
+    step = groups.at_a_time
+    chunks = [(begin, min(step, size - begin)) for begin in range(0, size, step)]
 
     def each(write: Callable[[int, int, str], str]) -> str:
-        return "\n".join(write(at, begin, f"<{width} x double>") for at, (begin, width) in enumerate(chunks))
+        return "\n".join(write(at, begin, f"<{wide} x double>") for at, (begin, wide) in enumerate(chunks))
 
-    new_line = "\n"
+    def of_each_run(name: str, number: str) -> str:
+        """A number that all runs share."""
+        return f"  {name} = fadd double {number}, 0x8000000000000000" if width == 1 else spread_out(name, number, one)
+
+    def kept(i: int, begin: int, kind: str) -> str:
+        length = "%length" if width > 1 else f"%h{i}.wide"
+        lines = [loaded(f"%f{i}", "%change", begin, kind)]
+        lines += [] if width > 1 else [spread_out(length, "%length", kind)]
+        return "\n".join([*lines, f"  %hf{i} = fmul {kind} {length}, %f{i}", stored(f"%hf{i}", "%p.to", begin, kind)])
+
+    new_line, one = "\n", groups.one
     arguments = ", ".join(f"ptr noalias %a{i}" for i in range(n_arguments))
     text = f"""\
 @coefficients = private constant [{n * n} x double] [{listed(x for row in coefficients for x in row)}]
@@ -238,19 +248,20 @@ def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method) -> tup
 {inner}
 define internal void @stages({arguments}, ptr noalias %r0) nounwind {{
 work:
-{room_for("%time", 1)}
+{room_for("%time", width)}
 {room_for("%moved", size)}
 {room_for("%change", size)}
-  %moved.rows = getelementptr inbounds double, ptr %moved, i64 {n_values}
-  %change.rows = getelementptr inbounds double, ptr %change, i64 {n_values}
+{entry_at("%moved.rows", "%moved", n_values)}
+{entry_at("%change.rows", "%change", n_values)}
 {new_line.join(memory)}
-  %t = load double, ptr %a0
-  %h = load double, ptr %a1
-  %bend = load double, ptr %a2
-  %n = load i64, ptr %a3
+  %t = load {one}, ptr %a0, align 8
+  %h = load {one}, ptr %a1, align 8
+  %bend = load {one}, ptr %a2, align 8
+  %n.of.all = load i64, ptr %a3
+{of_each_run("%unit", "0x3FF0000000000000")}
   call void @llvm.memset.p0.i64(ptr align 8 %r0, i8 0, i64 {8 * n * size}, i1 false)
 {each(lambda i, at, kind: loaded(f"%begin{i}", "%a4", at, kind))}
-  %some = icmp sgt i64 %n, 0
+  %some = icmp sgt i64 %n.of.all, 0
   br i1 %some, label %stage, label %end
 stage:
   %i = phi i64 [0, %work], [%next, %moving]
@@ -273,31 +284,32 @@ summed:
 {each(lambda i, at, kind: f"  %m{i} = phi {kind} [%begin{i}, %stage], [%s{i}.next, %sum]")}
 {each(lambda i, at, kind: stored(f"%m{i}", "%moved", at, kind))}
   %p.c = getelementptr inbounds double, ptr @instants, i64 %i
-  %c = load double, ptr %p.c
-  %rest = fsub double 0x3FF0000000000000, %c
-  %bent = fmul double %bend, %rest
-  %straight = fsub double 0x3FF0000000000000, %bent
-  %instant = fmul double %c, %straight
-  %after = fmul double %instant, %h
-  %t.i = fadd double %t, %after
-  store double %t.i, ptr %time
-  %turn = fsub double %rest, %c
-  %slow = fmul double %bend, %turn
-  %speed = fsub double 0x3FF0000000000000, %slow
-  %length = fmul double %h, %speed
+  %c.of.all = load double, ptr %p.c
+{of_each_run("%c", "%c.of.all")}
+  %rest = fsub {one} %unit, %c
+  %bent = fmul {one} %bend, %rest
+  %straight = fsub {one} %unit, %bent
+  %instant = fmul {one} %c, %straight
+  %after = fmul {one} %instant, %h
+  %t.i = fadd {one} %t, %after
+  store {one} %t.i, ptr %time, align 8
+  %turn = fsub {one} %rest, %c
+  %slow = fmul {one} %bend, %turn
+  %speed = fsub {one} %unit, %slow
+  %length = fmul {one} %h, %speed
 {calls}  br label %moving
 moving:
   %to = mul nuw nsw i64 %i, {size}
   %p.to = getelementptr inbounds double, ptr %r0, i64 %to
-{each(_keep)}
+{each(kept)}
   %next = add nuw nsw i64 %i, 1
-  %is.done = icmp sge i64 %next, %n
+  %is.done = icmp sge i64 %next, %n.of.all
   br i1 %is.done, label %end, label %stage
 end:
   ret void
 }}
 """
-    return declared | {"declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"}, text, n_arguments
+    return declared, text
 
 
 def _place_of_state(rows: _Rows, method: _Method) -> int:
@@ -307,14 +319,3 @@ def _place_of_state(rows: _Rows, method: _Method) -> int:
 
 def _add(i: int, begin: int, kind: str) -> str:
     return f"{loaded(f'%k{i}', '%p.k', begin, kind)}\n{add_scaled(f'%s{i}.next', f'%s{i}', '%a', f'%k{i}', kind)}"
-
-
-def _keep(i: int, begin: int, kind: str) -> str:
-    return "\n".join(
-        [
-            loaded(f"%f{i}", "%change", begin, kind),
-            spread_out(f"%h{i}.wide", "%length", kind),
-            f"  %hf{i} = fmul {kind} %h{i}.wide, %f{i}",
-            stored(f"%hf{i}", "%p.to", begin, kind),
-        ]
-    )

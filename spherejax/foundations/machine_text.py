@@ -118,20 +118,36 @@ def head(n_arguments: int, n_results: int) -> str:
     return "\n".join(lines)
 
 
+def widest_for(*lines: Any) -> int:
+    """Numbers in the vectors that these lines may be evaluated with: their values have to fit a frame."""
+    room = max(1, LARGEST_FRAME // (8 * max(1, *(len(line.nodes) for line in lines))))
+    return min(LANES_AT_A_TIME, 1 << (room.bit_length() - 1))
+
+
+def _element(dtype: np.dtype, in_memory: bool) -> str:
+    return {FLOAT: "double", INT: "i64", BOOL: "i8" if in_memory else "i1"}[dtype]
+
+
 class Text:
     """The text of a function of LLVM for a line.
 
     Values over lanes are vectors of `width` lanes; a loop goes over all of them. Where the width does not divide the
     number of lanes, the last turn begins earlier, and computes some again.
+
+    Args:
+        line: what is evaluated.
+        lanes, axes: as of the operation `straight_line`.
+        n_runs: of a function for several runs at once every value is a vector, of one number for each, and so is each
+            entry of its arguments and results; the loop goes over lanes one by one then.
     """
 
-    def __init__(self, line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]):
+    def __init__(self, line: Any, lanes: tuple[int, ...], axes: tuple[int, ...], n_runs: int = 1):
         self.line, self.graph = line, line.graph
         self.spread, self.outputs_spread = line.spread(axes)
         self.axes = axes
         self.n_lanes = lanes[0] if lanes else 1
-        room = max(1, LARGEST_FRAME // (8 * max(1, len(line.nodes))))
-        self.width = min(self.n_lanes, LANES_AT_A_TIME, 1 << (room.bit_length() - 1))
+        self.n_runs = n_runs
+        self.width = 1 if n_runs > 1 else min(self.n_lanes, widest_for(line))
         self.lines: list[str] = []
         self.declared: set[str] = set()
         self.values: dict[int, str] = {}
@@ -151,23 +167,26 @@ class Text:
         self.lines.append(f"  {name} = {text}")
         return name
 
+    def _size(self, is_wide: bool) -> int:
+        """Numbers in a value."""
+        return self.n_runs * (self.width if is_wide else 1)
+
     def _type(self, dtype: np.dtype, is_wide: bool, in_memory: bool = False) -> str:
-        element = {FLOAT: "double", INT: "i64", BOOL: "i8" if in_memory else "i1"}[dtype]
-        return f"<{self.width} x {element}>" if is_wide and self.width > 1 else element
+        element, size = _element(dtype, in_memory), self._size(is_wide)
+        return f"<{size} x {element}>" if size > 1 else element
 
     def _constant(self, value: Any, dtype: np.dtype, is_wide: bool) -> str:
         if dtype == FLOAT:
             text = f"0x{int(np.float64(value).view(np.uint64)):016X}"
         else:
             text = str(int(value)) if dtype == INT else "true" if value else "false"
-        if not is_wide or self.width == 1:
-            return text
-        return "<" + ", ".join([f"{self._type(dtype, False)} {text}"] * self.width) + ">"
+        size = self._size(is_wide)
+        return text if size == 1 else "<" + ", ".join([f"{_element(dtype, False)} {text}"] * size) + ">"
 
     def _over_lanes(self, value: str, dtype: np.dtype) -> str:
         if self.width == 1:
             return value
-        element, vector = self._type(dtype, False), self._type(dtype, True)
+        element, vector = _element(dtype, False), self._type(dtype, True)
         first = self._made(f"insertelement {vector} poison, {element} {value}, i64 0")
         return self._made(f"shufflevector {vector} {first}, {vector} poison, <{self.width} x i32> zeroinitializer")
 
@@ -184,7 +203,7 @@ class Text:
         return self.wide[node]
 
     def _pointer(self, argument: str, entry: int, dtype: np.dtype, is_wide: bool) -> str:
-        element = self._type(dtype, False, True)
+        element = self._type(dtype, False, True).replace("<", "[").replace(">", "]")
         at: Any = entry * self.n_lanes if is_wide else entry
         if is_wide and self.in_loop:
             at = self._made(f"add nuw nsw i64 %lane, {at}")
@@ -265,8 +284,8 @@ class Text:
         return self._intrinsic("roundeven" if method else "round", [a], is_wide)
 
     def _intrinsic(self, word: str, values: list[str], is_wide: bool) -> str:
-        kind = self._type(FLOAT, is_wide)
-        name = f"@llvm.{word}.{f'v{self.width}f64' if kind != 'double' else 'f64'}"
+        kind, size = self._type(FLOAT, is_wide), self._size(is_wide)
+        name = f"@llvm.{word}.{f'v{size}f64' if size > 1 else 'f64'}"
         self.declared.add(f"declare {kind} {name}({', '.join([kind] * len(values))})")
         return self._made(f"call {kind} {name}({', '.join(f'{kind} {value}' for value in values)})")
 
@@ -274,10 +293,11 @@ class Text:
         self.declared.add(
             f"declare double @{name}({', '.join(['double'] * len(values))}) nounwind willreturn memory(none)"
         )
-        if not is_wide or self.width == 1:
+        size = self._size(is_wide)
+        if size == 1:
             return self._made(f"call double @{name}({', '.join(f'double {value}' for value in values)})")
-        kind, whole = self._type(FLOAT, True), "poison"
-        for i in range(self.width):
+        kind, whole = self._type(FLOAT, is_wide), "poison"
+        for i in range(size):
             each = [self._made(f"extractelement {kind} {value}, i64 {i}") for value in values]
             found = self._made(f"call double @{name}({', '.join(f'double {value}' for value in each)})")
             whole = self._made(f"insertelement {kind} {whole}, double {found}, i64 {i}")

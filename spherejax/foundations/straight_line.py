@@ -325,7 +325,9 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
         alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
         found = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
         return [jnp.expand_dims(x, 0) for x in found], [0] * len(found)
-    if lanes and line.in_machine_code and machine_code.is_available():
+    if is_called(line, lanes) and lanes:
+        if lanes[0] < n:
+            return _batched_inside_a_loop(arguments, dims, line=line, n_outside=lanes[0], axes=axes)
         return _batched_by_a_loop(arguments, dims, line=line, lanes=lanes, axes=axes)
     last = 1 << len(lanes)
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
@@ -345,6 +347,28 @@ def _batched_by_a_loop(arguments: Sequence, dims: Sequence, **how: Any) -> tuple
 
     found = jax.lax.map(one, moved)
     return found, [0] * len(found)
+
+
+def _batched_inside_a_loop(
+    arguments: Sequence, dims: Sequence, *, line: StraightLine, n_outside: int, axes: tuple[int, ...]
+) -> tuple[Sequence, Sequence]:
+    """As `_batched_by_a_loop`, for a new axis that is longer than the one that is there: the loop goes over that."""
+    n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
+    turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
+    now = tuple(int(dim is not None) for dim in dims)
+    rows = [
+        jnp.moveaxis(x, -1 - new, 0) if over else None for x, over, new in zip(turned, axes, now, strict=True)
+    ]  # fmt: skip
+
+    def one(parts: Sequence) -> list[Array]:
+        given = (x if part is None else part for x, part in zip(turned, parts, strict=True))
+        return _straight_line.bind(*given, line=line, lanes=(n,), axes=now)
+
+    found = jax.lax.map(one, rows)
+    (_, was), (_, new) = line.spread(axes), line.spread(now)
+    assert all(x.shape[0] == n_outside for x in found)
+    found = [jnp.moveaxis(x, 0, -1 - is_new) if over else x[0] for x, over, is_new in zip(found, was, new, strict=True)]
+    return found, [x.ndim - 1 if is_new else None for x, is_new in zip(found, new, strict=True)]
 
 
 def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):

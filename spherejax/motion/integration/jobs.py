@@ -158,7 +158,7 @@ class JobKind:
             room_of(plan),
             example_of(self.structure).layout.work_start,
             samples_of(self.structure, self.scalar),
-            alone_in_machine_code=in_machine_code(plan, self.solver),
+            in_machine_code=in_machine_code(plan, self.solver),
             program=rate.scalar,
         )
         return self._of_rows(problem, solver, rate) if self.with_rows else problem

@@ -76,7 +76,7 @@ def steps_in_lanes(
 
 
 def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
-    with machine_code.wanted(problem.alone_in_machine_code and y0.shape[0] == 1):
+    with machine_code.wanted(problem.in_machine_code):
         return in_few_kernels(lambda: _Queue(problem, parameters, y0, *others).worked_off())()
 
 

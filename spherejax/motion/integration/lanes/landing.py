@@ -256,9 +256,14 @@ class Landing:
         def by_fraction(crossing: Crossing) -> Crossing:
             return crossing._replace(rate=crossing.rate * size, velocity=crossing.velocity * size)
 
+        # A search that looks at the state alone, and not at rows of sensitivities below it, takes a fifth of the time.
+        is_alone = contacts.first_row is None or self.correct is not None
+        of_states = step if is_alone else step.of_first_row
+        crossings_at = in_lanes(contacts.crossings if is_alone else contacts.crossings_of_state)
+
         def inside(share) -> Crossing:
-            y = self._state_inside(step, state, share)
-            return by_fraction(in_lanes(contacts.crossings)(step.parameters, step.t0 + size * share, y))
+            y = self._state_inside(of_states, state, share)
+            return by_fraction(crossings_at(step.parameters, step.t0 + size * share, y))
 
         end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
         numbers = by_fraction(state.start), by_fraction(end)

@@ -43,8 +43,7 @@ class LaneProblem(NamedTuple):
         samples: of force elements that sample, or None.
         slack_of: how much larger the errors of sensitivities may be than the state's, from a run's parameters; None
             where there are none.
-        alone_in_machine_code: whether the programs of a single run become machine code of their own. Of many lanes
-            XLA's vectors are better, and their loop is one native function.
+        in_machine_code: whether the programs become machine code of their own.
         program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
     """
 
@@ -61,7 +60,7 @@ class LaneProblem(NamedTuple):
     n_judged: int | None = None
     samples: Samples | None = None
     slack_of: Callable | None = None
-    alone_in_machine_code: bool = False
+    in_machine_code: bool = False
     program: ScalarProgram | None = None
 
 

@@ -106,20 +106,22 @@ class ExplicitStages:
         return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
 
     def _called(self, t, h, y, parameters, bend, n_made) -> Array | None:
-        """The increments of all stages of one lane by one call of machine code; None where there is none."""
-        if self.program is None or t.shape != (1,) or not machine_code.is_on():
+        """The increments of all stages by one call of machine code; None where there is none."""
+        program = self.program
+        if program is None or not machine_code.is_on():
             return None
-        one = jax.tree.map(lambda x: x[..., 0], parameters)
-        line, ahead = self.program.line_inside(one.ahead)
+        line, _ = program.line_inside(jax.tree.map(lambda x: x[..., 0], parameters.ahead))
         if not can_be_called(line, y.shape[:-1]):
             return None
         n = self.n_stages
         method = self.coefficients[:n, :n], self.instants[:n]
-        given = line, _TIME, *method, t[0], h[0], bend[0], y, n_made, (one.theta, *ahead)
-        if y.ndim == 2:
+        theta, ahead, slopes = parameters.theta, parameters.ahead, parameters.slopes if y.ndim == 3 else None
+        others = in_lanes(lambda theta, ahead: (theta, *program.line_inside(ahead)[1]))(theta, ahead)
+        given = line, _TIME, *method, t, h, bend, y, n_made, others
+        if slopes is None:
             return stages(*given)
-        along = one.slopes.theta, *self.program.slopes_inside(one.ahead, one.slopes.ahead)
-        return stages_with_rows(*given, along)
+        along = in_lanes(lambda theta, *ahead: (theta, *program.slopes_inside(*ahead)))
+        return stages_with_rows(*given, along(slopes.theta, ahead, slopes.ahead))
 
     def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
         n = self.n_stages
