@@ -266,6 +266,25 @@ def test_tolerances_follow_traced_numbers():
     np.testing.assert_allclose(traced, concrete, rtol=1e-12)
 
 
+def test_a_run_that_is_differentiated_is_judged_by_the_numbers_of_the_plain_one():
+    """And says them; under `jax.jit` they are hidden, and come to the same."""
+    ts, seen = jnp.array([0.0, 0.005]), []
+
+    def height(c):
+        run = sj.simulate(sj.gallery.four_bar(sj.Dry(c)), ts, rtol=1e-8)
+        seen.append(run.stats.explanation)
+        return run.position("rocker")[-1, 2]
+
+    c = 1e-4
+    height(c)
+    slope, hidden = jax.grad(height)(c), jax.jit(jax.grad(height))(c)
+    plain, differentiated, _ = seen
+    said = "atol 1e-11 m, 1e-10 m/s"
+    assert said in plain
+    assert said in differentiated
+    np.testing.assert_allclose(slope, hidden, rtol=1e-9)
+
+
 def test_a_traced_tolerance_and_a_derivative_together():
     ts = jnp.array([0.0, 0.005])
 

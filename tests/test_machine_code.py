@@ -251,6 +251,30 @@ def test_stages_in_one_call_are_those_of_the_loop(method, size, n_runs):
         np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14 * np.max(np.abs(expected)))
 
 
+@pytest.mark.parametrize("n_runs", [1, 3])
+def test_what_has_no_weight_does_not_count(n_runs):
+    """Dopri8's last stage is for what is inside a step: what it meets there says nothing of the end."""
+
+    def rate(theta, t, y):
+        return jnp.where(y > theta[0], 1 / (y - y), jnp.ones(1))
+
+    theta = jnp.array([0.5])
+    program = scalarize(rate, theta, jnp.zeros(()), jnp.zeros(1))
+    tableau = diffrax.Dopri8().tableau
+    steps = ExplicitStages(tableau, lambda t, y, given: program.inside((), given.theta, t, y), True, program)
+    used = steps.n_used
+    steps.coefficients[used:, 0] += 10.0  # the stages behind are in what is infinite
+    given = Given(jnp.tile(theta[:, None], n_runs), ())
+    lane = jnp.zeros(n_runs), jnp.full(n_runs, 0.1), jnp.zeros((1, n_runs)), given, (), jnp.zeros(n_runs, bool)
+    with machine_code.wanted():
+        trial = jax.jit(steps.step)(*lane, jnp.zeros(n_runs))
+    increments = trial.dense_info["k"]
+    assert np.all(np.isfinite(increments[:used]))
+    assert not np.any(np.isfinite(increments[used:]))
+    np.testing.assert_allclose(trial.y, 0.1, rtol=1e-12)
+    np.testing.assert_allclose(trial.error, 0.0, atol=1e-12)
+
+
 class Rows(NamedTuple):
     value: Given
     slopes: Given

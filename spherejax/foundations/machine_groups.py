@@ -107,18 +107,17 @@ class Array(NamedTuple):
         return _turn(way, self.kind, groups.n_runs is not None and not self.is_shared, groups.width)
 
 
-def function_of(given: Sequence[Array], result: Array, groups: Groups, inside: str) -> str:
+def function_of(given: Sequence[Array], results: Sequence[Array], groups: Groups, inside: str) -> str:
     """The function that XLA calls.
 
     Args:
         given: its arguments.
-        result: its only result.
+        results: its results.
         groups: how it goes through the runs.
-        inside: name of a function with pointers to all arguments of a group, then to its result.
+        inside: name of a function with pointers to all arguments of a group, then to its results.
     """
-    names, room, taken, functions, pointers = [], [], [], {}, []
+    room, taken, functions, pointers = [], [], {}, []
     for i, array in enumerate(given):
-        names.append(f"%a{i}")
         if array.is_as_inside(groups):
             pointers.append(f"%a{i}")
             continue
@@ -130,13 +129,14 @@ def function_of(given: Sequence[Array], result: Array, groups: Groups, inside: s
         taken += array.turned("in", f"%a{i}", f"%in{i}", groups)
         functions[array.functions("in", groups)] = None
     given_back = []
-    if result.is_as_inside(groups):
-        pointers.append("%r0")
-    else:
-        pointers.append("%out")
-        room.append(room_for("%out", result.room(groups)))
-        given_back = result.turned("out", "%r0", "%out", groups)
-        functions[result.functions("out", groups)] = None
+    for i, array in enumerate(results):
+        if array.is_as_inside(groups):
+            pointers.append(f"%r{i}")
+            continue
+        pointers.append(f"%out{i}")
+        room.append(room_for(f"%out{i}", array.room(groups), array.kind))
+        given_back += array.turned("out", f"%r{i}", f"%out{i}", groups)
+        functions[array.functions("out", groups)] = None
     new_line = "\n"
     body = new_line.join([*taken, call_of(inside, pointers).rstrip("\n"), *given_back])
     begin, end = "  %run = add i64 0, 0", ""
@@ -156,7 +156,7 @@ end:"""
     return f"""\
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
 {new_line.join(functions)}
-{head(len(given), 1)}
+{head(len(given), len(results))}
 {new_line.join(room)}
 {begin}
 {body}

@@ -36,13 +36,14 @@ from spherejax.foundations.machine_lines import (
     room_for,
     spread_out,
     stored,
+    summing,
 )
 from spherejax.foundations.machine_text import Text, widest_for
 from spherejax.foundations.scalar_graph import BOOL, FLOAT
 from spherejax.foundations.straight_line import StraightLine
 
 LARGEST_STATE = 128
-"""Vectors of a state, with its rows, up to which sums over stages are kept in registers and on the stack."""
+"""Vectors of a state, with its rows, up to which stages are kept on the stack."""
 
 LARGEST_ROOM = 2**19
 """Bytes of what is made in a step of a group of runs, at most: a thread of XLA's pool has a few megabytes."""
@@ -308,7 +309,7 @@ def _text(steps: Steps, given: Sequence[Given], n_runs: int | None) -> str:
     below: Any = () if steps.rows is None else (size, steps.rows.n)
     result = Given(size, *below, n=len(steps.method.c))
     declared, inner = _step(steps, len(given), groups)
-    return "\n".join([*sorted(declared), inner, function_of(given, result, groups, "step")])
+    return "\n".join([*sorted(declared), inner, function_of(given, [result], groups, "step")])
 
 
 def _step(steps: Steps, n_arguments: int, groups: Groups) -> tuple[set[str], str]:
@@ -354,12 +355,15 @@ def _step(steps: Steps, n_arguments: int, groups: Groups) -> tuple[set[str], str
 @rows.d = private constant [{n} x double] [{listed(method.d)}]
 @rows.gamma = private constant [1 x double] [{listed([method.gamma])}]
 {new_line.join(each.function for each in every)}
+{summing(total)}
 define internal void @step({arguments}, ptr noalias %k) nounwind {{
 work:
 {room_for("%time", width)}
 {room_for("%moved", total)}
 {room_for("%change", total)}
 {room_for("%right", total)}
+{room_for("%nothing", total)}
+  call void @llvm.memset.p0.i64(ptr align 8 %nothing, i8 0, i64 {8 * total}, i1 false)
 {new_line.join(room)}
 {new_line.join(entry_at(f"%{rows_of(i)}", f"%a{i}", 0) for i, _ in (rows.given if rows else ()))}
 {entry_at("%begin.rows", "%a2", size)}
@@ -369,30 +373,14 @@ work:
   %t = load {one}, ptr %a0, align 8
   %h = load {one}, ptr %a1, align 8
   %gamma = load double, ptr @rows.gamma
-{each(lambda i, at, kind: loaded(f"%begin{i}", "%a2", at, kind))}
 {"".join(each.call for each in ahead)}  br label %stage
 stage:
-  %i = phi i64 [0, %work], [%next, %solved]
+  %i = phi i64 [0, %work], [%next, %stage]
   %row = mul nuw nsw i64 %i, {n}
-  %has.sum = icmp sgt i64 %i, 0
-  br i1 %has.sum, label %sum, label %summed
-sum:
-  %j = phi i64 [0, %stage], [%j.next, %sum]
-{each(partial(_sums, name="%{}{}"))}
-  %place = add nuw nsw i64 %row, %j
-  %p.a = getelementptr inbounds double, ptr @rows.A, i64 %place
-  %a = load double, ptr %p.a
-  %p.c = getelementptr inbounds double, ptr @rows.C, i64 %place
-  %c = load double, ptr %p.c
-  %from = mul nuw nsw i64 %j, {total}
-  %p.k = getelementptr inbounds double, ptr %k, i64 %from
-{each(_summed)}
-  %j.next = add nuw nsw i64 %j, 1
-  %is.last = icmp sge i64 %j.next, %i
-  br i1 %is.last, label %summed, label %sum
-summed:
-{each(partial(_sums, name="%{}{}.all"))}
-{each(lambda i, at, kind: stored(f"%m{i}.all", "%moved", at, kind))}
+  %p.a = getelementptr inbounds double, ptr @rows.A, i64 %row
+  call void @sum(ptr %a2, ptr %k, ptr %p.a, i64 %i, ptr %moved)
+  %p.c = getelementptr inbounds double, ptr @rows.C, i64 %row
+  call void @sum(ptr %nothing, ptr %k, ptr %p.c, i64 %i, ptr %right)
   %p.instant = getelementptr inbounds double, ptr @rows.c, i64 %i
   %instant.of.all = load double, ptr %p.instant
 {of_each_run("%instant", "%instant.of.all")}
@@ -406,8 +394,6 @@ summed:
   %found.rows = getelementptr inbounds double, ptr %found, i64 {size}
 {each(partial(_right_side, by_run=width > 1))}
 {solve.call}{"" if rows is None else _solved_rows(rows, behind, again, total - size, groups)}{each(_times_gamma)}
-  br label %solved
-solved:
   %next = add nuw nsw i64 %i, 1
   %is.done = icmp sge i64 %next, {n}
   br i1 %is.done, label %end, label %stage
@@ -435,29 +421,12 @@ def _solved_rows(rows: Rows, behind: list[_Written], again: _Written, size: int,
     return "\n".join([*lines, again.call])
 
 
-def _sums(i: int, at: int, kind: str, name: str) -> str:
-    """What is summed so far: with A from the state, with C from zero."""
-    del at
-    return "\n".join(
-        f"  {name.format(letter, i)} = phi {kind} [{begin}, %stage], [%{letter}{i}.next, %sum]"
-        for letter, begin in (("m", f"%begin{i}"), ("s", "zeroinitializer"))
-    )
-
-
-def _summed(i: int, at: int, kind: str) -> str:
-    lines = [
-        loaded(f"%k{i}", "%p.k", at, kind),
-        add_scaled(f"%m{i}.next", f"%m{i}", "%a", f"%k{i}", kind),
-        add_scaled(f"%s{i}.next", f"%s{i}", "%c", f"%k{i}", kind),
-    ]
-    return "\n".join(lines)
-
-
 def _right_side(i: int, at: int, kind: str, by_run: bool) -> str:
     lines = [
+        loaded(f"%s{i}", "%right", at, kind),
         loaded(f"%f{i}", "%change", at, kind),
         loaded(f"%u{i}", "%a3", at, kind),
-        add_scaled(f"%b{i}", f"%s{i}.all", "%h", f"%f{i}", kind, by_run),
+        add_scaled(f"%b{i}", f"%s{i}", "%h", f"%f{i}", kind, by_run),
         add_scaled(f"%w{i}", f"%b{i}", "%d", f"%u{i}", kind),
         stored(f"%w{i}", "%right", at, kind),
     ]

@@ -2,10 +2,10 @@
 
     k_i = h (1 - bend (1 - 2 c_i)) f(t + c_i (1 - bend (1 - c_i)) h, y + sum_j a_ij k_j)
 
-One by one, twelve stages of a step would cost XLA a call and several kernels each, more than a small right-hand side
-takes. Here the stages are a loop around the line's own function. Tangents of the state go along, if there are some: its
-derivative's function is in the same loop, over as many lanes. Many runs are a loop around all of this, over groups of
-them (`machine_groups`).
+and sums of them, with the weights of the step's end and of its error. One by one, twelve stages of a step would cost
+XLA a call and several kernels each, more than a small right-hand side takes. Here the stages are a loop around the
+line's own function. Tangents of the state go along, if there are some: its derivative's function is in the same loop,
+over as many lanes. Many runs are a loop around all of this, over groups of them (`machine_groups`).
 """
 
 import itertools
@@ -24,7 +24,6 @@ from spherejax.foundations import machine_code
 from spherejax.foundations.machine_groups import Array as Given
 from spherejax.foundations.machine_groups import Groups, function_of
 from spherejax.foundations.machine_lines import (
-    add_scaled,
     call_of,
     entry_at,
     listed,
@@ -32,13 +31,14 @@ from spherejax.foundations.machine_lines import (
     room_for,
     spread_out,
     stored,
+    summing,
 )
 from spherejax.foundations.machine_text import Text, widest_for
 from spherejax.foundations.scalar_graph import BOOL, FLOAT
 from spherejax.foundations.straight_line import StraightLine
 
 LARGEST_STATE = 512
-"""Vectors of a state, with its rows, up to which a sum over stages is kept in registers and on the stack."""
+"""Vectors of a state, with its rows, up to which stages are kept on the stack."""
 
 
 def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
@@ -59,34 +59,31 @@ def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
 def stages(
     line: StraightLine,
     at: int,
-    coefficients: np.ndarray,
-    instants: np.ndarray,
+    method: "Method",
     t: Array,
     h: Array,
     bend: Array,
     y: Array,
     n_made: Any,
     others: Sequence[Array],
-) -> Array:
-    """The increments k, shape (s, size, n_runs).
+) -> tuple[Array, Array]:
+    """The increments k, shape (s, size, n_runs), and sums of them, shape (m, size, n_runs).
 
     Args:
         line: f.
         at: place of t among its arguments; y is behind it.
-        coefficients: a, shape (s, s), strictly lower.
-        instants: c.
+        method: the tableau.
         t, h, bend, y: as above; with a last axis of runs, y of shape (size, n_runs).
         n_made: so many stages are evaluated, the first ones; increments of the others are zero.
         others: the other arguments of the line, in order; with a last axis of runs.
     """
-    return _bound((t, h, bend, n_made, y, *others), line, None, _Method.of(at, coefficients, instants))
+    return _bound((t, h, bend, n_made, y, *others), line, None, method._replace(at=at))
 
 
 def stages_with_rows(
     line: StraightLine,
     at: int,
-    coefficients: np.ndarray,
-    instants: np.ndarray,
+    method: "Method",
     t: Array,
     h: Array,
     bend: Array,
@@ -94,11 +91,11 @@ def stages_with_rows(
     n_made: Any,
     others: Sequence[Array],
     along: Sequence[Array | None],
-) -> Array:
-    """The increments of a state and of tangents of it, shape (s, 1 + rows, size, n_runs).
+) -> tuple[Array, Array]:
+    """As `stages`, of a state and of tangents of it: shapes (s, 1 + rows, size, n_runs), (m, 1 + rows, size, n_runs).
 
     Args:
-        line, at, coefficients, instants, t, h, bend, n_made, others: as for `stages`.
+        line, at, method, t, h, bend, n_made, others: as for `stages`.
         rows: y, then tangents of it, shape (1 + rows, size, n_runs); at least one.
         along: tangents of `others`, with a leading axis of rows; None for what has none.
     """
@@ -108,29 +105,40 @@ def stages_with_rows(
     tangents = [x for x in along if x is not None]
     below = _Rows(derivative.slopes, moves, rows.shape[0] - 1)
     given = t, h, bend, n_made, rows, *others, *tangents
-    return _bound(given, derivative.values, below, _Method.of(at, coefficients, instants))
+    return _bound(given, derivative.values, below, method._replace(at=at))
 
 
-def _bound(given: Sequence, line: StraightLine, rows: "_Rows | None", method: "_Method") -> Array:
+def _bound(given: Sequence, line: StraightLine, rows: "_Rows | None", method: "Method") -> tuple[Array, Array]:
     t, h, bend, n_made, y, *others = given
     n_runs = y.shape[-1]
     if n_runs == 1:
         t, h, bend, *others = (jnp.squeeze(x, -1) for x in (t, h, bend, *others))
     arguments = t, h, bend, jnp.asarray(n_made, jnp.int64), y, *others
-    (k,) = _stages.bind(*arguments, line=line, rows=rows, method=method, n_runs=None if n_runs == 1 else n_runs)
-    return k
+    k, sums = _stages.bind(*arguments, line=line, rows=rows, method=method, n_runs=None if n_runs == 1 else n_runs)
+    return k, sums
 
 
-class _Method(NamedTuple):
-    """Place of t among the arguments of f, and the tableau."""
+class Method(NamedTuple):
+    """A tableau.
 
-    at: int
+    Attributes:
+        coefficients: a, strictly lower.
+        instants: c.
+        sums: weights of what is summed over the stages.
+        at: place of t among the arguments of f.
+    """
+
     coefficients: tuple[tuple[float, ...], ...]
     instants: tuple[float, ...]
+    sums: tuple[tuple[float, ...], ...]
+    at: int = 0
 
     @classmethod
-    def of(cls, at: int, coefficients: np.ndarray, instants: np.ndarray) -> "_Method":
-        return cls(at, tuple(map(tuple, coefficients.tolist())), tuple(instants.tolist()))
+    def of(cls, coefficients: np.ndarray, instants: np.ndarray, sums: Sequence[np.ndarray]) -> "Method":
+        """Of arrays; weights of stages that are not there do not count."""
+        n = len(instants)
+        weights = (tuple(np.asarray(each)[:n].tolist()) + (0.0,) * (n - len(each)) for each in sums)
+        return cls(tuple(map(tuple, coefficients.tolist())), tuple(instants.tolist()), tuple(weights))
 
 
 class _Rows(NamedTuple):
@@ -146,13 +154,13 @@ _stages.multiple_results = True
 
 
 @_stages.def_abstract_eval
-def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: _Method, **what: Any) -> list:
+def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: Method, **what: Any) -> list:
     del t, h, bend, n, others, what
-    return [ShapedArray((len(method.instants), *y.shape), y.dtype)]
+    return [ShapedArray((len(each), *y.shape), y.dtype) for each in (method.instants, method.sums)]
 
 
 def _lowered(
-    context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: _Method, n_runs: int | None
+    context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: Method, n_runs: int | None
 ) -> Sequence:
     # A line with coefficients belongs to one line of slopes.
     key = "stages", rows and rows.n, method, n_runs
@@ -169,7 +177,7 @@ def _groups(line: StraightLine, rows: _Rows | None, n_runs: int | None) -> Group
     return Groups.of(n_runs, widest)
 
 
-def _text(line: StraightLine, rows: _Rows | None, method: _Method, n_runs: int | None) -> str:
+def _text(line: StraightLine, rows: _Rows | None, method: Method, n_runs: int | None) -> str:
     groups = _groups(line, rows, n_runs)
     declared, inner = _stages_text(line, rows, method, groups)
     size = int(line.outputs[0].size)
@@ -177,12 +185,12 @@ def _text(line: StraightLine, rows: _Rows | None, method: _Method, n_runs: int |
     others = [Given(int(np.prod(shape)), kind=kind) for shape, kind in _others(line, method)]
     tangents = [Given(0, int(np.prod(shape)), rows.n) for shape in _tangents(rows, method)] if rows else []
     given = Given(1), Given(1), Given(1), Given(1, kind="i64", is_shared=True), Given(size, *below), *others, *tangents
-    result = Given(size, *below, n=len(method.instants))
-    called = function_of(given, result, groups, "stages")
+    results = [Given(size, *below, n=len(each)) for each in (method.instants, method.sums)]
+    called = function_of(given, results, groups, "stages")
     return "\n".join([*sorted(declared), inner, called])
 
 
-def _others(line: StraightLine, method: _Method) -> list[tuple[tuple[int, ...], str]]:
+def _others(line: StraightLine, method: Method) -> list[tuple[tuple[int, ...], str]]:
     """Shapes and types of the arguments of f besides t and y."""
     kinds = ["double"] * len(line.shapes) + ["i8" if line.dtype(group) == BOOL else "double" for group in line.given]
     shapes = [*line.shapes, *(group.shape for group in line.given)]
@@ -190,7 +198,7 @@ def _others(line: StraightLine, method: _Method) -> list[tuple[tuple[int, ...], 
     return both[: method.at] + both[method.at + 2 :]
 
 
-def _tangents(rows: _Rows, method: _Method) -> list[tuple[int, ...]]:
+def _tangents(rows: _Rows, method: Method) -> list[tuple[int, ...]]:
     """Shapes of the tangents that are given, besides that of the state."""
     at = _place_of_state(rows, method)
     return [shape for i, shape in enumerate(rows.line.shapes) if i != at]
@@ -200,10 +208,11 @@ _STATE = 4
 """Place of y among the arguments of the stages; before it are t, h, bend and the number of stages."""
 
 
-def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method, groups: Groups) -> tuple[set[str], str]:
-    """What is to be declared, and functions: `stages` has pointers to all arguments, and to k, of a group of runs."""
-    at, coefficients, instants = method
-    n, width, n_lanes = len(instants), groups.width, groups.lanes_for(rows.n) if rows else 0
+def _stages_text(line: StraightLine, rows: _Rows | None, method: Method, groups: Groups) -> tuple[set[str], str]:
+    """What is to be declared, and functions: `stages` has pointers to all arguments, to k, and to sums, of a group."""
+    coefficients, instants, sums, at = method
+    n, n_sums = len(instants), len(sums)
+    width, n_lanes = groups.width, groups.lanes_for(rows.n) if rows else 0
     n_values = int(line.outputs[0].size) * width
     size = n_values * (1 + n_lanes)
     rate = Text(line, (), (0,) * (len(line.shapes) + len(line.given)), width)
@@ -245,12 +254,16 @@ def _stages_text(line: StraightLine, rows: _Rows | None, method: _Method, groups
     text = f"""\
 @coefficients = private constant [{n * n} x double] [{listed(x for row in coefficients for x in row)}]
 @instants = private constant [{n} x double] [{listed(instants)}]
+@weights = private constant [{n * n_sums} x double] [{listed(x for row in sums for x in row)}]
 {inner}
-define internal void @stages({arguments}, ptr noalias %r0) nounwind {{
+{summing(size)}
+define internal void @stages({arguments}, ptr noalias %r0, ptr noalias %r1) nounwind {{
 work:
 {room_for("%time", width)}
 {room_for("%moved", size)}
 {room_for("%change", size)}
+{room_for("%nothing", size)}
+  call void @llvm.memset.p0.i64(ptr align 8 %nothing, i8 0, i64 {8 * size}, i1 false)
 {entry_at("%moved.rows", "%moved", n_values)}
 {entry_at("%change.rows", "%change", n_values)}
 {new_line.join(memory)}
@@ -260,29 +273,13 @@ work:
   %n.of.all = load i64, ptr %a3
 {of_each_run("%unit", "0x3FF0000000000000")}
   call void @llvm.memset.p0.i64(ptr align 8 %r0, i8 0, i64 {8 * n * size}, i1 false)
-{each(lambda i, at, kind: loaded(f"%begin{i}", "%a4", at, kind))}
   %some = icmp sgt i64 %n.of.all, 0
-  br i1 %some, label %stage, label %end
+  br i1 %some, label %stage, label %total
 stage:
-  %i = phi i64 [0, %work], [%next, %moving]
+  %i = phi i64 [0, %work], [%next, %stage]
   %row = mul nuw nsw i64 %i, {n}
-  %has.sum = icmp sgt i64 %i, 0
-  br i1 %has.sum, label %sum, label %summed
-sum:
-  %j = phi i64 [0, %stage], [%j.next, %sum]
-{each(lambda i, at, kind: f"  %s{i} = phi {kind} [%begin{i}, %stage], [%s{i}.next, %sum]")}
-  %place = add nuw nsw i64 %row, %j
-  %p.a = getelementptr inbounds double, ptr @coefficients, i64 %place
-  %a = load double, ptr %p.a
-  %from = mul nuw nsw i64 %j, {size}
-  %p.k = getelementptr inbounds double, ptr %r0, i64 %from
-{each(_add)}
-  %j.next = add nuw nsw i64 %j, 1
-  %is.last = icmp sge i64 %j.next, %i
-  br i1 %is.last, label %summed, label %sum
-summed:
-{each(lambda i, at, kind: f"  %m{i} = phi {kind} [%begin{i}, %stage], [%s{i}.next, %sum]")}
-{each(lambda i, at, kind: stored(f"%m{i}", "%moved", at, kind))}
+  %p.a = getelementptr inbounds double, ptr @coefficients, i64 %row
+  call void @sum(ptr %a4, ptr %r0, ptr %p.a, i64 %i, ptr %moved)
   %p.c = getelementptr inbounds double, ptr @instants, i64 %i
   %c.of.all = load double, ptr %p.c
 {of_each_run("%c", "%c.of.all")}
@@ -297,14 +294,22 @@ summed:
   %slow = fmul {one} %bend, %turn
   %speed = fsub {one} %unit, %slow
   %length = fmul {one} %h, %speed
-{calls}  br label %moving
-moving:
-  %to = mul nuw nsw i64 %i, {size}
+{calls}  %to = mul nuw nsw i64 %i, {size}
   %p.to = getelementptr inbounds double, ptr %r0, i64 %to
 {each(kept)}
   %next = add nuw nsw i64 %i, 1
   %is.done = icmp sge i64 %next, %n.of.all
-  br i1 %is.done, label %end, label %stage
+  br i1 %is.done, label %total, label %stage
+total:
+  %m = phi i64 [0, %work], [0, %stage], [%m.next, %total]
+  %m.row = mul nuw nsw i64 %m, {n}
+  %p.w = getelementptr inbounds double, ptr @weights, i64 %m.row
+  %m.to = mul nuw nsw i64 %m, {size}
+  %p.m = getelementptr inbounds double, ptr %r1, i64 %m.to
+  call void @sum(ptr %nothing, ptr %r0, ptr %p.w, i64 {n}, ptr %p.m)
+  %m.next = add nuw nsw i64 %m, 1
+  %m.done = icmp sge i64 %m.next, {n_sums}
+  br i1 %m.done, label %end, label %total
 end:
   ret void
 }}
@@ -312,10 +317,6 @@ end:
     return declared, text
 
 
-def _place_of_state(rows: _Rows, method: _Method) -> int:
+def _place_of_state(rows: _Rows, method: Method) -> int:
     """Among the arguments of the rates of rows, which are those of f that move."""
     return sum(rows.moves[: method.at])
-
-
-def _add(i: int, begin: int, kind: str) -> str:
-    return f"{loaded(f'%k{i}', '%p.k', begin, kind)}\n{add_scaled(f'%s{i}.next', f'%s{i}', '%a', f'%k{i}', kind)}"

@@ -1,5 +1,6 @@
 """From a scene to a system: only what the scene calls for, in a form ready for the equations of motion."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -325,9 +326,16 @@ def flatten_system(system: System):
             special.extend((start + i, float(v)) for i, v in enumerate(flat) if v in SPECIAL_VALUES)
         start += int(np.prod(shape))
     structure = Structure(tree, shapes, tuple(special))
-    if all(is_concrete(leaf) for leaf in leaves):
-        return structure, np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in leaves])
-    return structure, jnp.concatenate([jnp.ravel(jnp.asarray(leaf, jnp.float64)) for leaf in leaves])
+    # What is concrete is joined by NumPy: to JAX each shape would be a program to compile.
+    parts: list[Any] = []
+    for known, group in itertools.groupby(leaves, is_concrete):
+        if known:
+            parts.append(np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in group]))
+        else:
+            parts += [jnp.ravel(jnp.asarray(leaf, jnp.float64)) for leaf in group]
+    if len(parts) == 1 and isinstance(parts[0], np.ndarray):
+        return structure, parts[0]
+    return structure, jnp.concatenate(parts)
 
 
 @lru_cache(maxsize=64)

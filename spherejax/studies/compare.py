@@ -23,6 +23,7 @@ from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
 from spherejax.output.plot.curves import Curves, curves_of
+from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.studies.cases import Case, LimitStudy, Study
 from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult, Subject, Timed
@@ -183,9 +184,11 @@ def _distinct(studies: Sequence[Study]) -> list[Case]:
 
 
 def _limit(subject: Subject, study: LimitStudy, ts) -> LimitResult:
-    ideal = np.asarray(simulate(subject.build(Ideal()), ts, rtol=RTOL, throw=True).position(subject.body)[:, 2])
-    deviations = []
-    for value in study.values:
-        run = simulate(subject.build(study.model_of(value)), ts, rtol=RTOL, throw=True)
-        deviations.append(float(np.max(np.abs(np.asarray(run.position(subject.body)[:, 2]) - ideal))))
+    def heights(model: AbstractSphericalModel) -> np.ndarray:
+        # With the account of the work, which nobody reads here: so are the programs those of the models' own runs.
+        run = simulate(subject.build(model), ts, rtol=RTOL, track_work=subject.tracks_work, throw=True)
+        return np.asarray(run.position(subject.body)[:, 2])
+
+    ideal = heights(Ideal())
+    deviations = [float(np.max(np.abs(heights(study.model_of(value)) - ideal))) for value in study.values]
     return LimitResult(study.label, study.parameter, list(study.values), deviations, study.order, study.kind)

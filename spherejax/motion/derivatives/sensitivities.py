@@ -81,8 +81,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
             return by_diffrax(values, arrays, *rest)
         scale = scales_of(values)
         found = slopes_as_job(plan, options, values, jnp.diag(scale), *rest)
-        ys, assembly = jax.tree.map(lambda leaf: _numbers_last(leaf, scale), (found.ys, found.assembly))
-        return found.outcome, Slopes(ys, assembly)
+        return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
 
     @with_slopes.defjvp
     def with_slopes_jvp(primals, tangents):
@@ -96,9 +95,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     @run.defjvp
     def run_jvp(primals, tangents):
         outcome, jacobian = with_slopes(*primals)
-        ys, assembly = jax.tree.map(lambda j: j @ tangents[0], jacobian)
-        # Samples that the run did not reach are NaN, and constant.
-        ys = jnp.where(jnp.isnan(outcome.ys), 0.0, ys)
+        ys, assembly = _along(jacobian, tangents[0], outcome.ys)
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
         still = jnp.zeros_like(outcome.t_reached), jnp.zeros_like(outcome.y_reached)
         return outcome, Outcome(ys, *still, counts[0], counts[1], assembly)
@@ -212,8 +209,7 @@ def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"],
     """The derivatives by each of the traced numbers, with their errors controlled."""
     scale = scales_of(values)
     found = _controlled(plan, options, values, jnp.diag(scale), *rest)
-    assembly = jax.tree.map(lambda x: _numbers_last(x, scale), found.assembly_slopes)
-    return Slopes(_numbers_last(found.slopes, scale), assembly)
+    return Slopes(*_unscaled((found.slopes, found.assembly_slopes), scale))
 
 
 def _controlled(
@@ -351,5 +347,15 @@ def integrate_rows(
     return IntegratedRows(rows, others, status, reached, solution.stats["num_steps"])
 
 
-def _numbers_last(scaled: Float[Array, "p ..."], scale: Float[Array, " p"]) -> Array:
-    return jnp.moveaxis(scaled, 0, -1) / scale
+@jax.jit
+def _along(jacobian: Slopes, tangent: Float[Array, " p"], ys: Array) -> Slopes:
+    """Derivatives along a tangent of the numbers."""
+    ys_dot, assembly = jax.tree.map(lambda j: j @ tangent, jacobian)
+    # Samples that the run did not reach are NaN, and constant.
+    return Slopes(jnp.where(jnp.isnan(ys), 0.0, ys_dot), assembly)
+
+
+@jax.jit
+def _unscaled(scaled: Any, scale: Float[Array, " p"]) -> Any:
+    """Derivatives by the numbers, with these on the last axis, of those by scaled numbers, with these on the first."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) / scale, scaled)

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.collecting import collecting_later
 from spherejax.foundations.types import Numeric
@@ -89,7 +90,10 @@ class PreparedScene:
         """Tolerances by its scales, and the step-size control with them."""
 
         def found() -> tuple[Tolerances, diffrax.PIDController]:
-            tolerances = component_tolerances(self._system, rtol)
+            # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
+            seen = known_behind((self._system, rtol))
+            system, known = seen[0] if len(seen) == 1 else (self._system, rtol)
+            tolerances = component_tolerances(system, known)
             return tolerances, controller_for(self.structure, tolerances.rtol, tolerances.atol)
 
         return self._once("tolerances", (rtol,), found)

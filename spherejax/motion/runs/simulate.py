@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
+from spherejax.foundations.lanes import rows_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
@@ -176,7 +177,7 @@ def _call(
     conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol)]
     conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
-    values = jnp.asarray(found.theta)[np.array(unknown, int)] if unknown else np.zeros(0)
+    values = rows_at(jnp.asarray(found.theta), unknown) if unknown else np.zeros(0)
     arguments = plan, options, values, found.known, ts, assembly, values_are_legal
     if not by_sensitivities:
         outcome_of = integrate.bound(*arguments)

@@ -46,6 +46,7 @@ class Step(NamedTuple):
         error: estimate of the error of y1.
         dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
+        stray: see `stages.Trial`.
     """
 
     t0: Float[Array, " n_lanes"]
@@ -55,6 +56,7 @@ class Step(NamedTuple):
     error: Float[Array, "... n_lanes"]
     dense_info: Any
     parameters: Any
+    stray: Float[Array, "... n_lanes"] | None = None
 
     @property
     def of_first_row(self) -> "Step":

@@ -171,7 +171,7 @@ class _Queue:
         """
         problem = self.problem
         error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters)
+        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters, trial.stray)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from spherejax.foundations import machine_code
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine_stages import can_be_called, stages, stages_with_rows
+from spherejax.foundations.machine_stages import Method, can_be_called, stages, stages_with_rows
 from spherejax.foundations.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
@@ -36,6 +36,7 @@ class Trial(NamedTuple):
         dense_info: what the solver's interpolation is made from.
         solver_state: the solver's state at its end.
         result: whether the solver could make it, as `diffrax.RESULTS`; None where it always can.
+        stray: how far the last stage at the step's end, other than the end itself, is from it; None without one.
     """
 
     y: Array
@@ -43,6 +44,7 @@ class Trial(NamedTuple):
     dense_info: dict[str, Any]
     solver_state: Any
     result: Any
+    stray: Array | None = None
 
 
 def own_time(share: Array, bend: Array) -> Array:
@@ -82,7 +84,8 @@ class ExplicitStages:
         n_used = _last_used(self.weights, self.error_weights)
         self.n_stages, self.n_used = n if with_dense_output else n_used, n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
-        self.stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
+        stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
+        self.sums = [self.weights, self.error_weights, *([] if stray is None else [stray])]
         self.can_look = can_look(self.coefficients, self.instants)
         self.rate = rate
 
@@ -99,14 +102,17 @@ class ExplicitStages:
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
         n_made = n if n_evaluated is None else n_evaluated
-        k = self._called(t, h, y, parameters, bend, n_made)
-        if k is None:
+        found = self._called(t, h, y, parameters, bend, n_made)
+        if found is None:
             k = self._looped(t, h, y, parameters, bend, n_made)
-        end = y + _weighted(self.weights, k)
-        return Trial(end, _weighted(self.error_weights, k), {"y0": y, "y1": end, "k": k}, (), None)
+            sums = [_weighted(weights, k) for weights in self.sums]
+        else:
+            k, sums = found
+        end = y + sums[0]
+        return Trial(end, sums[1], {"y0": y, "y1": end, "k": k}, (), None, *sums[2:])
 
-    def _called(self, t, h, y, parameters, bend, n_made) -> Array | None:
-        """The increments of all stages by one call of machine code; None where there is none."""
+    def _called(self, t, h, y, parameters, bend, n_made) -> tuple[Array, Array] | None:
+        """The increments of all stages and their sums by one call of machine code; None where there is none."""
         program = self.program
         if program is None or not machine_code.is_on():
             return None
@@ -114,10 +120,10 @@ class ExplicitStages:
         if not can_be_called(line, y.shape[:-1]):
             return None
         n = self.n_stages
-        method = self.coefficients[:n, :n], self.instants[:n]
+        method = Method.of(self.coefficients[:n, :n], self.instants[:n], self.sums)
         theta, ahead, slopes = parameters.theta, parameters.ahead, parameters.slopes if y.ndim == 3 else None
         others = in_lanes(lambda theta, ahead: (theta, *program.line_inside(ahead)[1]))(theta, ahead)
-        given = line, _TIME, *method, t, h, bend, y, n_made, others
+        given = line, _TIME, method, t, h, bend, y, n_made, others
         if slopes is None:
             return stages(*given)
         along = in_lanes(lambda theta, *ahead: (theta, *program.slopes_inside(*ahead)))
