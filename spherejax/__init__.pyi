@@ -4,8 +4,8 @@ from . import gallery, plot, priors, runtime
 from .files import SceneFile, SimulationSettings, load_mjcf, load_scene, load_urdf, read_scene_file, save_scene
 from .foundations.checks import Requirement
 from .foundations.errors import SceneError
-from .foundations.scalar_graph import NotScalarizable
-from .foundations.scalarize import ScalarProgram, scalarize
+from .foundations.scalar.graph import NotScalarizable
+from .foundations.scalar.scalarize import ScalarProgram, scalarize
 from .foundations.types import Unit
 from .gallery.wheel_suspensions import DOUBLE_WISHBONE, MCPHERSON
 from .model.drift import AbstractDriftControl, Baumgarte, NoDriftControl, PostStabilization, Projection

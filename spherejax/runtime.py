@@ -2,8 +2,8 @@
 
 The first flag lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
 does so for tiny loops only. The second lets one fusion have several outputs. Together with the scalar program of
-`spherejax.foundations.scalarize` they make a right-hand side 15 to 30 times faster; neither helps code that calls
-LAPACK or multiplies matrices inside the loop.
+`foundations.scalar.scalarize` they make a right-hand side 15 to 30 times faster; neither helps code that calls LAPACK
+or multiplies matrices inside the loop.
 
 A third one lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which
 takes a tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse.

@@ -81,7 +81,7 @@ def lets_go():
 
     import jax
 
-    from spherejax.foundations.bounded_jit import BoundedJit
+    from spherejax.foundations.kept.bounded_jit import BoundedJit
 
     for programs in [each for each in gc.get_objects() if type(each) is BoundedJit]:
         programs.clear()

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import spherejax
+from spherejax.foundations.kept import kept_on_disk
 
 PACKAGE = Path(spherejax.__file__).parent
 ORDER = ["foundations", "physics", "model", "gallery", "motion", "files", "output", "studies", "command_line", "top"]
@@ -87,6 +88,17 @@ def test_rooms_of_motion_follow_the_run(path):
     for name in imported(path):
         if name.startswith("spherejax.motion."):
             assert ROOMS.index(room_of(MODULES[name])) <= ROOMS.index(room_of(path)), f"imports upwards: {name}"
+
+
+def test_most_of_the_foundations_stands_in_rooms():
+    """What is read together: scalar programs, their machine code, eliminations, kept programs; the rest is short."""
+    loose = [path for path in FILES if path.parent == PACKAGE / "foundations"]
+    assert len(loose) <= 12
+    assert sum(len(path.read_text().splitlines()) for path in loose) <= 1200
+
+
+def test_kept_programs_are_told_apart_by_all_files_of_the_package():
+    assert {path.resolve() for path in FILES} == set(kept_on_disk._sources())
 
 
 def test_runtime_imports_nothing_of_the_package():

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.collecting import collecting_later
+from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.collecting import collecting_later
 
 
 @pytest.fixture(autouse=True)

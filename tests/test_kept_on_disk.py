@@ -17,10 +17,10 @@ import pytest
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations import kept_on_disk
-from spherejax.foundations.bounded_jit import bounded_jit, found_by_jax
-from spherejax.foundations.fingerprints import known_fingerprint, value_fingerprint
-from spherejax.foundations.scalarize import scalarize
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.kept.bounded_jit import bounded_jit, found_by_jax
+from spherejax.foundations.kept.fingerprints import known_fingerprint, value_fingerprint
+from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -99,7 +99,8 @@ jax.monitoring.register_event_duration_secs_listener(
 )
 import jax.numpy as jnp
 import spherejax
-from spherejax.foundations import bounded_jit, general_solve
+from spherejax.foundations.kept import bounded_jit
+from spherejax.foundations.linear import general_solve
 solve = bounded_jit.bounded_jit(general_solve._by_lapack)
 print(solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.ones((2, 1)))[1, 0], any("_by_lapack" in str(name) for name in traced))
 """
@@ -328,7 +329,7 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
 def test_only_what_was_compiled_here_is_kept(folder, monkeypatch, found, n_traced, is_kept):
     """What JAX has loaded from its own cache cannot be written again: it is compiled under another name."""
     keyed_by(monkeypatch, "key")
-    monkeypatch.setattr("spherejax.foundations.bounded_jit.found_by_jax", lambda: nullcontext(lambda: found))
+    monkeypatch.setattr("spherejax.foundations.kept.bounded_jit.found_by_jax", lambda: nullcontext(lambda: found))
     traced = []
 
     def halved(x):

@@ -14,8 +14,8 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.fingerprints import program_fingerprint, value_fingerprint
+from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.fingerprints import program_fingerprint, value_fingerprint
 from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.jobs import integrated

@@ -19,10 +19,13 @@ from jax.extend import core as jex
 from jax.flatten_util import ravel_pytree
 
 import spherejax as sj
-from spherejax.foundations import few_kernels, machine_code, machine_text, straight_line
-from spherejax.foundations.few_kernels import in_few_kernels
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.scalarize import scalarize
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine import few_kernels
+from spherejax.foundations.machine import text as machine_text
+from spherejax.foundations.machine.few_kernels import in_few_kernels
+from spherejax.foundations.scalar import straight_line
+from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -180,9 +183,10 @@ def test_arguments_that_nothing_reads_do_not_end_the_process():
     """XLA aborts where a small function has some; here each is returned in part."""
     code = """
 import spherejax, jax, jax.numpy as jnp
-from spherejax.foundations import machine_code, straight_line
-from spherejax.foundations.few_kernels import in_few_kernels
-from spherejax.foundations.scalarize import scalarize
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.scalar import straight_line
+from spherejax.foundations.machine.few_kernels import in_few_kernels
+from spherejax.foundations.scalar.scalarize import scalarize
 straight_line.SMALLEST_CALLED = 0
 double = scalarize(lambda y: 2.0 * y, jnp.ones(3))
 def body(state):
@@ -473,7 +477,7 @@ def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch)
 RUN = """
 import sys, time, jax, jax.numpy as jnp
 import spherejax as sj
-from spherejax.foundations import machine_code
+from spherejax.foundations.machine import code as machine_code
 scene = sj.gallery.four_bar(sj.Lubricated(1e-4, 0.4))
 begin = time.process_time()
 run = sj.simulate(scene, jnp.linspace(0.0, 0.005, 3))

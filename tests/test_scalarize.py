@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.foundations.scalar_graph import AS_NUMPY, FLOAT, Graph, NotScalarizable
-from spherejax.foundations.scalar_solves import _minimum_degree_order
-from spherejax.foundations.scalarize import scalarize
-from spherejax.foundations.symmetric_solve import symmetric_solve
+from spherejax.foundations.linear.symmetric_solve import symmetric_solve
+from spherejax.foundations.scalar.graph import AS_NUMPY, FLOAT, Graph, NotScalarizable
+from spherejax.foundations.scalar.scalarize import scalarize
+from spherejax.foundations.scalar.solves import _minimum_degree_order
 from spherejax.model.system import flatten_system
 from spherejax.motion.equations.contacts import crossings, memory_after_step, onset_slopes, relative_motions
 from spherejax.motion.equations.dynamics import state_rate

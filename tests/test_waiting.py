@@ -13,7 +13,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.foundations import terminals
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.terminals import waiting_for
 
 RUN = """

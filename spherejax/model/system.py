@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import called, is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
+from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene

@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.derivatives.sensitivities import integrate_rows, start_of_rows

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.lanes import over_lanes, rows_at, sums_by_index
-from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT
 from spherejax.foundations.types import Scalar
 from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System

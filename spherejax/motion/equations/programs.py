@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.foundations import kept_on_disk
-from spherejax.foundations.collecting import collecting_later
-from spherejax.foundations.scalar_graph import NotScalarizable, TooManyOperations
-from spherejax.foundations.scalarize import ScalarProgram, scalarize
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.foundations.scalar.graph import NotScalarizable, TooManyOperations
+from spherejax.foundations.scalar.scalarize import ScalarProgram, scalarize
 from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
 

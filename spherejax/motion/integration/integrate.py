@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.few_kernels import in_few_kernels
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.few_kernels import in_few_kernels
 from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step, onset_slopes

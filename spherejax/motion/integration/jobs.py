@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate

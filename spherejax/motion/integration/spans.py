@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for

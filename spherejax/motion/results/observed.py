@@ -6,8 +6,8 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.machine import code as machine_code
 from spherejax.motion.equations.observables import Observation, looked_up, observe
 from spherejax.motion.equations.programs import program_for
 from spherejax.physics.state import Layout, State, unpack

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.fingerprints import (
+from spherejax.foundations.kept.fingerprints import (
     Traced,
     combined,
     known_fingerprint,

@@ -18,7 +18,7 @@ import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.collecting import collecting_later
+from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system

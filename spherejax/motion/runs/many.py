@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.behind_tracers import LOOKS, place_of
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import compile_scene
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.machine_rosenbrock import (
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.rosenbrock import (
     BEGIN_ROWS,
     FOUND,
     MOVED,
@@ -38,8 +38,8 @@ from spherejax.foundations.machine_rosenbrock import (
     rosenbrock_stages,
     rows_of,
 )
-from spherejax.foundations.scalar_graph import FLOAT
-from spherejax.foundations.straight_line import StraightLine
+from spherejax.foundations.scalar.graph import FLOAT
+from spherejax.foundations.scalar.straight_line import StraightLine
 from spherejax.motion.equations.programs import Program
 
 T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6

@@ -20,8 +20,8 @@ import diffrax
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.scalar_c import PRELUDE
-from spherejax.foundations.scalar_graph import NotScalarizable
+from spherejax.foundations.scalar.c_source import PRELUDE
+from spherejax.foundations.scalar.graph import NotScalarizable
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of

@@ -10,7 +10,7 @@ import numpy as np
 from spherejax.files.number_units import unit_at
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number
-from spherejax.foundations.scalarize import scalarize
+from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.numbers import Number, full_path, numbers_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene

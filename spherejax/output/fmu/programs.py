@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.scalar_graph import NotScalarizable, TooManyOperations
-from spherejax.foundations.scalarize import ScalarProgram, scalarize
+from spherejax.foundations.scalar.graph import NotScalarizable, TooManyOperations
+from spherejax.foundations.scalar.scalarize import ScalarProgram, scalarize
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.model.numbers import number_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.body_motions import body_motions

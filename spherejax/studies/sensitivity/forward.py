@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
 from spherejax.motion.equations.paths import path_of

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.motion.derivatives.adjoint import gradients, kept_run
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.files.code import modules_in, run_again
-from spherejax.foundations.bounded_jit import bounded_jit
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.known_builds import Build

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
+from spherejax.foundations.kept.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.results.trajectory import Trajectory

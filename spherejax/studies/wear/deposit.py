@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.bounded_jit import bounded_jit
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.laws.wear import WearContact, approach, foundation_depth, surface_sliding

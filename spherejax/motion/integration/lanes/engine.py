@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.few_kernels import in_few_kernels
 from spherejax.foundations.lanes import in_lanes, with_rows_at
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.few_kernels import in_few_kernels
 from spherejax.motion.integration.audit import CHECKS, Watch
 from spherejax.motion.integration.lanes.control import Repeating, Step
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks

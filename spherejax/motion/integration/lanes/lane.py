@@ -7,7 +7,7 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.scalarize import ScalarProgram
+from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
 from spherejax.motion.integration.sampling import Samples
 from spherejax.motion.solvers.landing import Contacts

@@ -18,9 +18,9 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations import kept_on_disk
-from spherejax.foundations.bounded_jit import bounded_jit
-from spherejax.foundations.collecting import collecting_later
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes.engine import run_in_lanes
 from spherejax.motion.integration.lanes.lane import Block, LaneOutcome, LaneProblem

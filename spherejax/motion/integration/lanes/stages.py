@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.foundations import machine_code
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine_stages import Method, can_be_called, stages, stages_with_rows
-from spherejax.foundations.scalarize import ScalarProgram
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.stages import Method, can_be_called, stages, stages_with_rows
+from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
 from spherejax.motion.solvers.traits import is_explicit

@@ -9,7 +9,7 @@ evaluated ahead in the same call. Tangents of the state go along, if there are s
     k_i' = gamma S(h f_i' + sum_j C_ij k_j' + d_i h^2 (df/dt)' + gamma h J' k_i / gamma)
 
 f_i' is what makes the tangents of f, and J' k is given by parts of its own. Many runs are a loop around all of this,
-over groups of them (`machine_groups`).
+over groups of them (`groups`).
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.machine_groups import Array as Given
-from spherejax.foundations.machine_groups import Groups, function_of
-from spherejax.foundations.machine_lines import (
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.groups import Array as Given
+from spherejax.foundations.machine.groups import Groups, function_of
+from spherejax.foundations.machine.lines import (
     add_scaled,
     call_of,
     entry_at,
@@ -38,9 +38,9 @@ from spherejax.foundations.machine_lines import (
     stored,
     summing,
 )
-from spherejax.foundations.machine_text import Text, widest_for
-from spherejax.foundations.scalar_graph import BOOL, FLOAT
-from spherejax.foundations.straight_line import StraightLine
+from spherejax.foundations.machine.text import Text, widest_for
+from spherejax.foundations.scalar.graph import BOOL, FLOAT
+from spherejax.foundations.scalar.straight_line import StraightLine
 
 LARGEST_STATE = 128
 """Vectors of a state, with its rows, up to which stages are kept on the stack."""

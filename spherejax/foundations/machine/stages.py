@@ -5,7 +5,7 @@
 and sums of them, with the weights of the step's end and of its error. One by one, twelve stages of a step would cost
 XLA a call and several kernels each, more than a small right-hand side takes. Here the stages are a loop around the
 line's own function. Tangents of the state go along, if there are some: its derivative's function is in the same loop,
-over as many lanes. Many runs are a loop around all of this, over groups of them (`machine_groups`).
+over as many lanes. Many runs are a loop around all of this, over groups of them (`groups`).
 """
 
 import itertools
@@ -20,10 +20,10 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.machine_groups import Array as Given
-from spherejax.foundations.machine_groups import Groups, function_of
-from spherejax.foundations.machine_lines import (
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.groups import Array as Given
+from spherejax.foundations.machine.groups import Groups, function_of
+from spherejax.foundations.machine.lines import (
     call_of,
     entry_at,
     listed,
@@ -33,9 +33,9 @@ from spherejax.foundations.machine_lines import (
     stored,
     summing,
 )
-from spherejax.foundations.machine_text import Text, widest_for
-from spherejax.foundations.scalar_graph import BOOL, FLOAT
-from spherejax.foundations.straight_line import StraightLine
+from spherejax.foundations.machine.text import Text, widest_for
+from spherejax.foundations.scalar.graph import BOOL, FLOAT
+from spherejax.foundations.scalar.straight_line import StraightLine
 
 LARGEST_STATE = 512
 """Vectors of a state, with its rows, up to which stages are kept on the stack."""

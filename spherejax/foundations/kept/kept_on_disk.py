@@ -31,11 +31,11 @@ import jax
 from jax.extend.core import Primitive
 
 from spherejax import runtime
-from spherejax.foundations.fingerprints import VERSIONED, is_installed, known_fingerprint
+from spherejax.foundations.kept.fingerprints import VERSIONED, is_installed, known_fingerprint
 
 _MARK = b"spherejax kept 1\n"
 _began = time.time()
-_PACKAGE = Path(__file__).resolve().parents[1]
+_PACKAGE = Path(__file__).resolve().parents[2]
 _tracing = threading.local()
 
 

@@ -7,9 +7,9 @@ looked at, so that the work of making a program grows with its size.
 import jax
 import numpy as np
 
-from spherejax.foundations.block_pattern import BlockPattern, minimum_degree_order
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph, NotScalarizable
-from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.foundations.linear.block_pattern import BlockPattern, minimum_degree_order
+from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.foundations.scalar.graph import BOOL, FLOAT, Graph, NotScalarizable
 
 
 def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
@@ -196,4 +196,4 @@ def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:
 
 
 SOLVES = {"symmetric_solve": _symmetric_solve, "block_solve": _block_solve, "general_solve": _general_solve}
-"""Rule of each primitive, as in `scalar_rules.RULES`."""
+"""Rule of each primitive, as in `rules.RULES`."""

@@ -10,7 +10,7 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import mlir
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT
+from spherejax.foundations.scalar.graph import BOOL, FLOAT, INT
 
 Shape = tuple[int, ...]
 

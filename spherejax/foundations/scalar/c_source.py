@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph, NotScalarizable
+from spherejax.foundations.scalar.graph import BOOL, FLOAT, Graph, NotScalarizable
 
 PRELUDE = """\
 #include <math.h>

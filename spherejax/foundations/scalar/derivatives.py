@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from spherejax.foundations.scalar_graph import EMIT, FLOAT, Graph, NotScalarizable
-from spherejax.foundations.scalar_interpreter import Interpreter
+from spherejax.foundations.scalar.graph import EMIT, FLOAT, Graph, NotScalarizable
+from spherejax.foundations.scalar.interpreter import Interpreter
 
 
 class Forward:

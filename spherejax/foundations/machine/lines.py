@@ -1,11 +1,11 @@
-"""Lines of LLVM's language that functions of several parts are written of; see `machine_text` for whole programs."""
+"""Lines of LLVM's language that functions of several parts are written of; see `text` for whole programs."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.machine_text import LANES_AT_A_TIME
+from spherejax.foundations.machine.text import LANES_AT_A_TIME
 
 
 def room_for(name: str, size: int, kind: str = "double") -> str:

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from spherejax.foundations import machine_code
 from spherejax.foundations.checks import exits_as_errors
-from spherejax.foundations.scalar_c import c_functions
-from spherejax.foundations.scalar_graph import FLOAT, Graph, TooManyOperations
-from spherejax.foundations.scalar_interpreter import Interpreter
-from spherejax.foundations.straight_line import StraightLine, grouped, is_called
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.scalar.c_source import c_functions
+from spherejax.foundations.scalar.graph import FLOAT, Graph, TooManyOperations
+from spherejax.foundations.scalar.interpreter import Interpreter
+from spherejax.foundations.scalar.straight_line import StraightLine, grouped, is_called
 
 
 class ScalarProgram:
@@ -168,7 +168,7 @@ class ScalarProgram:
         return jax.tree.unflatten(self._tree, outputs)
 
     def c_source(self, name: str) -> str:
-        """The program as functions of C; see `scalar_c.c_functions`.
+        """The program as functions of C; see `c_source.c_functions`.
 
         Raises:
             NotScalarizable: for an operation that C does not have.

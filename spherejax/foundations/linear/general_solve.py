@@ -1,7 +1,7 @@
 """Solve A X = B for a general matrix A with structural zeros, as one named operation.
 
 Being a JAX primitive of its own, the solve has one derivative rule (never through the factorization), one batching
-rule, and a name by which `spherejax.foundations.scalarize` recognizes it and replaces it by an unrolled sparse
+rule, and a name by which `spherejax.foundations.scalar.scalarize` recognizes it and replaces it by an unrolled sparse
 elimination, which does not exchange rows by size. As array code it is LAPACK's factorization with partial pivoting.
 """
 

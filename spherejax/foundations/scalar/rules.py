@@ -1,4 +1,4 @@
-"""How each JAX primitive acts on arrays of scalar node names; used by `spherejax.foundations.scalarize`.
+"""How each JAX primitive acts on arrays of scalar node names; used by `spherejax.foundations.scalar.scalarize`.
 
 Three families: primitives that only move entries (executed on the names), elementwise primitives (one node an
 entry), and those with a rule of their own (products, sums, the symmetric solve). Derivative rules attached by hand are
@@ -11,8 +11,8 @@ from functools import reduce
 import jax
 import numpy as np
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, Graph, NotScalarizable
-from spherejax.foundations.scalar_solves import SOLVES
+from spherejax.foundations.scalar.graph import BOOL, FLOAT, Graph, NotScalarizable
+from spherejax.foundations.scalar.solves import SOLVES
 
 STRUCTURAL = frozenset(
     [

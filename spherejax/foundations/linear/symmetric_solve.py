@@ -1,7 +1,7 @@
 """Solve S X = B for a symmetric positive semi-definite S, as one named operation.
 
 Being a JAX primitive of its own, the solve has one derivative rule (never through the factorization), one batching
-rule, and a name by which `spherejax.foundations.scalarize` recognizes it and replaces it by an unrolled sparse
+rule, and a name by which `spherejax.foundations.scalar.scalarize` recognizes it and replaces it by an unrolled sparse
 elimination. As array code it is the same elimination, L D L^T, in a loop.
 """
 

@@ -3,7 +3,7 @@
 To JAX two thousand scalar operations are two thousand objects to trace, to batch and to lower, at a tenth of a
 millisecond each for every time that the program is used. As one operation (`straight_line`) they are none of this until
 the program is compiled: the lowering rule writes them as StableHLO, lanes and all. Derivatives, forward and back, are
-straight lines again; see `scalar_derivatives`.
+straight lines again; see `derivatives`.
 
 Mapped by `jax.vmap`, the operation gets axes of lanes. They stand last in the arguments that have them, in the order of
 the mappings; a set of axes is an integer with a bit for each.
@@ -23,12 +23,12 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.line_lanes import in_first_lanes, narrowed, widened
-from spherejax.foundations.line_writer import Shape, Writer, sizes
-from spherejax.foundations.machine_text import can_be_written
-from spherejax.foundations.scalar_derivatives import Forward, Transposed
-from spherejax.foundations.scalar_graph import FLOAT, Graph
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.text import can_be_written
+from spherejax.foundations.scalar.derivatives import Forward, Transposed
+from spherejax.foundations.scalar.graph import FLOAT, Graph
+from spherejax.foundations.scalar.line_lanes import by_a_loop, in_first_lanes, inside_a_loop, narrowed, widened
+from spherejax.foundations.scalar.line_writer import Shape, Writer, sizes
 
 
 class StraightLine:
@@ -39,7 +39,7 @@ class StraightLine:
         outputs: names of the nodes that are returned, in arrays.
         shapes: of the arguments whose entries are the graph's inputs.
         given: nodes whose values are arguments too, behind the arrays: numbers, or vectors of them.
-        in_machine_code: whether it is called as machine code of its own, where that can be; see `machine_code`. Then
+        in_machine_code: whether it is called as machine code of its own, where that can be; see `machine.code`. Then
             what it gives to its derivatives are vectors: each argument of a call costs time.
     """
 
@@ -325,50 +325,20 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
         alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
         found = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
         return [jnp.expand_dims(x, 0) for x in found], [0] * len(found)
-    if is_called(line, lanes) and lanes:
-        if lanes[0] < n:
-            return _batched_inside_a_loop(arguments, dims, line=line, n_outside=lanes[0], axes=axes)
-        return _batched_by_a_loop(arguments, dims, line=line, lanes=lanes, axes=axes)
+    if lanes and is_called(line, lanes):  # machine code has one axis of lanes: the longer one
+        if lanes[0] >= n:
+            return by_a_loop(partial(_straight_line.bind, line=line, lanes=lanes, axes=axes), arguments, dims)
+        now = tuple(int(dim is not None) for dim in dims)
+        (_, was), (_, new) = line.spread(axes), line.spread(now)
+        return inside_a_loop(
+            partial(_straight_line.bind, line=line, lanes=(n,), axes=now), arguments, dims, axes, was, new
+        )
     last = 1 << len(lanes)
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
     now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
     found = _straight_line.bind(*turned, line=line, lanes=(*lanes, n), axes=now)
     _, spread = line.spread(now)
     return found, [x.ndim - 1 if over & last else None for x, over in zip(found, spread, strict=True)]
-
-
-def _batched_by_a_loop(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
-    """Machine code has one axis of lanes: it is called again for each place of another one."""
-    moved = [None if dim is None else jnp.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
-
-    def one(parts: Sequence) -> list[Array]:
-        found = (x if part is None else part for x, part in zip(arguments, parts, strict=True))
-        return _straight_line.bind(*found, **how)
-
-    found = jax.lax.map(one, moved)
-    return found, [0] * len(found)
-
-
-def _batched_inside_a_loop(
-    arguments: Sequence, dims: Sequence, *, line: StraightLine, n_outside: int, axes: tuple[int, ...]
-) -> tuple[Sequence, Sequence]:
-    """As `_batched_by_a_loop`, for a new axis that is longer than the one that is there: the loop goes over that."""
-    n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
-    turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
-    now = tuple(int(dim is not None) for dim in dims)
-    rows = [
-        jnp.moveaxis(x, -1 - new, 0) if over else None for x, over, new in zip(turned, axes, now, strict=True)
-    ]  # fmt: skip
-
-    def one(parts: Sequence) -> list[Array]:
-        given = (x if part is None else part for x, part in zip(turned, parts, strict=True))
-        return _straight_line.bind(*given, line=line, lanes=(n,), axes=now)
-
-    found = jax.lax.map(one, rows)
-    (_, was), (_, new) = line.spread(axes), line.spread(now)
-    assert all(x.shape[0] == n_outside for x in found)
-    found = [jnp.moveaxis(x, 0, -1 - is_new) if over else x[0] for x, over, is_new in zip(found, was, new, strict=True)]
-    return found, [x.ndim - 1 if is_new else None for x, is_new in zip(found, new, strict=True)]
 
 
 def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):

@@ -24,8 +24,8 @@ from typing import Any
 import jax
 import jax.ffi
 
-from spherejax.foundations import kept_on_disk
-from spherejax.foundations.machine_text import FUNCTION, Text
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.machine.text import FUNCTION, Text
 
 KNOWN_JAXLIB = ((0, 10),)
 """Versions (major, minor) of jaxlib with which this has been tested. With another one XLA compiles all."""

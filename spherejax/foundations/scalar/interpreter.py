@@ -8,9 +8,9 @@ import jax.core
 import numpy as np
 from jax.extend import core as jex
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT, Graph, NotScalarizable, TooManyOperations
-from spherejax.foundations.scalar_rules import ELEMENTWISE, RULES, STRUCTURAL, move_names
-from spherejax.foundations.scalar_solves import SOLVES
+from spherejax.foundations.scalar.graph import BOOL, FLOAT, INT, Graph, NotScalarizable, TooManyOperations
+from spherejax.foundations.scalar.rules import ELEMENTWISE, RULES, STRUCTURAL, move_names
+from spherejax.foundations.scalar.solves import SOLVES
 
 WASTE = 2
 """Nodes of a graph for each operation that is needed in the end, at most: what proves unused is made first (measured on

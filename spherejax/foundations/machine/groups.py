@@ -1,15 +1,15 @@
 """Functions that XLA calls for several runs: a group of them at a time, as vectors of one number for each.
 
 What XLA gives has runs last, and rows first: tangents of something have an axis of rows in front. The function inside,
-for one group, finds each entry as a vector of the group's runs, and rows as lanes: behind the entries (`machine_text`).
+for one group, finds each entry as a vector of the group's runs, and rows as lanes: behind the entries (`text`).
 Where the width of a group does not divide the number of runs, the last one begins earlier, and is made again.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from spherejax.foundations.machine_lines import call_of, room_for
-from spherejax.foundations.machine_text import LANES_AT_A_TIME, head
+from spherejax.foundations.machine.lines import call_of, room_for
+from spherejax.foundations.machine.text import LANES_AT_A_TIME, head
 
 
 class Groups(NamedTuple):

@@ -3,7 +3,7 @@
 The blocks are eliminated in an order chosen once from the pattern, in loops whose turns touch the blocks of one pivot
 row only: the work grows with the number of blocks that exist or fill in, and the compiled program does not grow at all.
 Like `symmetric_solve`, with the same rule for redundant equations, it is a JAX primitive with one derivative rule, and
-`spherejax.foundations.scalarize` replaces it by an unrolled elimination of the scalar entries.
+`spherejax.foundations.scalar.scalarize` replaces it by an unrolled elimination of the scalar entries.
 """
 
 from functools import partial
@@ -15,9 +15,9 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
-from spherejax.foundations.block_pattern import BlockPattern, Segment
 from spherejax.foundations.lanes import sums_by_index
-from spherejax.foundations.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.foundations.linear.block_pattern import BlockPattern, Segment
+from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT
 
 block_solve_p = Primitive("block_solve")
 

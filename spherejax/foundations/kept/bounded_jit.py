@@ -24,9 +24,10 @@ from jax.experimental import serialize_executable
 from jax.extend import core as jex
 
 from spherejax import runtime
-from spherejax.foundations import kept_on_disk, machine_code
 from spherejax.foundations.checks import exits_as_errors
-from spherejax.foundations.collecting import collecting_later
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.terminals import waiting_for
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.foundations.scalar_graph import BOOL, FLOAT, INT
+from spherejax.foundations.scalar.graph import BOOL, FLOAT, INT
 
 LARGEST_FRAME = 2**18
 """Bytes of values that a function may have at once, at most: lanes are taken fewer at a time in larger programs, for a

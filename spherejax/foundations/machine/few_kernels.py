@@ -24,9 +24,9 @@ from jax.extend import core as jex
 from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
-from spherejax.foundations import machine_code
-from spherejax.foundations.scalar_rules import ELEMENTWISE, STRUCTURAL
-from spherejax.foundations.straight_line import is_called
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.scalar.rules import ELEMENTWISE, STRUCTURAL
+from spherejax.foundations.scalar.straight_line import is_called
 
 SMALLEST_KERNEL = 2
 """Operations that are worth a function; XLA makes about one kernel of fewer by itself."""

@@ -1,0 +1,1 @@
+"""Compiled programs: told apart, kept in memory and on disk."""

@@ -1,0 +1,1 @@
+"""Scalar programs as machine code that XLA calls."""

@@ -1,0 +1,1 @@
+"""Functions of small arrays as straight-line programs of scalars."""
