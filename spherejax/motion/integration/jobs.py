@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -203,13 +204,14 @@ def _magnitudes_of(names: tuple[str, ...]):
 
 
 def job_of(
-    plan: Plan, theta: Float[Array, " p"], ts: Float[Array, " n"], start: Assembly | None, values_are_legal: Flag,
-    limits: Any, tolerances: Any,
+    plan: Plan, solver: Any, theta: Float[Array, " p"], ts: Float[Array, " n"], start: Assembly | None,
+    values_are_legal: Flag, limits: Any, tolerances: Any,
 ) -> Job:  # fmt: skip
     """A run without rows as a job.
 
     Args:
         plan: what it is compiled for.
+        solver: that integrates it.
         theta: all numbers of the system.
         ts: sample times [s].
         start: the consistent start; None to assemble it.
@@ -221,7 +223,9 @@ def job_of(
     is_closed = assembly.residual_after < CLOSING_TOLERANCE
     may_run, status = _permitted(values_are_legal, is_closed, y0)
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    numbers = Numbers(Parameters(theta, rate.ahead(theta)), None, tolerances, limits)
+    with machine_code.wanted(in_machine_code(plan, solver)):  # in vectors, if it is read by machine code
+        ahead = rate.ahead(theta)
+    numbers = Numbers(Parameters(theta, ahead), None, tolerances, limits)
     return Job(numbers, y0, may_run, status, assembly)
 
 
@@ -354,7 +358,7 @@ class _Request(eqx.Module):
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
         theta = plan.theta(values, known)
-        return job_of(plan, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
+        return job_of(plan, self.rest, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
 
     def limits(self, plan: Plan, theta) -> Limits:
         """Of the audit."""

@@ -92,8 +92,9 @@ class PreparedRuns:
         start = known_start(system, self.ts)
         legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions]))
         assembly = None if start is None else start.assembly
-        limits = audit_limits(system, pair[0], method.choice.solver)
-        return job_of(plan, jnp.asarray(theta), self.ts, assembly, legal, limits, own)
+        solver = method.choice.solver
+        limits = audit_limits(system, pair[0], solver)
+        return job_of(plan, solver, jnp.asarray(theta), self.ts, assembly, legal, limits, own)
 
     def problem(self) -> LaneProblem:
         """What every lane integrates."""

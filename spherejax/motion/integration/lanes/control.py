@@ -58,12 +58,6 @@ class Step(NamedTuple):
     parameters: Any
     stray: Float[Array, "... n_lanes"] | None = None
 
-    @property
-    def of_first_row(self) -> "Step":
-        """The steps of an explicit method without the rows of sensitivities below the state."""
-        inside = {**self.dense_info, "k": self.dense_info["k"][:, 0]}
-        return self._replace(y0=self.y0[0], y1=self.y1[0], error=self.error[0], dense_info=inside)
-
 
 class Repeating:
     """The control of single runs: a step that crosses a contact surface is taken again to end there."""

@@ -256,12 +256,11 @@ class Landing:
             return crossing._replace(rate=crossing.rate * size, velocity=crossing.velocity * size)
 
         # A search that looks at the state alone, and not at rows of sensitivities below it, takes a fifth of the time.
-        is_alone = contacts.first_row is None or self.correct is not None
-        of_states = step if is_alone else step.of_first_row
-        crossings_at = in_lanes(contacts.crossings if is_alone else contacts.crossings_of_state)
+        is_first = contacts.first_row is not None and self.correct is None
+        crossings_at = in_lanes(contacts.crossings_of_state if is_first else contacts.crossings)
 
         def inside(share) -> Crossing:
-            y = self._state_inside(of_states, state, share)
+            y = self._state_inside(step, state, share, is_first)
             return by_fraction(crossings_at(step.parameters, step.t0 + size * share, y))
 
         end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
@@ -283,8 +282,8 @@ class Landing:
         shares = jnp.where(may_release, fractions, 1.0)
         return jnp.min(shares, axis=0)
 
-    def _state_inside(self, step: Step, state: Pace, share) -> Float[Array, "... n_lanes"]:
-        """The states after a share of the steps' time."""
+    def _state_inside(self, step: Step, state: Pace, share, is_first=False) -> Float[Array, "... n_lanes"]:
+        """The states after a share of the steps' time; with all rows below them, or the first row alone."""
         x = own_time(share, self.bend_of_time(state, step.t1 - step.t0))
         n, degree = self.inside.shape
         coefficients = jnp.asarray(self.inside.T[::-1])
@@ -292,8 +291,8 @@ class Landing:
         weights = jax.lax.fori_loop(
             0, degree, lambda m, weights: (weights + coefficients[m, :, None]) * x, jnp.zeros((n, *x.shape))
         )
-        k = step.dense_info["k"]
-        y = step.y0 + sum(weights[i] * k[i] for i in range(n) if self.inside[i].any())
+        k, row = step.dense_info["k"], (0,) if is_first else ()
+        y = step.y0[row] + sum(weights[i] * k[(i, *row)] for i in range(n) if self.inside[i].any())
         return self._corrected(step.parameters, step.t0 + (step.t1 - step.t0) * share, y)
 
     def _corrected(self, parameters, t, y) -> Float[Array, "... n_lanes"]:
