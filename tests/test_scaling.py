@@ -14,8 +14,7 @@ from spherejax.model.groups import stacks_from, stacks_of
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations import programs
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.equations.paths import path_of
-from spherejax.motion.equations.programs import made_program, program_for
+from spherejax.motion.equations.programs import made_program, path_of, program_for
 from spherejax.motion.integration import compiling
 from spherejax.motion.integration.integrate import Plan, initial_state
 from spherejax.motion.integration.longest_step import longest_step
@@ -152,7 +151,6 @@ def test_a_run_switches_by_itself_and_says_so(monkeypatch):
     scene, ts = sj.gallery.chain(3, drift=sj.NoDriftControl()), jnp.array([0.0, 0.05])
     asked = sj.simulate(scene, ts, scalar=True)
     monkeypatch.setattr(programs, "LARGEST_SCALAR_PROGRAM", 500)
-    monkeypatch.setattr("spherejax.motion.equations.paths.LARGEST_SCALAR_PROGRAM", 500)
     made_program.cache_clear()
     run = sj.simulate(scene, ts)
     made_program.cache_clear()

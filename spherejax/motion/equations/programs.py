@@ -2,14 +2,14 @@
 
 Every function of a system, time and state is written as array code `function(system, t, y)`. A `Program` evaluates
 it on the flat parameter vector theta as a straight-line scalar program, made once for each structure and kept. A system
-too large for that runs on the array code, which is mapped over all bodies and all joints of a kind; so does a law
-without a scalar program, with a warning.
+too large for that runs on the array code, which is mapped over all bodies and all joints of a kind (`path_of`); so does
+a law without a scalar program, with a warning.
 """
 
 import warnings
 from collections.abc import Callable
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,6 +23,7 @@ from spherejax.foundations.scalar.graph import NotScalarizable, TooManyOperation
 from spherejax.foundations.scalar.scalarize import ScalarProgram, scalarize
 from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
+from spherejax.motion.equations.dynamics import state_rate
 
 
 class ArrayPathWarning(UserWarning):
@@ -199,3 +200,32 @@ def _shapes(structure: Structure, y_size: Sizes) -> tuple[Any, Any, Any]:
 
 _TIME = 1
 """Place of t among the arguments of a program."""
+
+
+# Which path -----------------------------------------------------------------------------------------------------------
+
+
+class Path(NamedTuple):
+    """A path and the reason for it.
+
+    Attributes:
+        scalar: what `program_for` is told: None for scalar programs that are not too large, True for scalar programs,
+            False for array code.
+        reason: one sentence; empty for the usual path.
+    """
+
+    scalar: bool | None
+    reason: str
+
+
+def path_of(structure: Structure, asked: bool | None = None) -> Path:
+    """The path of a system, as asked for, or array code where its right-hand side is too large a scalar program."""
+    if asked is not None:
+        return Path(asked, "scalar program: as asked for" if asked else "array code: as asked for")
+    if not program_for(state_rate, structure).too_large:
+        return Path(None, "")
+    return Path(
+        False,
+        f"array code over bodies and joints of a kind: more than {LARGEST_SCALAR_PROGRAM} scalar operations would take "
+        "long to compile (scalar=True makes the scalar program)",
+    )

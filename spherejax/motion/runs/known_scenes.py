@@ -22,7 +22,7 @@ from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.equations.paths import path_of
+from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import Choice, choose_solver
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, example_of, flatten_system
-from spherejax.motion.equations.paths import path_of
+from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.integrate import Plan, stages_of
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.equations.paths import path_of
+from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Plan, initial_state
 from spherejax.motion.integration.jobs import run_of
 from spherejax.motion.results.trajectory import Trajectory

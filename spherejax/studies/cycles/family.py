@@ -17,8 +17,7 @@ from spherejax.model.numbers import number_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.equations.paths import path_of
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import path_of, program_for
 from spherejax.motion.equations.projection import corrected
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.jobs import JobKind

@@ -21,7 +21,7 @@ from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.derivatives.sensitivities import integrate_along
-from spherejax.motion.equations.paths import path_of
+from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Outcome, Plan
 from spherejax.motion.integration.jobs import run_of
 from spherejax.motion.integration.statistics import Statistics

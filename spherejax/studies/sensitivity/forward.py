@@ -15,7 +15,7 @@ from spherejax.foundations.forms import whole_number
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
-from spherejax.motion.equations.paths import path_of
+from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Plan
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
