@@ -153,7 +153,7 @@ class StraightLine:
     def _derived(self, moves: tuple[bool, ...]) -> "Derivative":
         tangents = {
             node: (i, entry)
-            for i, entries in enumerate(itertools.compress(self._entries(moves), moves))
+            for i, entries in enumerate(itertools.compress(self._entries(moves, self._with_slopes), moves))
             for entry, node in enumerate(entries)
             if node is not None
         }
@@ -204,7 +204,7 @@ class StraightLine:
         still = [i for i in range(len(self.shapes)) if not linear[i]]
         number = {i: -1 - i for i in range(len(self.shapes))} | {i: at for at, i in enumerate(still, len(followed))}
         graph = self.graph.copy(number)
-        moving = self._entries(linear)
+        moving = self._entries(linear, self.nodes)
         along: dict[int, list[tuple[int, int]]] = {}
         for i, output in enumerate(followed):
             for entry, node in enumerate(output.ravel()):
@@ -219,12 +219,16 @@ class StraightLine:
         shapes = [*(o.shape for o in followed), *(self.shapes[i] for i in still)]
         return StraightLine(graph, outputs, shapes, given, self.in_machine_code)
 
-    def _entries(self, chosen: Sequence[bool]) -> list[list[int | None]]:
-        """The nodes that are the entries of the chosen arguments; None for those that nothing depends on."""
+    def _entries(self, chosen: Sequence[bool], nodes: Sequence[int]) -> list[list[int | None]]:
+        """The nodes that are the entries of the chosen arguments; None for those that none of `nodes` depends on.
+
+        What only a derivative rule reads is among the nodes of a derivative: a weight, say, of which the value reads
+        the acceleration alone, which was evaluated ahead.
+        """
         graph, given = self.graph, frozenset(self.flat_given)
         inputs = {
             graph.parameters[node]: node
-            for node in self.nodes
+            for node in nodes
             if graph.operations[node] == "input" and node not in given
         }
         found: list[list[int | None]] = [
