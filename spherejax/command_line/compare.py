@@ -23,7 +23,7 @@ DESCRIPTION = """\
 Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction,
 lubricated, bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity,
 steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each model,
-and figures that follow the numbering of the paper (figNN_*.png). The four-bar takes about three
+and figures that follow the numbering of the paper (figNN_*.png). The four-bar takes about two
 minutes on two free cores, the suspension one; later runs are faster, because compiled programs are
 kept.
 """

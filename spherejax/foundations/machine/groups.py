@@ -51,7 +51,7 @@ def vector_of(width: int) -> str:
     return "double" if width == 1 else f"<{width} x double>"
 
 
-class Array(NamedTuple):
+class Operand(NamedTuple):
     """An argument or a result of a call.
 
     Attributes:
@@ -107,7 +107,7 @@ class Array(NamedTuple):
         return _turn(way, self.kind, groups.n_runs is not None and not self.is_shared, groups.width)
 
 
-def function_of(given: Sequence[Array], results: Sequence[Array], groups: Groups, inside: str) -> str:
+def function_of(given: Sequence[Operand], results: Sequence[Operand], groups: Groups, inside: str) -> str:
     """The function that XLA calls.
 
     Args:

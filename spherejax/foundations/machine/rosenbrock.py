@@ -25,8 +25,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
 from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.groups import Array as Given
-from spherejax.foundations.machine.groups import Groups, function_of
+from spherejax.foundations.machine.groups import Groups, Operand, function_of
 from spherejax.foundations.machine.lines import (
     add_scaled,
     call_of,
@@ -239,20 +238,20 @@ def _lowered(context: Any, *arguments: Any, steps: Steps, n_runs: int | None, sh
 mlir.register_lowering(_rosenbrock_stages, _lowered, platform="cpu")
 
 
-def _given(avals: Sequence, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> tuple[Given, ...]:
+def _given(avals: Sequence, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> tuple[Operand, ...]:
     """The arguments of the call."""
     rows, (size,) = steps.rows, steps.rate.line.outputs[0].shape
     below: Any = () if rows is None else (size, rows.n)
     of_rows = {} if rows is None else dict(rows.given)
-    found = [Given(1), Given(1), Given(size, *below), Given(size, *below)]
+    found = [Operand(1), Operand(1), Operand(size, *below), Operand(size, *below)]
     for i, aval in enumerate(avals[_N_OF_STEP:], _N_OF_STEP):
         kind = "i8" if aval.dtype == BOOL else "double"
         if i in of_rows:
             assert rows is not None
-            found.append(Given(0, of_rows[i], rows.n, kind, shared[i]))
+            found.append(Operand(0, of_rows[i], rows.n, kind, shared[i]))
         else:
             n = aval.size // (1 if n_runs is None or shared[i] else n_runs)
-            found.append(Given(n, kind=kind, is_shared=shared[i]))
+            found.append(Operand(n, kind=kind, is_shared=shared[i]))
     return tuple(found)
 
 
@@ -302,12 +301,12 @@ def _groups(steps: Steps, n_runs: int | None) -> Groups:
     return Groups.of(n_runs, min(room, widest_for(*(part.line for part in parts))))
 
 
-def _text(steps: Steps, given: Sequence[Given], n_runs: int | None) -> str:
+def _text(steps: Steps, given: Sequence[Operand], n_runs: int | None) -> str:
     """The function that XLA calls."""
     groups, (size,) = _groups(steps, n_runs), steps.rate.line.outputs[0].shape
     assert steps.method is not None
     below: Any = () if steps.rows is None else (size, steps.rows.n)
-    result = Given(size, *below, n=len(steps.method.c))
+    result = Operand(size, *below, n=len(steps.method.c))
     declared, inner = _step(steps, len(given), groups)
     return "\n".join([*sorted(declared), inner, function_of(given, [result], groups, "step")])
 

@@ -21,8 +21,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.groups import Array as Given
-from spherejax.foundations.machine.groups import Groups, function_of
+from spherejax.foundations.machine.groups import Groups, Operand, function_of
 from spherejax.foundations.machine.lines import (
     call_of,
     entry_at,
@@ -66,55 +65,35 @@ def stages(
     y: Array,
     n_made: Any,
     others: Sequence[Array],
+    along: Sequence[Array | None] | None = None,
 ) -> tuple[Array, Array]:
     """The increments k, shape (s, size, n_runs), and sums of them, shape (m, size, n_runs).
+
+    With rows of tangents below the state each has an axis of 1 + rows in front of its size.
 
     Args:
         line: f.
         at: place of t among its arguments; y is behind it.
         method: the tableau.
-        t, h, bend, y: as above; with a last axis of runs, y of shape (size, n_runs).
+        t, h, bend: as above, with a last axis of runs.
+        y: shape (size, n_runs), or with tangents of it below it (1 + rows, size, n_runs).
         n_made: so many stages are evaluated, the first ones; increments of the others are zero.
         others: the other arguments of the line, in order; with a last axis of runs.
+        along: tangents of `others`, with a leading axis of rows; None for what has none. None without rows.
     """
-    return _bound((t, h, bend, n_made, y, *others), line, None, method._replace(at=at))
-
-
-def stages_with_rows(
-    line: StraightLine,
-    at: int,
-    method: "Method",
-    t: Array,
-    h: Array,
-    bend: Array,
-    rows: Array,
-    n_made: Any,
-    others: Sequence[Array],
-    along: Sequence[Array | None],
-) -> tuple[Array, Array]:
-    """As `stages`, of a state and of tangents of it: shapes (s, 1 + rows, size, n_runs), (m, 1 + rows, size, n_runs).
-
-    Args:
-        line, at, method, t, h, bend, n_made, others: as for `stages`.
-        rows: y, then tangents of it, shape (1 + rows, size, n_runs); at least one.
-        along: tangents of `others`, with a leading axis of rows; None for what has none.
-    """
-    moves = tuple(each is not None for each in along)
-    derivative = line.derivative((*moves[:at], False, True, *moves[at:]))
-    assert derivative.follows == (True,), "a rate that does not depend on the state"
-    tangents = [x for x in along if x is not None]
-    below = _Rows(derivative.slopes, moves, rows.shape[0] - 1)
-    given = t, h, bend, n_made, rows, *others, *tangents
-    return _bound(given, derivative.values, below, method._replace(at=at))
-
-
-def _bound(given: Sequence, line: StraightLine, rows: "_Rows | None", method: "Method") -> tuple[Array, Array]:
-    t, h, bend, n_made, y, *others = given
+    rows = None
+    if along is not None:
+        moves = tuple(each is not None for each in along)
+        derivative = line.derivative((*moves[:at], False, True, *moves[at:]))
+        assert derivative.follows == (True,), "a rate that does not depend on the state"
+        line, rows = derivative.values, _Rows(derivative.slopes, moves, y.shape[0] - 1)
+        others = *others, *(x for x in along if x is not None)
     n_runs = y.shape[-1]
     if n_runs == 1:
         t, h, bend, *others = (jnp.squeeze(x, -1) for x in (t, h, bend, *others))
     arguments = t, h, bend, jnp.asarray(n_made, jnp.int64), y, *others
-    k, sums = _stages.bind(*arguments, line=line, rows=rows, method=method, n_runs=None if n_runs == 1 else n_runs)
+    how = {"method": method._replace(at=at), "n_runs": None if n_runs == 1 else n_runs}
+    k, sums = _stages.bind(*arguments, line=line, rows=rows, **how)
     return k, sums
 
 
@@ -182,10 +161,18 @@ def _text(line: StraightLine, rows: _Rows | None, method: Method, n_runs: int | 
     declared, inner = _stages_text(line, rows, method, groups)
     size = int(line.outputs[0].size)
     below: Any = (size, rows.n) if rows else ()
-    others = [Given(int(np.prod(shape)), kind=kind) for shape, kind in _others(line, method)]
-    tangents = [Given(0, int(np.prod(shape)), rows.n) for shape in _tangents(rows, method)] if rows else []
-    given = Given(1), Given(1), Given(1), Given(1, kind="i64", is_shared=True), Given(size, *below), *others, *tangents
-    results = [Given(size, *below, n=len(each)) for each in (method.instants, method.sums)]
+    others = [Operand(int(np.prod(shape)), kind=kind) for shape, kind in _others(line, method)]
+    tangents = [Operand(0, int(np.prod(shape)), rows.n) for shape in _tangents(rows, method)] if rows else []
+    given = (
+        Operand(1),
+        Operand(1),
+        Operand(1),
+        Operand(1, kind="i64", is_shared=True),
+        Operand(size, *below),
+        *others,
+        *tangents,
+    )
+    results = [Operand(size, *below, n=len(each)) for each in (method.instants, method.sums)]
     called = function_of(given, results, groups, "stages")
     return "\n".join([*sorted(declared), inner, called])
 

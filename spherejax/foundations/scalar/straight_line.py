@@ -227,9 +227,7 @@ class StraightLine:
         """
         graph, given = self.graph, frozenset(self.flat_given)
         inputs = {
-            graph.parameters[node]: node
-            for node in nodes
-            if graph.operations[node] == "input" and node not in given
+            graph.parameters[node]: node for node in nodes if graph.operations[node] == "input" and node not in given
         }
         found: list[list[int | None]] = [
             [inputs.get((i, entry)) for entry in range(int(np.prod(shape)))] if chosen[i] else []

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.stages import Method, can_be_called, stages, stages_with_rows
+from spherejax.foundations.machine.stages import Method, can_be_called, stages
 from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
@@ -123,11 +123,11 @@ class ExplicitStages:
         method = Method.of(self.coefficients[:n, :n], self.instants[:n], self.sums)
         theta, ahead, slopes = parameters.theta, parameters.ahead, parameters.slopes if y.ndim == 3 else None
         others = in_lanes(lambda theta, ahead: (theta, *program.line_inside(ahead)[1]))(theta, ahead)
-        given = line, _TIME, method, t, h, bend, y, n_made, others
-        if slopes is None:
-            return stages(*given)
-        along = in_lanes(lambda theta, *ahead: (theta, *program.slopes_inside(*ahead)))
-        return stages_with_rows(*given, along(slopes.theta, ahead, slopes.ahead))
+        along = None
+        if slopes is not None:
+            with_theta = in_lanes(lambda theta, *ahead: (theta, *program.slopes_inside(*ahead)))
+            along = with_theta(slopes.theta, ahead, slopes.ahead)
+        return stages(line, _TIME, method, t, h, bend, y, n_made, others, along)
 
     def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
         n = self.n_stages
