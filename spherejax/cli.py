@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if runtime.is_command():
         runtime.set_up()
         warnings.formatwarning = _in_one_line
-    from spherejax.files.code import described_error, line_of
+    from spherejax.files.fields.code import described_error, line_of
 
     try:
         return options.action(options)

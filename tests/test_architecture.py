@@ -90,6 +90,23 @@ def test_rooms_of_motion_follow_the_run(path):
             assert ROOMS.index(room_of(MODULES[name])) <= ROOMS.index(room_of(path)), f"imports upwards: {name}"
 
 
+ROOMS_OF_FILES = ["numbers", "fields", "scenes", "robots"]
+"""Of `files`: what a number is, an argument, a scene; robot descriptions beside it."""
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in FILES if folder_of(p) == "files"], ids=lambda path: str(path.relative_to(PACKAGE))
+)
+def test_rooms_of_files_go_from_numbers_to_scenes(path):
+    if path == PACKAGE / "files" / "__init__.py":
+        return
+    own, *_ = path.relative_to(PACKAGE / "files").parts
+    for name in imported(path):
+        if name.startswith("spherejax.files."):
+            other = name.split(".")[2]
+            assert ROOMS_OF_FILES.index(other) <= ROOMS_OF_FILES.index(own), f"imports upwards: {name}"
+
+
 def test_most_of_the_foundations_stands_in_rooms():
     """What is read together: scalar programs, their machine code, eliminations, kept programs; the rest is short."""
     loose = [path for path in FILES if path.parent == PACKAGE / "foundations"]
@@ -114,7 +131,7 @@ def late_imports(path: Path) -> set[str]:
 
 def test_what_is_imported_late_is_what_takes_long():
     """Pictures, files and commands are not loaded with the package; all else stands at the head of a file."""
-    late = ("spherejax.output", "spherejax.files.text")
+    late = ("spherejax.output", "spherejax.files.scenes.text")
     for path in FILES:
         if folder_of(path) not in ("command_line", "top"):
             assert all(name.startswith(late) for name in late_imports(path)), path

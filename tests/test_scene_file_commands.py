@@ -15,8 +15,8 @@ from double_pendulum import TEXT, write
 import spherejax as sj
 from spherejax import cli
 from spherejax.command_line.scenes import model_name
-from spherejax.files.dimensions import FIELDS
-from spherejax.files.objects import same
+from spherejax.files.fields.dimensions import FIELDS
+from spherejax.files.fields.objects import same
 from spherejax.foundations.parts import kebab
 
 

@@ -11,8 +11,8 @@ import pytest
 from double_pendulum import TEXT, write
 
 import spherejax as sj
-from spherejax.files.key_lines import key_lines
-from spherejax.files.units import UnitError, in_si
+from spherejax.files.fields.key_lines import key_lines
+from spherejax.files.numbers.units import UnitError, in_si
 
 
 @pytest.fixture

@@ -17,12 +17,12 @@ from double_pendulum import TEXT, write
 from scipy.spatial.transform import Rotation
 
 import spherejax as sj
-from spherejax.files.dimensions import FIELDS
-from spherejax.files.kinds import keys_of, kinds_of, parameters_of
-from spherejax.files.objects import same
-from spherejax.files.parts import Part
-from spherejax.files.quantities import Quantity
-from spherejax.files.units import in_si, simplified
+from spherejax.files.fields.dimensions import FIELDS
+from spherejax.files.fields.kinds import keys_of, kinds_of, parameters_of
+from spherejax.files.fields.objects import same
+from spherejax.files.fields.parts import Part
+from spherejax.files.fields.quantities import Quantity
+from spherejax.files.numbers.units import in_si, simplified
 from spherejax.foundations.parts import kebab
 
 

@@ -8,8 +8,8 @@ import xarray
 import spherejax as sj
 from spherejax import cli
 from spherejax.command_line.scene_numbers import number_at, with_number, with_text
-from spherejax.files.kinds import fields_of, is_needed, kinds_of, parameters_of
-from spherejax.files.quantities import Quantity
+from spherejax.files.fields.kinds import fields_of, is_needed, kinds_of, parameters_of
+from spherejax.files.fields.quantities import Quantity
 
 STUDIED = "coupler_rocker"
 SCENE = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))

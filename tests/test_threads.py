@@ -17,7 +17,7 @@ from fitting import SENSOR, START, oscillator, seen
 from sweeping import hanging, pendulum
 
 import spherejax as sj
-from spherejax.files import urdf_elements
+from spherejax.files.robots import urdf_elements
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.runs.many import many, method_for
 from spherejax.runtime import interrupts_kept

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import spherejax as sj
 from spherejax import cli
-from spherejax.files.objects import same
+from spherejax.files.fields.objects import same
 
 LEAN = (0.3, -0.2, 0.5)
 """Roll, pitch and yaw of an inertial frame."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import spherejax as sj
-from spherejax.files.solvers import SOLVERS
+from spherejax.files.scenes.solvers import SOLVERS
 from spherejax.foundations.parts import Parts, names_in
 
 SCENES = Parts({name.replace("_", "-"): f"spherejax.gallery:{name}" for name in names_in("gallery/__init__.py")})
@@ -147,8 +147,8 @@ def list_names(options: argparse.Namespace) -> int:
 def list_kinds() -> None:
     """Print what can stand in a scene file."""
     from spherejax.command_line.printing import print_table
-    from spherejax.files.kinds import family_names, keys_of, kinds_of
-    from spherejax.files.settings import FIELDS as SETTINGS
+    from spherejax.files.fields.kinds import family_names, keys_of, kinds_of
+    from spherejax.files.scenes.settings import FIELDS as SETTINGS
 
     print_table("[bodies.NAME]", ("key", "what", "meaning"), keys_of(sj.Body))
     for title, family in family_names():
@@ -176,7 +176,7 @@ def parameters_of(law: type) -> str:
     """Parameters of a law with defaults and units, as one line."""
     import dataclasses
 
-    from spherejax.files.dimensions import FIELDS
+    from spherejax.files.fields.dimensions import FIELDS
 
     words = []
     for parameter in dataclasses.fields(law):

@@ -151,7 +151,7 @@ def _simulated(scene: sj.Scene, t1: float, found: Chosen) -> sj.Trajectory:
 
 
 def _solver(name: str):
-    from spherejax.files.solvers import SOLVERS
+    from spherejax.files.scenes.solvers import SOLVERS
 
     return SOLVERS[name]()
 

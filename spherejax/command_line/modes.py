@@ -93,7 +93,7 @@ def find_modes(options: argparse.Namespace) -> int:
     inputs = [number.name for name in options.input for number in _numbers("--input", scene, name, found.studied)]
     by = [number for name in options.by for number in _numbers("--by", scene, name, found.studied)]
     require_quantities(scene, options.output)
-    from spherejax.files.number_units import unit_at
+    from spherejax.files.fields.number_units import unit_at
 
     linear = sj.linearize(scene, at=options.at, inputs=inputs, outputs=options.output)
     modes = linear.modes()

@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Callable
 
 import spherejax as sj
-from spherejax.files.number_texts import NumberError, number_in
-from spherejax.files.units import UnitError, in_si
+from spherejax.files.numbers.number_texts import NumberError, number_in
+from spherejax.files.numbers.units import UnitError, in_si
 from spherejax.foundations.errors import SceneError
 
 

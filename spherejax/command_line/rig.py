@@ -11,7 +11,7 @@ import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
 from spherejax.command_line.scenes import add_scene, chosen
-from spherejax.files.units import in_si
+from spherejax.files.numbers.units import in_si
 from spherejax.foundations.errors import SceneError
 
 DESCRIPTION = """\

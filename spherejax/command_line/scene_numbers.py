@@ -10,8 +10,8 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import UNITS, USED_BY
 from spherejax.command_line.shown import Wanted, wanted
-from spherejax.files.number_texts import NumberError, number_in
-from spherejax.files.units import UnitError, in_si
+from spherejax.files.numbers.number_texts import NumberError, number_in
+from spherejax.files.numbers.units import UnitError, in_si
 
 
 def number_at(scene: sj.Scene, path: str, studied: str | None = None) -> Any:
@@ -62,7 +62,7 @@ def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
         if known is not None:
             return known
         place = place_at(scene, name, studied)
-        from spherejax.files.number_units import unit_at  # it looks at every class that files know
+        from spherejax.files.fields.number_units import unit_at  # it looks at every class that files know
 
         return unit_at(scene, place.steps)
 
@@ -114,7 +114,7 @@ def with_text(scene: sj.Scene, text: str, studied: str | None = None) -> sj.Scen
         found = place_at(scene, path, studied)
     except sj.SceneError as error:
         raise sj.SceneError(f"--set {error}") from None
-    from spherejax.files.number_units import unit_at  # it looks at every class that files know
+    from spherejax.files.fields.number_units import unit_at  # it looks at every class that files know
 
     unit, shape = unit_at(scene, found.steps), () if found.value is None else np.shape(found.value)
     entries = given.strip().removeprefix("[").removesuffix("]").split(",")

@@ -182,7 +182,7 @@ def _studying(found: Chosen, joint: str) -> Chosen:
 
 def with_joint_model(scene: sj.Scene, joint: str, model: sj.AbstractSphericalModel) -> sj.Scene:
     """The scene with another model of one joint."""
-    from spherejax.files.objects import arguments_of
+    from spherejax.files.fields.objects import arguments_of
 
     given = scene.joints[joint]
     changed = type(given)(**{**arguments_of(given), "model": model})

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from spherejax.files.units import PURE, UnitError, factor_of, unit_in
+from spherejax.files.numbers.units import PURE, UnitError, factor_of, unit_in
 from spherejax.foundations.errors import SceneError
 
 if TYPE_CHECKING:

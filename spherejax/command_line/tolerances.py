@@ -18,8 +18,8 @@ from spherejax.command_line.numbers import measured_in, number_of_samples, real,
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.shown import Shown, Wanted, sensitivities_in_units, shown_in
-from spherejax.files.number_texts import NumberError, number_in
-from spherejax.files.units import UnitError, in_si
+from spherejax.files.numbers.number_texts import NumberError, number_in
+from spherejax.files.numbers.units import UnitError, in_si
 
 if TYPE_CHECKING:
     from spherejax.model.numbers import Number
@@ -196,7 +196,7 @@ def _spreads(
     options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene
 ) -> dict[str, sj.Tolerance | tuple[float, float]]:
     """How they scatter."""
-    from spherejax.files.number_units import unit_at
+    from spherejax.files.fields.number_units import unit_at
 
     return {
         key: _spread(
@@ -212,7 +212,7 @@ def _spreads(
 
 def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene) -> dict[str, Shown]:
     """In which units the numbers are told."""
-    from spherejax.files.number_units import unit_at
+    from spherejax.files.fields.number_units import unit_at
 
     texts = (re.split(r"\+-|:", text.partition("=")[2]) for text in options.tolerance)
     return {

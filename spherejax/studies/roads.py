@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spherejax.files.number_texts import NumberError, number_in
-from spherejax.files.units import UnitError, factor_of
+from spherejax.files.numbers.number_texts import NumberError, number_in
+from spherejax.files.numbers.units import UnitError, factor_of
 from spherejax.foundations.checks import shown
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions.tables import SmoothTable

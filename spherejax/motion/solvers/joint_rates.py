@@ -228,7 +228,7 @@ class _Looks(NamedTuple):
 def _pressed(joint: PlacedSpherical, motions, force: Vector3, alongs: Float[Array, "k 3"], fall: Scalar) -> _Looks:
     """Derivatives of a joint's answer for a ball that the size of `force` presses in along some directions.
 
-    The law is traced twice, for all directions together: in the film, and in the contact.
+    The law is traced for all directions together: in the film, where there is one, and in the contact.
     """
     model: Any = joint.model
     load = safe_norm(force) + SMALLEST
@@ -262,8 +262,11 @@ def _pressed(joint: PlacedSpherical, motions, force: Vector3, alongs: Float[Arra
 
     normals = jax.vmap(lambda along: along / (safe_norm(along) + SMALLEST))(alongs)
     n = len(alongs)
-    ratios = jnp.array([1.0] * n + [USUAL_ECCENTRICITY_RATIO] * n)
-    films = jax.vmap(film)(ratios, jnp.concatenate([normals, normals]))
+    if model.medium is None:
+        films = jnp.zeros(2 * n)
+    else:
+        ratios = jnp.array([1.0] * n + [USUAL_ECCENTRICITY_RATIO] * n)
+        films = jax.vmap(film)(ratios, jnp.concatenate([normals, normals]))
     stiffness, damping = jax.vmap(contact)(normals, films[:n])
     return _Looks(-damping, -stiffness[:, :3], films[n:] * clearance / load)
 

@@ -7,8 +7,8 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from spherejax.files.reading import load_scene
-from spherejax.files.writing import save_scene
+from spherejax.files.scenes.reading import load_scene
+from spherejax.files.scenes.writing import save_scene
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.output.fmu.description import Experiment, Kinds, description

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.files.number_units import unit_at
+from spherejax.files.fields.number_units import unit_at
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number
 from spherejax.foundations.scalar.scalarize import scalarize

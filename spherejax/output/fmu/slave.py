@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pythonfmu3 import CoSimulation, Float64, Fmi3Causality, Fmi3SlaveBase, Fmi3Status, Fmi3StepResult
 
-from spherejax.files.reading import load_scene
+from spherejax.files.scenes.reading import load_scene
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.runs.pieces import Pieces

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from spherejax.files.fields import Context, Field
-from spherejax.files.kinds import attributes_told, fields_of
-from spherejax.files.objects import build, describe, numbers_in_units
-from spherejax.files.parts import Either, Part
-from spherejax.files.quantities import Coefficients, Points
+from spherejax.files.fields.fields import Context, Field
+from spherejax.files.fields.kinds import attributes_told, fields_of
+from spherejax.files.fields.objects import build, describe, numbers_in_units
+from spherejax.files.fields.parts import Either, Part
+from spherejax.files.fields.quantities import Coefficients, Points
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import System

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.files.code import modules_in, run_again
+from spherejax.files.fields.code import modules_in, run_again
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.motion.integration.audit import cautions

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
-from spherejax.files.key_lines import KeyPath, key_lines, line_too_deep
+from spherejax.files.fields.key_lines import KeyPath, key_lines, line_too_deep
 from spherejax.foundations.errors import SceneError
 
 DEEPEST = 50

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from spherejax.files.fields import Context
-from spherejax.files.kinds import fields_of
-from spherejax.files.objects import numbers_in_units
-from spherejax.files.parts import Part
-from spherejax.files.quantities import Points
+from spherejax.files.fields.fields import Context
+from spherejax.files.fields.kinds import fields_of
+from spherejax.files.fields.objects import numbers_in_units
+from spherejax.files.fields.parts import Part
+from spherejax.files.fields.quantities import Points
 from spherejax.model.numbers import part_at
 from spherejax.model.scene import Scene
 

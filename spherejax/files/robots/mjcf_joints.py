@@ -4,11 +4,11 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
-from spherejax.files.mjcf_model import WORLD, Compiled, library
-from spherejax.files.robot import SLIDING, TURNING, Edge, Pose, Robot, undotted
-from spherejax.files.robot_bodies import Groups
-from spherejax.files.robot_joints import Ways
-from spherejax.files.rotations import UNTURNED, product, turned
+from spherejax.files.fields.rotations import UNTURNED, product, turned
+from spherejax.files.robots.mjcf_model import WORLD, Compiled, library
+from spherejax.files.robots.robot import SLIDING, TURNING, Edge, Pose, Robot, undotted
+from spherejax.files.robots.robot_bodies import Groups
+from spherejax.files.robots.robot_joints import Ways
 from spherejax.foundations.errors import SceneError
 from spherejax.physics.joints.joint import AbstractJoint
 from spherejax.physics.joints.pairs import Fixed

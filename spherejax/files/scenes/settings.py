@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from spherejax.files.fields import Choice, Context, Field, Plain
-from spherejax.files.location import Place
-from spherejax.files.quantities import number
-from spherejax.files.solvers import SOLVERS
+from spherejax.files.fields.fields import Choice, Context, Field, Plain
+from spherejax.files.fields.location import Place
+from spherejax.files.fields.quantities import number
+from spherejax.files.scenes.solvers import SOLVERS
 from spherejax.foundations.errors import one_of
 
 

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spherejax.files.robot import SLIDING, TURNING, Edge, Robot
-from spherejax.files.robot_bodies import Groups
+from spherejax.files.robots.robot import SLIDING, TURNING, Edge, Robot
+from spherejax.files.robots.robot_bodies import Groups
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.bump_stop import BumpStop

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from spherejax.files.fields import Context, Field, shown
-from spherejax.files.quantities import vector
+from spherejax.files.fields.fields import Context, Field, shown
+from spherejax.files.fields.quantities import vector
 from spherejax.foundations.errors import one_of
 from spherejax.physics.bodies import GROUND
 

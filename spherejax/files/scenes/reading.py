@@ -5,12 +5,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spherejax.files.fields import Context
-from spherejax.files.location import Place, read_toml
-from spherejax.files.objects import build, built, describe
-from spherejax.files.quantities import Points, vector
-from spherejax.files.rotations import read_rotation
-from spherejax.files.settings import SimulationSettings, read_settings
+from spherejax.files.fields.fields import Context
+from spherejax.files.fields.location import Place, read_toml
+from spherejax.files.fields.objects import build, built, describe
+from spherejax.files.fields.quantities import Points, vector
+from spherejax.files.fields.rotations import read_rotation
+from spherejax.files.scenes.settings import SimulationSettings, read_settings
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene

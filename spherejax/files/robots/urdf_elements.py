@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.number_texts import NumberError, number_in
-from spherejax.files.robot import (
+from spherejax.files.fields.rotations import UNTURNED, product, turn_about
+from spherejax.files.numbers.number_texts import NumberError, number_in
+from spherejax.files.robots.robot import (
     SLIDING,
     TURNING,
     Edge,
@@ -19,7 +20,6 @@ from spherejax.files.robot import (
     parents_first,
     undotted,
 )
-from spherejax.files.rotations import UNTURNED, product, turn_about
 from spherejax.foundations.errors import SceneError
 
 _READ = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "dynamics", "mimic", "limit")}

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.fields import Field, shown
-from spherejax.files.location import Place
-from spherejax.files.units import PURE, UnitError, factor_of, in_si, measured
+from spherejax.files.fields.fields import Field, shown
+from spherejax.files.fields.location import Place
+from spherejax.files.numbers.units import PURE, UnitError, factor_of, in_si, measured
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 

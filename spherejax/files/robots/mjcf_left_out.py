@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.mjcf_model import Compiled, library
-from spherejax.files.robot_joints import Ways
+from spherejax.files.robots.mjcf_model import Compiled, library
+from spherejax.files.robots.robot_joints import Ways
 from spherejax.foundations.errors import SceneError
 
 _MANY = 4

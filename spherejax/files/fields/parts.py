@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spherejax.files.fields import Context, Field, shown, words_of
-from spherejax.files.quantities import Quantity
+from spherejax.files.fields.fields import Context, Field, shown, words_of
+from spherejax.files.fields.quantities import Quantity
 
 
 class OwnFunction:

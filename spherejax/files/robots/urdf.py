@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from spherejax.files.robot import (
+from spherejax.files.robots.robot import (
     FREE,
     SLIDING,
     TURNING,
@@ -19,10 +19,10 @@ from spherejax.files.robot import (
     with_fixed,
     with_followers,
 )
-from spherejax.files.robot_bodies import groups_of
-from spherejax.files.robot_joints import Ways
-from spherejax.files.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
-from spherejax.files.urdf_elements import read_robot
+from spherejax.files.robots.robot_bodies import groups_of
+from spherejax.files.robots.robot_joints import Ways
+from spherejax.files.robots.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
+from spherejax.files.robots.urdf_elements import read_robot
 from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene

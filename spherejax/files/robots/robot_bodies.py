@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spherejax.files.robot import Pose, Robot, in_other_axes
-from spherejax.files.rotations import UNTURNED, product, turn_about, turned
+from spherejax.files.fields.rotations import UNTURNED, product, turn_about, turned
+from spherejax.files.robots.robot import Pose, Robot, in_other_axes
 from spherejax.foundations.errors import SceneError
 from spherejax.physics.bodies import GROUND, TRIANGLE_TOLERANCE, Body
 

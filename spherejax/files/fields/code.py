@@ -17,9 +17,9 @@ from types import ModuleType
 from typing import Any
 from zlib import crc32
 
-from spherejax.files.fields import Context, words_of
-from spherejax.files.location import Place
-from spherejax.files.parts import OwnFunction
+from spherejax.files.fields.fields import Context, words_of
+from spherejax.files.fields.location import Place
+from spherejax.files.fields.parts import OwnFunction
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions.base import AbstractFunction
 

@@ -8,12 +8,12 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from spherejax.files.code import reported
-from spherejax.files.dimensions import FIELDS
-from spherejax.files.fields import Context
-from spherejax.files.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
-from spherejax.files.location import Place
-from spherejax.files.units import PURE, UnitError, in_si
+from spherejax.files.fields.code import reported
+from spherejax.files.fields.dimensions import FIELDS
+from spherejax.files.fields.fields import Context
+from spherejax.files.fields.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
+from spherejax.files.fields.location import Place
+from spherejax.files.numbers.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions.base import Given, UserFunction

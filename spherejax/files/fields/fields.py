@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spherejax.files.location import Place
-from spherejax.files.units import simplified
+from spherejax.files.fields.location import Place
+from spherejax.files.numbers.units import simplified
 from spherejax.foundations.errors import one_of
 
 

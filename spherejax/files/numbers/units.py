@@ -9,7 +9,7 @@ import re
 from functools import cache
 from typing import NoReturn
 
-from spherejax.files.number_texts import (
+from spherejax.files.numbers.number_texts import (
     NUMBER,
     SMALLEST,
     NumberError,

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.robot import Pose, Robot, undotted
-from spherejax.files.robot_bodies import Groups, Least, body_of, check_all_have_mass, solid_of
-from spherejax.files.robot_joints import Ways, forces_of, joints_of
-from spherejax.files.rotations import product, turned
+from spherejax.files.fields.rotations import product, turned
+from spherejax.files.robots.robot import Pose, Robot, undotted
+from spherejax.files.robots.robot_bodies import Groups, Least, body_of, check_all_have_mass, solid_of
+from spherejax.files.robots.robot_joints import Ways, forces_of, joints_of
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene

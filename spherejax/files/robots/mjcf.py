@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.mjcf_joints import check_stacks, followed, loops_of, put_together
-from spherejax.files.mjcf_left_out import FINDERS, check_left_out
-from spherejax.files.mjcf_model import Compiled, compiled, library, robot_of, start_of
-from spherejax.files.robot import Pose, Robot, poses, undotted, with_fixed, with_followers
-from spherejax.files.robot_bodies import Groups, groups_of
-from spherejax.files.robot_joints import Ways
-from spherejax.files.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
-from spherejax.files.rotations import UNTURNED
+from spherejax.files.fields.rotations import UNTURNED
+from spherejax.files.robots.mjcf_joints import check_stacks, followed, loops_of, put_together
+from spherejax.files.robots.mjcf_left_out import FINDERS, check_left_out
+from spherejax.files.robots.mjcf_model import Compiled, compiled, library, robot_of, start_of
+from spherejax.files.robots.robot import Pose, Robot, poses, undotted, with_fixed, with_followers
+from spherejax.files.robots.robot_bodies import Groups, groups_of
+from spherejax.files.robots.robot_joints import Ways
+from spherejax.files.robots.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND

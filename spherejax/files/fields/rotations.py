@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.fields import Context
-from spherejax.files.location import Place
-from spherejax.files.quantities import listed, number, vector
+from spherejax.files.fields.fields import Context
+from spherejax.files.fields.location import Place
+from spherejax.files.fields.quantities import listed, number, vector
 from spherejax.physics.orientations import SEQUENCE, orientation
 
 FORMS = '{ axis = [0, 0, 1], angle = "30 deg" } or { sequence = "ZXZ", angles = ["10 deg", "20 deg", 0] }'

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spherejax.files.rotations import product, turn_about, turned
+from spherejax.files.fields.rotations import product, turn_about, turned
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.bodies import GROUND
 

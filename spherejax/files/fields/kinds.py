@@ -12,12 +12,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
-from spherejax.files.code import named_by, users_own
-from spherejax.files.dimensions import FIELDS, Fields, described_field, parameters_of
-from spherejax.files.fields import Context, Plain, words_of
-from spherejax.files.location import Place
-from spherejax.files.parts import OwnFunction, Part
-from spherejax.files.quantities import Quantity
+from spherejax.files.fields.code import named_by, users_own
+from spherejax.files.fields.dimensions import FIELDS, Fields, described_field, parameters_of
+from spherejax.files.fields.fields import Context, Plain, words_of
+from spherejax.files.fields.location import Place
+from spherejax.files.fields.parts import OwnFunction, Part
+from spherejax.files.fields.quantities import Quantity
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.parts import kebab
 from spherejax.model.drift import AbstractDriftControl

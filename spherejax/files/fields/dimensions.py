@@ -14,10 +14,10 @@ from typing import Any, Union, get_args, get_origin
 
 import equinox as eqx
 
-from spherejax.files.fields import Field, Plain
-from spherejax.files.names import BodyName, BodyNames, End, Ends, PointName, PointOrPlace
-from spherejax.files.parts import Either, OwnFunction, Part, Parts
-from spherejax.files.quantities import Coefficients, Points, Quantity
+from spherejax.files.fields.fields import Field, Plain
+from spherejax.files.fields.names import BodyName, BodyNames, End, Ends, PointName, PointOrPlace
+from spherejax.files.fields.parts import Either, OwnFunction, Part, Parts
+from spherejax.files.fields.quantities import Coefficients, Points, Quantity
 from spherejax.foundations.types import COEFFICIENTS, OWN, Function, Named, Shaped, Unit
 from spherejax.model import drift
 from spherejax.physics import forces, functions, joints, laws

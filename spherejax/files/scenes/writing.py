@@ -3,9 +3,9 @@
 from os import PathLike
 from pathlib import Path
 
-from spherejax.files.objects import same
-from spherejax.files.reading import SceneFile, read_scene_file
-from spherejax.files.settings import SimulationSettings
+from spherejax.files.fields.objects import same
+from spherejax.files.scenes.reading import SceneFile, read_scene_file
+from spherejax.files.scenes.settings import SimulationSettings
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene, check_scene
 
@@ -46,7 +46,7 @@ def save_scene(
     check_scene(scene)
     file = SceneFile(scene, title, studied, settings or SimulationSettings())
     # Imported when it is needed: reading needs no TOML writer.
-    from spherejax.files.text import scene_text
+    from spherejax.files.scenes.text import scene_text
 
     _store(scene_text(file, path.parent), path, file)
     return path

@@ -7,13 +7,13 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
-from spherejax.files.fields import Context
-from spherejax.files.kinds import fields_of
-from spherejax.files.objects import KIND, build, describe, described
-from spherejax.files.quantities import Points, vector
-from spherejax.files.reading import STUDIED, SceneFile
-from spherejax.files.settings import FIELDS as SETTINGS
-from spherejax.files.units import PURE
+from spherejax.files.fields.fields import Context
+from spherejax.files.fields.kinds import fields_of
+from spherejax.files.fields.objects import KIND, build, describe, described
+from spherejax.files.fields.quantities import Points, vector
+from spherejax.files.numbers.units import PURE
+from spherejax.files.scenes.reading import STUDIED, SceneFile
+from spherejax.files.scenes.settings import FIELDS as SETTINGS
 from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.physics.forces.base import AbstractForce

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spherejax.files.robot import Edge, Link, Robot, in_other_axes, link_name, undotted
-from spherejax.files.rotations import UNTURNED, product, turned
+from spherejax.files.fields.rotations import UNTURNED, product, turned
+from spherejax.files.robots.robot import Edge, Link, Robot, in_other_axes, link_name, undotted
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.bodies import UNIT_NORM_TOLERANCE
 

@@ -1,0 +1,1 @@
+"""Scenes as TOML files: read, and written."""
