@@ -106,7 +106,7 @@ def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     assert largest > 50
     assert f"{largest:.5g}"[:4] in said.split("largest reaction.coupler_rocker [N]")[1]
     assert f"{largest / 1e3:.5g}"[:4] in said.split("largest reaction.coupler_rocker [kN]")[1]
-    assert cli.main([*command, "--peak", "reaction.coupler_rocker [mm]"]) == 2
+    assert cli.main([*command, "--overwrite", "--peak", "reaction.coupler_rocker [mm]"]) == 2
     assert "'mm' is a length [m], but a force [N] is expected" in capsys.readouterr().err
     lines = list(csv.DictReader((tmp_path / "s.csv").read_text().splitlines()))
     assert float(lines[0]["frequency [Hz]"]) == pytest.approx(1 / 0.02)
