@@ -112,9 +112,9 @@ def test_run_tells_contacts_and_peaks(tmp_path, capsys):
     assert float(lines[0]["frequency [Hz]"]) == pytest.approx(1 / 0.02)
     assert max(float(line["amplitude [N]"]) for line in lines) > 1.0
     assert (tmp_path / "s.png").stat().st_size > 10_000
-    assert cli.main([*command, "--spectrum", "reaction.coupler_rockr.z=x.csv"]) == 2
+    assert cli.main([*command, "--overwrite", "--spectrum", "reaction.coupler_rockr.z=x.csv"]) == 2
     assert "did you mean 'reaction.coupler_rocker'" in capsys.readouterr().err
-    assert cli.main([*command, "--spectrum", "reaction.coupler_rocker"]) == 2
+    assert cli.main([*command, "--overwrite", "--spectrum", "reaction.coupler_rocker"]) == 2
     assert "write QUANTITY=FILE" in capsys.readouterr().err
     assert float(rows[0]["release [s]"]) > float(rows[0]["onset [s]"]) > 0
 
