@@ -161,8 +161,8 @@ def steps() -> None:
     """Microseconds per useful step and core, and lane efficiency, by width of the block."""
     rows = []
     for solver in (diffrax.Tsit5(), diffrax.Dopri8()):
-        for width in (8, 16, 32, 64, 128):
-            block = sj.Block(width, max(width // 4, 1))
+        for width in (8, 16, 24, 32, 64, 128):
+            block = sj.Block(width)
             result = sj.sweep(
                 dry, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=1e-6,
                 solver=solver, block=block, workers=1, chunk=N_RUNS // 2, progress=False,

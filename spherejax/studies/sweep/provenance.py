@@ -56,7 +56,7 @@ def provenance(scene: Scene, grid: Grid, method: LaneMethod, ts: np.ndarray, wan
         "atol": "by component" if method.atol is None else float(method.atol),
         "method": method.choice.reason,
         "max_steps": method.max_steps,
-        "lanes": f"{method.block.width}, at the end {method.block.narrow}",
+        "lanes": method.block.in_words,
         "platform": platform_of_runs(),
         **{f"{name}_version": version(name) for name in ("spherejax", "jax", "diffrax")},
         "commit": _commit(),

@@ -14,7 +14,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import compile_scene
 from spherejax.motion.integration.lanes import Block
-from spherejax.motion.integration.widths import ON_CPU, block_for
+from spherejax.motion.integration.widths import block_for
 from spherejax.motion.runs.known_builds import Build, known_build
 from spherejax.motion.runs.many import method_for, warn_of_starts, with_sensitivities
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
@@ -33,11 +33,11 @@ from spherejax.studies.sweep.store import check_path, stored_chunk_size
 if TYPE_CHECKING:
     import xarray
 
-LARGEST_CHUNK = 32
-"""Runs in a chunk for each lane, at most: what is lost when a sweep is stopped, and what is in memory at a time."""
+LARGEST_CHUNK = 2048
+"""Runs in a chunk, at most: what is lost when a sweep is stopped, and what is in memory at a time."""
 
-LARGEST_ON_ACCELERATOR = 4
-"""The same on an accelerator, whose blocks are wide."""
+LARGEST_FOR_EACH_LANE = 4
+"""Runs in a chunk for each lane that there may be even so: the blocks of an accelerator are wide."""
 
 LARGEST_SAMPLES = 2**28
 """Bytes that the samples of a chunk's states may take."""
@@ -139,8 +139,8 @@ def _chunk_size(n_runs: int, workers: int, block: Block, n_samples: int) -> int:
         block: lanes of each.
         n_samples: samples of bodies in one run, of 13 numbers each.
     """
-    for_each_lane = LARGEST_CHUNK if block.width <= ON_CPU.width else LARGEST_ON_ACCELERATOR
-    largest = min(for_each_lane * block.width, max(LARGEST_SAMPLES // (n_samples * 13 * 8), block.width))
+    largest = max(LARGEST_CHUNK, LARGEST_FOR_EACH_LANE * block.width)
+    largest = min(largest, max(LARGEST_SAMPLES // (n_samples * 13 * 8), block.width))
     rounds = -(-n_runs // (workers * largest))
     return -(-n_runs // (workers * rounds))
 

@@ -1,8 +1,8 @@
 """A queue of runs, worked off by a block of lanes inside one compiled loop.
 
 Each turn of the loop makes one step of every lane. A lane whose run has ended, well or not, writes its result and
-takes the next job. When the queue is empty and most lanes idle, the rest goes on in a narrower block. So the block does
-not wait for its slowest lane, and a failing run costs what it costs and disturbs nobody.
+takes the next job. When the queue is empty and most lanes idle, the rest may go on in a narrower block. So the block
+does not wait for its slowest lane, and a failing run costs what it costs and disturbs nobody.
 
 The pieces are diffrax's own: solver, step-size controller, interpolation. Arrays have their lanes on the last axis.
 """
@@ -91,7 +91,7 @@ class _Queue:
         self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
         self.n_jobs = y0.shape[0]
         self.width = min(block.width, max(1, self.n_jobs))
-        self.narrow = min(block.narrow, self.width)
+        self.narrow = self.width if block.narrow is None else min(block.narrow, self.width)
         # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
         # be a seventh of the operations, and a quarter of the time that they take to compile.
         self.refills = self.width < self.n_jobs

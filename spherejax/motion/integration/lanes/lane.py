@@ -17,12 +17,18 @@ class Block(NamedTuple):
     """How wide the block of lanes is (static).
 
     Attributes:
-        width: lanes; 64 keep the working set of a mechanism of three bodies in the first-level cache.
-        narrow: lanes once the queue is empty and no more than these are busy.
+        width: lanes.
+        narrow: lanes once the queue is empty and no more than these are busy: the loop is compiled a second time for
+            them. None: the block stays as wide as it is.
     """
 
-    width: int = 64
-    narrow: int = 16
+    width: int = 24
+    narrow: int | None = None
+
+    @property
+    def in_words(self) -> str:
+        """Of a sweep's account."""
+        return str(self.width) if self.narrow is None else f"{self.width}, at the end {self.narrow}"
 
 
 class LaneProblem(NamedTuple):
