@@ -9,7 +9,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.equations.programs import LARGEST_COMPUTED, program_for
+from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.automatic import choose_solver, explicit_rate_limit
 from spherejax.motion.solvers.joint_rates import (
     fastest_in_clearance,
@@ -107,7 +107,10 @@ def test_what_is_looked_at_before_a_run_compiles_nothing(name):
     structure, theta = flatten_system(system)
     found = rates_under_load(structure, np.asarray(theta), 1.0)
     assert np.all(found >= 0)
-    assert program_for(pressed_actions, structure, largest=LARGEST_COMPUTED).scalar is not None
+    program = program_for(pressed_actions, structure, is_computed=True)
+    assert program.scalar is not None
+    with pytest.raises(AssertionError, match="to be computed only"):
+        jax.jit(program)(jnp.asarray(theta), 0.0, jnp.zeros(system.layout.size))
 
 
 def test_numbers_hidden_by_jit_leave_the_choice_to_the_models_or_to_the_start():

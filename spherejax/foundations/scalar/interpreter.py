@@ -20,8 +20,9 @@ the right-hand sides of chains and loops: 1.2 to 1.5)."""
 class Interpreter:
     """Follows a jaxpr with arrays of node names, adding nodes to a graph."""
 
-    def __init__(self, graph: Graph, maximum_operations: int | None = None):
+    def __init__(self, graph: Graph, maximum_operations: int | None = None, *, has_slopes: bool = True):
         self.graph = graph
+        self.has_slopes = has_slopes
         self.limit = maximum_operations
         self._depth = 0
         self._n_for_slopes = 0
@@ -91,6 +92,8 @@ class Interpreter:
 
     def _follows_rule(self, equation) -> bool:
         """Whether its derivative is to be taken by the operation's own rule, not through what it is made of."""
+        if not self.has_slopes:
+            return False
         if equation.primitive.name in SOLVES:  # whose rule is the same, but shorter
             return self._depth == 0
         return equation.primitive.name == "custom_jvp_call" and self._depth <= HIGHEST_DERIVATIVE

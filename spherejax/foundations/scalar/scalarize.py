@@ -193,6 +193,7 @@ def scalarize(
     fixed: Mapping[tuple[int, int], float] | None = None,
     n_ahead: int = 1,
     maximum_operations: int | None = None,
+    has_slopes: bool = True,
 ) -> ScalarProgram:
     """Turn a function of small arrays into a straight-line scalar program.
 
@@ -206,6 +207,8 @@ def scalarize(
         n_ahead: number of leading leaves of the arguments that `ahead` is given.
         maximum_operations: give up beyond this size; None for no limit. Compiling 20,000 operations takes about ten
             seconds, 70,000 more than two minutes.
+        has_slopes: whether what derivative rules give is made with it. Without, it takes a third less to make, and its
+            derivatives are those of what it is made of.
 
     Returns:
         A `ScalarProgram` with the function's signature.
@@ -225,7 +228,7 @@ def scalarize(
             for i in range(int(np.prod(shape)))
         ]
         inputs.append(np.array(names, np.int64).reshape(shape))
-    interpreter = Interpreter(graph, maximum_operations)
+    interpreter = Interpreter(graph, maximum_operations, has_slopes=has_slopes)
     outputs = interpreter.run(closed.jaxpr, closed.consts, inputs)
     tree = jax.tree.structure(output_shapes)
     program = ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)), n_ahead)

@@ -64,17 +64,19 @@ class Program:
         y_size: Sizes,
         n_ahead: int,
         is_quiet: bool,
-        largest: int | None = None,
+        is_computed: bool = False,
     ):
         self.function = function
         self.structure = structure
+        self.is_computed = is_computed
         self.scalar: ScalarProgram | None = None
         self.too_large = False
         if use_scalars is False:
             return
         try:
-            limit = None if use_scalars else largest or LARGEST_SCALAR_PROGRAM
-            self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit)
+            usual = LARGEST_COMPUTED if is_computed else LARGEST_SCALAR_PROGRAM
+            limit = None if use_scalars else usual
+            self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit, is_computed)
         except TooManyOperations:
             self.too_large = True
         except NotScalarizable as reason:
@@ -102,6 +104,7 @@ class Program:
     def ahead(self, *leading):
         """What depends on the leading arguments (the parameters first) alone, evaluated once; pass it to `inside`."""
         if self.scalar is not None:
+            assert not self.is_computed, f"{self.function.__name__} has no derivative rules, and is to be computed only"
             return self.scalar.ahead(*leading)
         return stacks_from(self.structure, leading[0])
 
@@ -121,6 +124,7 @@ class Program:
     def __call__(self, theta, t, y) -> Any:
         """Evaluate at parameters theta, time t [s] and flat state y."""
         if self.scalar is not None:
+            assert not self.is_computed, f"{self.function.__name__} has no derivative rules, and is to be computed only"
             return self.scalar(theta, jnp.asarray(t, jnp.float64), y)
         return self._as_arrays(self.structure.system(theta), stacks_from(self.structure, theta), t, y)
 
@@ -141,7 +145,7 @@ def program_for(
     n_ahead: int = 1,
     *,
     is_quiet: bool = False,
-    largest: int | None = None,
+    is_computed: bool = False,
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -149,15 +153,16 @@ def program_for(
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
         use_scalars: True makes a scalar program of any size, False keeps the array code, None makes a scalar program of
-            up to `LARGEST_SCALAR_PROGRAM` operations, or up to `largest`.
+            up to `LARGEST_SCALAR_PROGRAM` operations.
         y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
         n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
 
     Other args:
         is_quiet: say nothing where a law has no scalar program.
-        largest: operations up to which a scalar program is made without being asked for; None for the usual number.
+        is_computed: only `Program.compute` is going to be called. A scalar program is made of up to
+            `LARGEST_COMPUTED` operations then, without what derivative rules would give.
     """
-    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet, largest)
+    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet, is_computed)
 
 
 @lru_cache(maxsize=256)
@@ -168,7 +173,7 @@ def made_program(*what) -> Program:
 
 
 def _scalar_program(
-    function: SystemFunction, structure: Structure, y_size: Sizes, n_ahead: int, limit: int | None
+    function: SystemFunction, structure: Structure, y_size: Sizes, n_ahead: int, limit: int | None, is_computed: bool
 ) -> ScalarProgram:
     shapes, number, state = _shapes(structure, y_size)
 
@@ -178,10 +183,13 @@ def _scalar_program(
     of_numbers.__name__ = function.__name__
     fixed = {(0, index): value for index, value in structure.special}
     sizes = jax.tree.map(lambda x: x.shape, state)
-    key = kept_on_disk.key_for("scalar program", function, structure, sizes, n_ahead, limit)
+    key = kept_on_disk.key_for("scalar program", function, structure, sizes, n_ahead, limit, is_computed)
     program = kept_on_disk.load(key)
     if program is None:
-        program = scalarize(of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit)
+        program = scalarize(
+            of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit,
+            has_slopes=not is_computed,
+        )  # fmt: skip
         kept_on_disk.save(key, program)
     return program
 

@@ -21,7 +21,7 @@ from spherejax.motion.equations.constraints import (
     solve_augmented,
 )
 from spherejax.motion.equations.loads import applied_wrenches, by_body
-from spherejax.motion.equations.programs import LARGEST_COMPUTED, program_for
+from spherejax.motion.equations.programs import program_for
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.joints.spherical import PlacedSpherical
@@ -84,7 +84,8 @@ def _spectral_radius(matrices: Float[Array, "n 3 3"]) -> Float[Array, " n"]:
 @lru_cache(maxsize=1024)
 def _rates_in_clearance(structure: Structure, numbers: bytes) -> np.ndarray:
     theta = np.frombuffer(numbers)
-    *found, forgetting = program_for(joint_actions, structure).compute(theta, 0.0, _described(structure, theta))
+    start = _described(structure, theta)
+    *found, forgetting = program_for(joint_actions, structure, is_computed=True).compute(theta, 0.0, start)
     decay, frequency = (np.max(np.abs(np.linalg.eigvals(matrices)), axis=1) for matrices in found)
     return np.nan_to_num(np.max([decay, np.sqrt(frequency), forgetting], axis=0), nan=np.inf)
 
@@ -92,7 +93,7 @@ def _rates_in_clearance(structure: Structure, numbers: bytes) -> np.ndarray:
 @lru_cache(maxsize=1024)
 def _rates_under_load(structure: Structure, numbers: bytes, patience: float) -> np.ndarray:
     theta = np.frombuffer(numbers)
-    program = program_for(pressed_actions, structure, largest=LARGEST_COMPUTED)
+    program = program_for(pressed_actions, structure, is_computed=True)
     found = program.compute(theta, 0.0, _described(structure, theta))
     decay = np.max(np.abs(np.linalg.eigvals(np.nan_to_num(found.decays))), axis=-1)
     frequency = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.nan_to_num(found.squares))), axis=-1))
