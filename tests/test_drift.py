@@ -275,9 +275,11 @@ def test_reverse_mode_by_checkpoints_passes_through_the_projection():
 def test_lanes_equal_single_runs():
     weights = jnp.array([0.5, 1.0, 2.0])
     run = program("projection")
-    lanes = jax.jit(jax.vmap(lambda weight: run(0.5, 1e-8, weight).ys))(weights)
+    # The first steps are short, and their errors those of rounding, which is another one in vectors: the steps that
+    # follow differ, and the motion by what the tolerance allows.
+    lanes = jax.jit(jax.vmap(lambda weight: run(0.5, 1e-11, weight).ys))(weights)
     for lane, weight in zip(lanes, weights, strict=True):
-        np.testing.assert_allclose(lane, run(0.5, 1e-8, weight).ys, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(lane, run(0.5, 1e-11, weight).ys, rtol=0, atol=1e-9)
     assert np.ptp(np.asarray(lanes)[:, -1], axis=0).max() > 0.01
 
 
