@@ -4,6 +4,9 @@ Here: a ball in a socket (dry contact, film, bushing). `test_hard_systems` has m
 requests.
 """
 
+from dataclasses import replace
+
+import diffrax
 import hard
 import jax
 import jax.numpy as jnp
@@ -308,10 +311,34 @@ def test_bushing(name):
     hard.assert_sound_or_diagnosed(hard.run(BUSHING, t_end, **changes))
 
 
+def circling():
+    """A ball that circles a nanometer off the center of a bushing that resists along the radius alone."""
+    return BUSHING.all_numbers({"stiffness": 1e10, "damping": 1.0, "vx": 0.1, "vz": 0.1, "x": 1e-9, "spin": 1.0})
+
+
 def test_automatic_choice_sees_a_stiff_bushing():
-    numbers = BUSHING.all_numbers({"stiffness": 1e10, "damping": 1.0, "vx": 0.1, "vz": 0.1, "x": 1e-9, "spin": 1.0})
-    found = BUSHING.simulate(numbers, hard.times(0.02), 1e-8).require_success()
+    """A hundred turns of the ball are more than may be followed, which is said; they are not passed over."""
+    family = replace(BUSHING, max_steps=1000)
+    with pytest.warns(sj.SimulationWarning, match="max_steps"):
+        found = family.simulate(circling(), hard.times(0.02), 1e-8)
     assert "Rodas5P" in found.choice
+    assert found.t_reached < 1e-5
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"adjoint": diffrax.RecursiveCheckpointAdjoint()}, {"solver": diffrax.Kvaerno5()}],
+    ids=["lanes", "adjoint", "kvaerno"],
+)
+def test_no_first_step_damps_what_lasts(options):
+    """diffrax alone begins with 0.01 s, and an L-stable method ends such a step at rest."""
+    scene = BUSHING.scene(circling())
+    ts = jnp.linspace(0.0, 0.02, 3)
+    with pytest.warns(sj.SimulationWarning, match="max_steps"):
+        run = sj.simulate(scene, ts, rtol=1e-8, atol=1e-11, **({"solver": sj.Rodas5P(), "max_steps": 40} | options))
+    assert 0 < run.t_reached < 1e-7
+    speed = np.linalg.norm(run.y_reached[7:10])
+    assert 0.05 < speed < 0.15
 
 
 @pytest.mark.parametrize("name", ["through e = 0", "at e = 0", "k = 1e+02, b = 1e+00", "k = 1e+06, b = 0e+00"])
