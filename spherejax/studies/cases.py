@@ -142,9 +142,11 @@ def friction_case(
     return Case(label, "friction", (("clearance", clearance), ("normal", law), ("friction", rubbing)), Dry)
 
 
-def lubricated_case(label: str, clearance: float = CLEARANCE, film: AbstractFilm | None = None) -> Case:
+def lubricated_case(
+    label: str, clearance: float = CLEARANCE, film: AbstractFilm | None = None, viscosity: float = VISCOSITY
+) -> Case:
     """Lubricated joint, with the full film unless another is given; with the paper's film the paper's contact."""
-    parameters = (("clearance", clearance), ("viscosity", VISCOSITY), ("film", film or FullFilm()))
+    parameters = (("clearance", clearance), ("viscosity", viscosity), ("film", film or FullFilm()))
     if isinstance(film, RadialFilm):
         parameters = (*parameters, ("normal", LankaraniNikravesh(restitution=RESTITUTION)))
     return Case(label, "lubricated", parameters, Lubricated)
@@ -242,10 +244,10 @@ def limit_studies(film: AbstractFilm | None = None) -> list[LimitStudy]:
                    lambda c: Dry(1e-3 * c, friction=threlfall), None, "friction"),
         LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1, "dry"),
         LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s{ends}", gap, few,
-                   lambda c: Lubricated(1e-3 * c, viscosity=VISCOSITY, film=film), None, "lubricated"),
+                   lambda c: lubricated_case("", 1e-3 * c, film).model(), None, "lubricated"),
         LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 1e5, 1e6, 1e7),
                    lambda k: Bushing(k, 1e-4), -1, "bushing"),
         *(LimitStudy(f"lubricated ({film_name(each)}), c = 0.10 mm", "viscosity [Pa s]", (0.1, 0.4, 1.6, 6.4),
-                     lambda nu, each=each: Lubricated(CLEARANCE, viscosity=nu, film=each), order, "lubricated")
+                     lambda nu, each=each: lubricated_case("", film=each, viscosity=nu).model(), order, "lubricated")
           for each, order in ((FullFilm(), None), (RadialFilm(), -1)) if order or not isinstance(film, RadialFilm)),
     ]  # fmt: skip

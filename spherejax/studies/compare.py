@@ -20,8 +20,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.model.scene import Scene
+from spherejax.model.system import compile_scene
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
+from spherejax.motion.solvers.automatic import choose_solver, stiffest
 from spherejax.output.plot.curves import Curves, curves_of
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.ideal import Ideal
@@ -184,11 +186,16 @@ def _distinct(studies: Sequence[Study]) -> list[Case]:
 
 
 def _limit(subject: Subject, study: LimitStudy, ts) -> LimitResult:
-    def heights(model: AbstractSphericalModel) -> np.ndarray:
-        # With the account of the work, which nobody reads here: so are the programs those of the models' own runs.
-        run = simulate(subject.build(model), ts, rtol=RTOL, track_work=subject.tracks_work, throw=True)
+    # With the account of the work, which nobody reads here: so are the programs those of the models' own runs. And all
+    # by one method, for one program.
+    models = [study.model_of(value) for value in study.values]
+    systems = [compile_scene(subject.build(model), track_work=subject.tracks_work).system for model in models]
+    solver = stiffest([choose_solver(system, RTOL) for system in systems]).solver
+
+    def heights(model: AbstractSphericalModel, solver: diffrax.AbstractSolver | None) -> np.ndarray:
+        run = simulate(subject.build(model), ts, rtol=RTOL, solver=solver, track_work=subject.tracks_work, throw=True)
         return np.asarray(run.position(subject.body)[:, 2])
 
-    ideal = heights(Ideal())
-    deviations = [float(np.max(np.abs(heights(study.model_of(value)) - ideal))) for value in study.values]
+    ideal = heights(Ideal(), None)
+    deviations = [float(np.max(np.abs(heights(model, solver) - ideal))) for model in models]
     return LimitResult(study.label, study.parameter, list(study.values), deviations, study.order, study.kind)

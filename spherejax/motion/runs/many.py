@@ -32,6 +32,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_builds import Build, built, known_build
 from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
+from spherejax.motion.solvers.automatic import stiffest
 from spherejax.motion.start.start_now import StartWarning, changed_starts
 from spherejax.runtime import require_float64
 
@@ -143,8 +144,7 @@ def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, blo
     if not choices:
         assert problem is not None
         raise problem
-    stiff = [choice for choice in choices if not isinstance(choice.solver, diffrax.AbstractERK)]
-    return LaneMethod((stiff or choices)[0], rtol, atol, max_steps, track_work, block)
+    return LaneMethod(stiffest(choices), rtol, atol, max_steps, track_work, block)
 
 
 def in_words(parameters: dict[str, Any]) -> str:

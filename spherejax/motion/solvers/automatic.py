@@ -1,5 +1,6 @@
 """Which integrator a scene gets when the user does not say: the cheaper one by an estimate of what both would cost."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -112,6 +113,11 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
         return Choice(diffrax.Dopri8(), "Dopri8: the linear systems of a stiff method would be dense and too large")
     known_rtol = max(map(float, known_behind(rtol)), default=1e-8)
     choices = [_choice(known, known_rtol) for known in known_behind(system) or [system]]
+    return stiffest(choices)
+
+
+def stiffest(choices: Sequence[Choice]) -> Choice:
+    """The choice for several runs that are to be made by one method: a stiff one if any of them asks for it."""
     stiff = [choice for choice in choices if not isinstance(choice.solver, diffrax.AbstractERK)]
     return (stiff or choices)[0]
 
