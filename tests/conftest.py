@@ -1,5 +1,6 @@
 """Session set-up: JAX as spherejax configures it, a compilation cache, and one thread for each parallel worker."""
 
+import contextlib
 import os
 import signal
 from pathlib import Path
@@ -75,8 +76,12 @@ def hears_interrupts():
 
 @pytest.fixture(autouse=True, scope="module")
 def lets_go():
-    """What a file has compiled is let go: the next one asks for other programs, and a worker would grow to 8 GB."""
+    """What a file has compiled is let go: the next one asks for other programs, and a worker would grow to 8 GB.
+
+    What the compiler gave back the C library keeps for itself, more than half of a worker's memory, until it is told.
+    """
     yield
+    import ctypes
     import gc
 
     import jax
@@ -87,3 +92,5 @@ def lets_go():
         programs.clear()
     jax.clear_caches()
     gc.collect()
+    with contextlib.suppress(OSError, AttributeError):  # of another C library
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
