@@ -524,6 +524,13 @@ def test_another_process_finds_what_was_kept_and_does_without(tmp_path):
     assert other == pytest.approx(number, rel=1e-9)
 
 
+def test_long_vectors_are_for_groups_of_runs_alone():
+    """Few of them among numbers that stand alone slow a processor down; a line with lanes may have them."""
+    host, narrow = machine_code._machine(True)[1], machine_code._machine(False)[1]
+    assert "+avx512" not in narrow
+    assert [f for f in host.split(",") if "avx512" not in f] == [f for f in narrow.split(",") if "avx512" not in f]
+
+
 def test_damaged_machine_code_is_made_anew(tmp_path):
     cache = {"SPHEREJAX_CACHE": str(tmp_path)}
     _, _, number = said_by(**cache)

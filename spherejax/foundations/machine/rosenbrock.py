@@ -231,7 +231,9 @@ batching.primitive_batchers[_rosenbrock_stages] = _batched
 def _lowered(context: Any, *arguments: Any, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> Sequence:
     given = _given(context.avals_in, steps, n_runs, shared)
     key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
-    name = machine_code.called_text(key, steps.solve.line, lambda: _text(steps, given, n_runs))
+    name = machine_code.called_text(
+        key, steps.solve.line, lambda: _text(steps, given, n_runs), is_wide=n_runs is not None
+    )
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 

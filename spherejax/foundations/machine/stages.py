@@ -143,7 +143,7 @@ def _lowered(
 ) -> Sequence:
     # A line with coefficients belongs to one line of slopes.
     key = "stages", rows and rows.n, method, n_runs
-    name = machine_code.called_text(key, line, lambda: _text(line, rows, method, n_runs))
+    name = machine_code.called_text(key, line, lambda: _text(line, rows, method, n_runs), is_wide=n_runs is not None)
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 
