@@ -603,3 +603,10 @@ def test_the_derivative_of_what_remains_in_a_loop_is_that_of_the_array_code(name
     with machine_code.wanted():
         found = jax.jit(lambda *tangents: jax.jvp(inside, primals, tangents)[1])(*tangents)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.max(np.abs(expected)))
+
+
+def test_a_constant_that_is_put_on_a_device_stays_what_it_is():
+    """As `jnp` does with constants of a function in some versions of JAX, in films among them."""
+    x = jnp.array([0.3, -1.2])
+    made = scalarize(lambda x: jax.device_put(x) * jax.device_put(jnp.array([2.0, 3.0])), x)
+    np.testing.assert_allclose(made(x), [0.6, -3.6], rtol=1e-15)

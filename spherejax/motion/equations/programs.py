@@ -104,7 +104,7 @@ class Program:
     def ahead(self, *leading):
         """What depends on the leading arguments (the parameters first) alone, evaluated once; pass it to `inside`."""
         if self.scalar is not None:
-            assert not self.is_computed, f"{self.function.__name__} has no derivative rules, and is to be computed only"
+            self._require_slopes()
             return self.scalar.ahead(*leading)
         return stacks_from(self.structure, leading[0])
 
@@ -124,9 +124,12 @@ class Program:
     def __call__(self, theta, t, y) -> Any:
         """Evaluate at parameters theta, time t [s] and flat state y."""
         if self.scalar is not None:
-            assert not self.is_computed, f"{self.function.__name__} has no derivative rules, and is to be computed only"
+            self._require_slopes()
             return self.scalar(theta, jnp.asarray(t, jnp.float64), y)
         return self._as_arrays(self.structure.system(theta), stacks_from(self.structure, theta), t, y)
+
+    def _require_slopes(self) -> None:
+        assert not self.is_computed, f"{self.function.__name__} has no derivative rules, and is to be computed only"
 
     def _as_arrays(self, system: System, stacks, t, y) -> Any:
         system = eqx.tree_at(lambda s: s.stacks, system, stacks, is_leaf=lambda x: x is None)
