@@ -173,8 +173,7 @@ def _joined(arrays: Sequence) -> Any:
 def _read(atom: Any, known: dict) -> Any:
     if isinstance(atom, jex.Literal):
         return atom.val
-    value = known[atom]
-    return value.taken(value.vector) if isinstance(value, _Part) else value
+    return _whole(known[atom])
 
 
 def _as_function(equations: Sequence, inputs: Sequence, outputs: Sequence) -> Callable[..., list]:
@@ -241,15 +240,17 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
 def _call(equation: Any, known: dict, is_loop: bool) -> None:
     """Evaluate an operation that stands alone: machine code is called in it, or it is none for a kernel."""
     name, parameters = equation.primitive.name, equation.params
-    values = [_read(atom, known) for atom in equation.invars]
     if not _calls(equation):
         _make([equation], set(equation.outvars), set(), known, is_loop=False)
         return
+    values = [a.val if isinstance(a, jex.Literal) else known[a] for a in equation.invars]
+    if name == "while":
+        known.update(zip(equation.outvars, _while(parameters, values), strict=True))
+        return
+    values = [*map(_whole, values)]
     if name in _INLINED:
         inner = parameters[_INLINED[name]]
         found = _evaluated(inner.jaxpr, inner.consts, values, is_loop)
-    elif name == "while":
-        found = _while(parameters, values)
     elif name == "scan":
         loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
         found = _evaluated(loop.jaxpr, loop.consts, values, is_loop)
@@ -265,19 +266,24 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
 
 
 def _while(parameters: Any, values: Sequence) -> list:
-    """A loop that carries its small arrays in vectors, and does the rest of each turn in few kernels."""
+    """A loop that carries its small arrays in vectors, and does the rest of each turn in few kernels.
+
+    What it begins with, and what it returns, may be parts of vectors: a loop within a loop begins with those of the
+    outer one as they are.
+    """
     n_conditions, n_fixed = parameters["cond_nconsts"], parameters["body_nconsts"]
     of_condition, fixed, start = np.split(np.arange(len(values)), [n_conditions, n_conditions + n_fixed])
     condition, body = (jex.jaxpr_as_fun(parameters[name]) for name in ("cond_jaxpr", "body_jaxpr"))
     # XLA must not know a number that enters: it would write it into the kernels, and leave an argument unread.
-    values = jax.lax.optimization_barrier([jnp.asarray(value) for value in values])
-    given, kept, begin = ([values[i] for i in each] for each in (of_condition, fixed, start))
+    values = [x if isinstance(x, _Part) else jax.lax.optimization_barrier(jnp.asarray(x)) for x in values]
+    given, kept = ([_whole(values[i]) for i in each] for each in (of_condition, fixed))
+    begin = [values[i] for i in start]
     avals = [each.aval for each in parameters["body_jaxpr"].jaxpr.outvars]
     groups = _parts([*enumerate(avals)])
     apart = [at for at in range(len(avals)) if not any(at == name for group in groups for name, *_ in group)]
 
     def packed(arrays: Sequence) -> list:
-        return [*(arrays[at] for at in apart), *(_joined([arrays[name] for name, *_ in group]) for group in groups)]
+        return [*(_whole(arrays[at]) for at in apart), *(_vector_of([arrays[at] for at, *_ in g], g) for g in groups)]
 
     def parts(state: Sequence) -> list:
         found: list[Any] = [None] * len(avals)
@@ -289,17 +295,34 @@ def _while(parameters: Any, values: Sequence) -> list:
         return found
 
     def arrays(state: Sequence) -> list:
-        return [x.taken(x.vector) if isinstance(x, _Part) else x for x in parts(state)]
+        return [*map(_whole, parts(state))]
 
-    whole = jax.make_jaxpr(lambda *all_of_it: packed(body(*all_of_it)))(*kept, *begin)
+    examples = [jax.ShapeDtypeStruct(each.shape, each.dtype, weak_type=each.weak_type) for each in avals]
+    whole = jax.make_jaxpr(lambda *all_of_it: packed(body(*all_of_it)))(*kept, *examples)
 
     constants = jax.lax.optimization_barrier([jnp.asarray(value) for value in whole.consts])
 
     def turn(state: list) -> list:
         return _evaluated(whole.jaxpr, constants, [*kept, *parts(state)], is_loop=True)
 
-    first = packed([jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True)])
-    return arrays(jax.lax.while_loop(lambda state: condition(*given, *arrays(state))[0], turn, first))
+    typed = (x if isinstance(x, _Part) else jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True))
+    return parts(jax.lax.while_loop(lambda state: condition(*given, *arrays(state))[0], turn, packed([*typed])))
+
+
+def _whole(value: Any) -> Any:
+    """An array, also where it is a part of a vector."""
+    return value.taken(value.vector) if isinstance(value, _Part) else value
+
+
+def _vector_of(arrays: Sequence, group: Sequence[tuple[Any, int, tuple[int, ...]]]) -> Any:
+    """The arrays of a group as one vector: that which they are parts of, if they are all of it."""
+    parts = [each for each in arrays if isinstance(each, _Part)]
+    if len(parts) == len(arrays):
+        (vector, *others), (_, last, shape) = {id(each.vector): each.vector for each in parts}.values(), group[-1]
+        begins = [each.begin for each in parts]
+        if not others and begins == [begin for _, begin, _ in group] and vector.size == last + math.prod(shape):
+            return vector
+    return _joined([*map(_whole, arrays)])
 
 
 def _as_loop(parameters: Any, arguments: Sequence) -> list:

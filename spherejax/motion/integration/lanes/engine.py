@@ -23,7 +23,7 @@ from spherejax.motion.integration.audit import CHECKS, Watch
 from spherejax.motion.integration.lanes.control import Repeating, Step
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
 from spherejax.motion.integration.lanes.landing import Landing
-from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, StepLog
+from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, StepLog
 from spherejax.motion.integration.lanes.stages import ExplicitStages, Trial, own_time, steps_of
 from spherejax.motion.integration.status import Status, status_of
 from spherejax.physics.forces.remembering import SAME_INSTANT
@@ -107,6 +107,9 @@ class _Queue:
         # Where all runs begin together, and go on, the first turns look at their starts.
         is_explicit = isinstance(self.steps, ExplicitStages) and self.steps.can_look
         self.looks = is_explicit and not self.refills and ts.shape[0] > 1
+        # A sample time interrupts one run now and then; many lanes pass one in nearly every turn.
+        self.samples_apart = self.n_jobs == 1 and ts.shape[0] > 1
+        self.looks_back = self.looks or self.samples_apart
         # The first step of every run, found for all runs at once; by looks where there are some.
         looking = self.control.init_with_looks if self.looks and isinstance(self.control, Landing) else None
         init = looking or partial(self.control.init, self.term)
@@ -246,15 +249,15 @@ class _Queue:
         size = self.y0[0].size
         n_checks = 0 if self.problem.audit is None else len(CHECKS)
         account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
-        looks = Looks(jnp.zeros((), jnp.int64), jnp.zeros_like(lanes.y)) if self.looks else None
+        looks = Looks.of_nothing(lanes.y) if self.looks else None
         log = None
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
             log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan))
-        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), log, looks
+        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), log, looks, self._nothing_last(lanes)
 
         def busy(carry):
-            lanes, waiting, *_, looks = carry
+            lanes, waiting, *_, looks, _ = carry
             at_least = narrow if narrow < width else 0
             is_wide = (waiting < self.n_jobs) | (jnp.sum(_is_busy(lanes, self.n_jobs)) > at_least)
             # The narrow block goes on, it does not look.
@@ -262,14 +265,14 @@ class _Queue:
 
         carry = self._gone_on(busy, carry)
         if narrow < width:
-            lanes, *rest, _ = carry
+            lanes, *rest, _, _ = carry
             order = jnp.argsort(~_is_busy(lanes, self.n_jobs))[:narrow]
             lanes = jax.tree.map(lambda x: x[..., order], lanes)
 
             def still_busy(carry):
                 return jnp.any(_is_busy(carry[0], self.n_jobs))
 
-            carry = self._gone_on(still_busy, (lanes, *rest, None))
+            carry = self._gone_on(still_busy, (lanes, *rest, None, self._nothing_last(lanes)))
         log = carry[5]
         if log is not None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
@@ -284,23 +287,35 @@ class _Queue:
         return jnp.concatenate([inside, ys[0, -1:]])[None]
 
     def _gone_on(self, busy: Callable, carry: tuple) -> tuple:
-        """Turn after turn while the block is busy; in between lanes that have ended take new jobs.
+        """Turn after turn while the block is busy; what comes seldom is done between two loops, not asked in each turn.
 
-        Two loops, not one that asks in each turn: XLA copies all lanes where a branch leaves them as they were, and puts
-        so many copies at once on other threads (a turn of 24 lanes took 90 us in place of 51).
+        XLA copies all lanes where a branch leaves them as they were, and puts so many copies at once on other threads:
+        a turn of 24 lanes took 90 us in place of 51.
         """
+
+        def is_quiet(carry):
+            lanes, *_, looks, _ = carry
+            goes_on = busy(carry)
+            if self.refills:
+                goes_on = goes_on & ~jnp.any(self._have_ended(lanes))
+            if self.samples_apart:
+                goes_on = goes_on & ~jnp.any(self._is_due(lanes))
+            return goes_on if looks is None else goes_on & ~looks.is_new
+
+        def stretch(carry):
+            lanes, waiting, account, ys, n_lane_steps, log, looks, last = jax.lax.while_loop(is_quiet, self.turn, carry)
+            if looks is not None:
+                lanes, looks = jax.lax.cond(looks.is_new, self._looked, lambda *same: same[:2], lanes, looks, last)
+            if self.samples_apart:
+                lanes, ys = self._with_samples(lanes, last, ys)
+            if self.refills:
+                lanes, waiting, account = self._refilled(lanes, waiting, account)
+            return lanes, waiting, account, ys, n_lane_steps, log, looks, last
+
+        lanes, waiting, account, *others = jax.lax.while_loop(busy, stretch, carry)
         if not self.refills:
-            lanes, waiting, account, *others = jax.lax.while_loop(busy, self.turn, carry)
-            return *self._refilled(lanes, waiting, account), *others
-
-        def none_has_ended(carry):
-            return busy(carry) & ~jnp.any(self._have_ended(carry[0]))
-
-        def round_of(carry):
-            lanes, waiting, account, *others = jax.lax.while_loop(none_has_ended, self.turn, carry)
-            return *self._refilled(lanes, waiting, account), *others
-
-        return jax.lax.while_loop(busy, round_of, carry)
+            lanes, waiting, account = self._refilled(lanes, waiting, account)
+        return lanes, waiting, account, *others
 
     def _have_ended(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
         """Which lanes hold a run that has ended, and has not been written down."""
@@ -312,7 +327,7 @@ class _Queue:
 
     def turn(self, carry):
         """One step of every lane."""
-        lanes, waiting, account, ys, n_lane_steps, log, looks = carry
+        lanes, waiting, account, ys, n_lane_steps, log, looks, _ = carry
         before = lanes
         is_look = jnp.array(False) if looks is None else looks.is_looking
         n_stages = None if looks is None else looks.n_stages(self._n_stages(lanes))
@@ -322,16 +337,16 @@ class _Queue:
         )
         lanes = self.judged(lanes, trial, is_look)
         if looks is not None:
-            t_next, looks = jax.lax.cond(
-                is_look, self._looked, lambda _, t_next, looks, *ignored: (t_next, looks),
-                before, lanes.t_next, looks, trial.dense_info["k"][:2],
-            )  # fmt: skip
-            lanes = lanes._replace(t_next=t_next)
-        if self.ts.shape[0] > 1:
-            lanes, ys = self._with_samples(before, lanes, bend, trial.dense_info, ys)
+            looks = looks._replace(is_new=is_look)
         if log is not None:
             log = self._with_step(before, lanes, bend, trial.dense_info, log)
-        return lanes, waiting, account, ys, n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1]), log, looks
+        last = Last(before.t, before.t_next, bend, trial.dense_info)
+        if self.ts.shape[0] > 1 and not self.samples_apart:
+            lanes, ys = self._with_samples(lanes, last, ys)
+        if not self.looks_back:
+            last = last._replace(dense_info=None)
+        n_lane_steps = n_lane_steps + jnp.where(is_look, 0, lanes.t.shape[-1])
+        return lanes, waiting, account, ys, n_lane_steps, log, looks, last
 
     def _n_stages(self, lanes: Lane) -> Any:
         """How many stages the coming step needs: Dopri8 has a fourteenth for what is inside a step alone."""
@@ -344,27 +359,43 @@ class _Queue:
         is_inside = (coming < n) & (self.ts[jnp.minimum(coming, n - 1)] < lanes.t_next)
         return jnp.where(jnp.any(is_inside), steps.n_stages, steps.n_used)
 
-    def _looked(self, before: Lane, _, looks: Looks, k) -> tuple[Array, Looks]:
-        """Where the next look or the first step ends, after a look."""
-        size = before.t_next - before.t
+    def _looked(self, lanes: Lane, looks: Looks, last: Last) -> tuple[Lane, Looks]:
+        """After a look: the lanes with where the next look or the first step ends."""
         control: Any = self.control
-        looks, t_next = control.looked(looks, self.ts[0], before.y, size, k, before.parameters)
-        return jnp.where(looks.turn == N_LOOKS, jnp.minimum(t_next, before.t_end), t_next), looks
+        size, k = last.t_next - last.t, last.dense_info["k"][:2]
+        looks, t_next = control.looked(looks, self.ts[0], lanes.y, size, k, lanes.parameters)
+        t_next = jnp.where(looks.turn == N_LOOKS, jnp.minimum(t_next, lanes.t_end), t_next)
+        return lanes._replace(t_next=t_next), looks
 
-    def _with_samples(self, before: Lane, lanes: Lane, bend, dense_info, ys):
-        """Write the samples that lie in the steps just kept; the first one is the start."""
-        was_kept = lanes.n_accepted > before.n_accepted
+    def _nothing_last(self, lanes: Lane) -> Last:
+        """The step made last before there was one."""
+        zero = jnp.zeros_like(lanes.t)
+        if not self.looks_back:
+            return Last(zero, zero, zero, None)
+        if isinstance(self.steps, ExplicitStages):
+            k = jnp.zeros((self.steps.n_stages, *lanes.y.shape))
+            return Last(zero, zero, zero, {"y0": lanes.y, "y1": lanes.y, "k": k})
+        made = jax.eval_shape(
+            self.steps.step, zero, zero, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, zero
+        )
+        return Last(zero, zero, zero, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), made.dense_info))
+
+    def _is_due(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
+        """Whether a lane has passed a sample time and has not written it down."""
+        n = self.ts.shape[0]
+        coming = jnp.maximum(lanes.n_samples, 1)
+        return (coming < n) & (self.ts[jnp.minimum(coming, n - 1)] <= lanes.t)
+
+    def _with_samples(self, lanes: Lane, last: Last, ys):
+        """Write the samples that lie in the steps made last; the first one is the start."""
         n = self.ts.shape[0]
 
-        def due(n_samples):
-            return was_kept & (n_samples < n) & (self.ts[jnp.minimum(n_samples, n - 1)] <= lanes.t)
-
         def any_due(carry):
-            return jnp.any(due(carry[0]))
+            return jnp.any(self._is_due(lanes._replace(n_samples=carry[0])))
 
         def write(carry):
             n_samples, ys = carry
-            is_due = due(n_samples)
+            is_due = self._is_due(lanes._replace(n_samples=n_samples))
             at = self.ts[jnp.minimum(n_samples, n - 1)]
             # The end of a step is the state itself, with its events; within it there are none.
             is_end = at >= lanes.t
@@ -372,7 +403,7 @@ class _Queue:
                 # What is within rounding of the instant of a force's sample is behind it, as the step's end is.
                 is_end = at >= lanes.t - SAME_INSTANT * jnp.abs(lanes.t)
             if n > 2:
-                inside = in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at)
+                inside = in_lanes(self.sample)(last.t, last.t_next, last.bend, last.dense_info, lanes.parameters, at)
                 y = jnp.where(is_end, lanes.y, inside)
             else:
                 y = lanes.y

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 N_LOOKS = 2
 """Turns that are looks."""
@@ -28,10 +28,17 @@ class Looks(NamedTuple):
     Attributes:
         turn: how many turns there were.
         slope: at the start (lanes on the last axis).
+        is_new: whether the last turn was one, of which nothing has been read yet.
     """
 
     turn: Int[Array, ""]
     slope: Float[Array, "... n_lanes"]
+    is_new: Bool[Array, ""]
+
+    @classmethod
+    def of_nothing(cls, y: Float[Array, "... n_lanes"]) -> "Looks":
+        """Before the first one."""
+        return cls(jnp.zeros((), jnp.int64), jnp.zeros_like(y), jnp.array(False))
 
     @property
     def is_looking(self) -> Array:

@@ -121,7 +121,7 @@ class Landing:
 
         slope = jnp.where(looks.turn == 0, k[0] / size, looks.slope)
         end = in_lanes(next_end)(slope, k[1] / size, y0, size, parameters)
-        return Looks(looks.turn + 1, slope), end
+        return Looks(looks.turn + 1, slope, jnp.array(False)), end
 
     def _first(self, t0, size, y0, parameters):
         room = jnp.inf if self.problem.room is None else self.problem.room(parameters, t0, y0)

@@ -125,6 +125,22 @@ class Lane(NamedTuple):
     watch: Watch | None
 
 
+class Last(NamedTuple):
+    """The trial steps that the lanes made last: what states inside them come of.
+
+    Attributes:
+        t: where they start [s].
+        t_next: where they end [s].
+        bend: of the time that they are made in.
+        dense_info: of the solver; None where nobody asks for states inside steps.
+    """
+
+    t: Array
+    t_next: Array
+    bend: Array
+    dense_info: Any
+
+
 class LaneOutcome(NamedTuple):
     """Results of all runs of a queue.
 
