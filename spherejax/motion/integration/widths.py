@@ -13,10 +13,10 @@ import jax
 from spherejax.motion.integration.lanes import Block
 
 ON_CPU = Block()
-"""Three groups of eight, as machine code takes them. Of a four-bar (256 runs, dry, bushing, film, sensitivities by one
-and three numbers) 64 lanes that end with 16 take between 0.97 and 1.3 times as long, and twice as long to compile, for
-they are two loops; 16 lanes up to 1.18 times as long, 32 and more no less than 24. Without machine code the width makes
-no difference."""
+"""Three groups of eight, as machine code takes them. Of a four-bar, 64 lanes take 0.93 (dry) to 1.05 times (bushing,
+film) as long, with sensitivities by one and three numbers 1.15 and 1.35 times, for they outgrow the cache; 16 lanes up
+to 1.18 times (`benchmarks/results/sweep_steps.csv`). A second, narrower loop for the end of a queue would take as long
+to compile as the first. Without machine code the width makes no difference."""
 
 ON_ACCELERATOR = Block(width=65_536, narrow=8_192)
 """About 20 kB a lane of a mechanism of three bodies with a method of 14 stages: 1.3 GB."""
