@@ -128,3 +128,35 @@ def test_the_audit_begins_with_the_start_and_not_with_a_look():
     run = sj.simulate(scene, jnp.array([0.0, 0.1]))
     assert run.succeeded
     assert np.max(np.asarray(run.stats.audit)) < 1e-3
+
+
+JOINTS = {"dry": sj.Dry(1e-4, friction=sj.Threlfall()), "stiff": sj.Bushing(1e6, 1e-2)}
+
+
+@pytest.mark.parametrize("joint", [*JOINTS])
+def test_how_often_a_run_is_sampled_says_nothing_of_its_steps(joint):
+    """One run writes its samples between stretches of steps, many lanes in each of them: none, one or many a step."""
+    scene = sj.gallery.four_bar(JOINTS[joint])
+    ts = jnp.linspace(0.0, 0.02, 4001)
+    often, seldom = (sj.simulate(scene, ts[::every], rtol=1e-6) for every in (1, 500))
+    lanes = sj.simulate_many(lambda _: scene, jnp.zeros(3), ts[::500], rtol=1e-6, block=sj.Block(2)).trajectories
+    assert often.stats.n_steps < 2000  # of its 4,000 samples more than one lie in a step
+    for name in ("n_accepted", "n_rejected", "n_onsets"):
+        assert np.array_equal(getattr(often.stats, name), getattr(seldom.stats, name)), name
+    assert np.all(np.isfinite(often.ys))
+    np.testing.assert_allclose(often.ys[::500], seldom.ys, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(lanes.ys[1], seldom.ys, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 24])
+def test_jobs_that_may_not_be_made_are_written_down_wherever_they_wait(width):
+    """Also at the end of the queue, where nobody is busy any more: such a row said that it had succeeded."""
+
+    def build(mass):
+        return sj.Scene({"ball": sj.Body(mass, (1.0, 1.0, 1.0))}, {})
+
+    masses = jnp.concatenate([jnp.array([1.0, -1.0, -1.0, -1.0, -1.0, 2.0, 1.0]), -jnp.ones(2 * width)])
+    runs = sj.simulate_many(build, masses, jnp.array([0.0, 0.1, 0.2]), block=sj.Block(width)).trajectories
+    expected = np.where(masses > 0, sj.Status.SUCCEEDED, sj.Status.BAD_VALUE)
+    assert np.array_equal(runs.status, expected)
+    assert np.array_equal(np.isfinite(np.asarray(runs.ys)[:, -1]).all(axis=-1), masses > 0)

@@ -125,6 +125,36 @@ def test_loops_in_few_kernels_have_the_numbers_of_loops(small_ones_too):
         np.testing.assert_allclose(two, np.stack([other] * 2), rtol=1e-12)
 
 
+def test_a_loop_within_a_loop_takes_the_vectors_of_the_outer_one(small_ones_too):
+    def run(rate):
+        def turn(state):
+            i, y, flag, a, b = state
+            return i + 1, y + 0.01 * rate(y), ~flag, a + y, b - a
+
+        def stretch(state):
+            i, *others = jax.lax.while_loop(lambda state: state[0] % 4 < 3, turn, state)
+            _, y, flag, a, b = state = turn((i, *others))
+            return state[0], y, flag, jnp.where(flag, a, b), b
+
+        def until(n, y):
+            start = jnp.zeros((), jnp.int64), y, jnp.array(True), y * 2, y - 1
+            return jax.lax.while_loop(lambda state: state[0] < n, stretch, start)
+
+        return until
+
+    expected = jax.jit(run(field))(18, ARGUMENTS[0])
+    with machine_code.wanted():
+        made = jax.make_jaxpr(in_few_kernels(run(FIELD)))(18, ARGUMENTS[0]).jaxpr
+        found = jax.jit(in_few_kernels(run(FIELD)))(18, ARGUMENTS[0])
+    (outer,) = (equation for equation in made.eqns if equation.primitive.name == "while")
+    body = outer.params["body_jaxpr"].jaxpr
+    (inner,) = (equation for equation in body.eqns if equation.primitive.name == "while")
+    assert set(body.invars) & set(inner.invars) >= {each for each in body.invars if each.aval.shape == (9,)} != set()
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
 def kernels(jaxpr):
     for equation in jaxpr.eqns:
         if equation.primitive.name == "few_kernels":

@@ -132,7 +132,7 @@ class Last(NamedTuple):
         t: where they start [s].
         t_next: where they end [s].
         bend: of the time that they are made in.
-        dense_info: of the solver; None where nobody asks for states inside steps.
+        dense_info: of the solver.
     """
 
     t: Array
