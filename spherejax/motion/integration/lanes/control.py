@@ -6,10 +6,12 @@ events inside the steps of explicit Runge-Kutta methods. Arrays have their lanes
 
 from typing import Any, NamedTuple
 
+import diffrax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
+from spherejax.motion.integration.status import status_of
 from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
 
 
@@ -101,3 +103,16 @@ class Repeating:
             step.t0, step.t1, step.y0, y, step.parameters, error, self.order, state
         )
         return Judgment(keep, t, t_next, y, state, jnp.where(keep, made_jump, was_jump), verdict, began)
+
+
+def told_by(keep, result, verdict) -> Int[Array, ""]:
+    """The status of a lane after a step, from what the solver and the control say."""
+    if result is not None:
+        verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
+    return status_of(verdict, jnp.array(True), jnp.array(True))
+
+
+def clipped(t, t_next, t_end, keep) -> Array:
+    """The end of the coming step, at most the end of the run; as diffrax does it."""
+    floor = t_end - 100 * jnp.finfo(jnp.float64).eps * jnp.abs(t_end)
+    return jnp.where(t_next > floor, jnp.where(keep, t_end, t + 0.5 * (t_end - t)), t_next)

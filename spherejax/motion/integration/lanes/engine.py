@@ -19,13 +19,14 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.machine.few_kernels import in_few_kernels
-from spherejax.motion.integration.audit import CHECKS, Watch
-from spherejax.motion.integration.lanes.control import Repeating, Step
+from spherejax.motion.integration.audit import Watch
+from spherejax.motion.integration.lanes.account import Account, written
+from spherejax.motion.integration.lanes.control import Repeating, Step, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
 from spherejax.motion.integration.lanes.landing import Landing
-from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, StepLog
+from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, StepLog, is_busy
 from spherejax.motion.integration.lanes.stages import ExplicitStages, Trial, own_time, steps_of
-from spherejax.motion.integration.status import Status, status_of
+from spherejax.motion.integration.status import Status
 from spherejax.physics.forces.remembering import SAME_INSTANT
 
 
@@ -181,9 +182,9 @@ class _Queue:
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )
-        told = in_lanes(_told)(keep, trial.result, verdict)
+        told = in_lanes(told_by)(keep, trial.result, verdict)
         # Idle lanes and runs that may not be made go through the motions, and count nothing.
-        is_running = _is_busy(lane, self.n_jobs) & ~is_look
+        is_running = is_busy(lane, self.n_jobs) & ~is_look
         keep = keep & is_running
         repeats = ~keep & is_running
         t = jnp.where(is_running, jnp.minimum(t, lane.t_end), lane.t)
@@ -200,13 +201,13 @@ class _Queue:
             begun, seen = in_lanes(problem.audit.begun_and_seen)(lane.parameters, watch, t, y)
             watch = jax.tree.map(kept, seen, watch)
             if self.looks:  # which leave the state at the start
-                begins = is_look & _is_busy(lane, self.n_jobs)
+                begins = is_look & is_busy(lane, self.n_jobs)
                 watch = jax.tree.map(lambda new, old: jnp.where(begins, new, old), begun, watch)
             told = jnp.where((told == Status.SUCCEEDED) & ~in_lanes(_is_sound)(watch), Status.AUDIT_FAILED, told)
 
         return lane._replace(
             t=t,
-            t_next=_clipped(t, t_next, lane.t_end, keep),
+            t_next=clipped(t, t_next, lane.t_end, keep),
             y=kept(y, lane.y),
             solver_state=jax.tree.map(kept, trial.solver_state, lane.solver_state),
             controller_state=jax.tree.map(lambda new, old: jnp.where(is_look, old, new), state, lane.controller_state),
@@ -248,39 +249,38 @@ class _Queue:
         # The start is corrected as all samples are; the integration begins with what it was given.
         first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
         ys = jnp.where(is_start, first[:, None], jnp.nan)
-        size = self.y0[0].size
-        n_checks = 0 if self.problem.audit is None else len(CHECKS)
-        account = jnp.zeros((self.n_jobs, 4 + n_checks + 2 * self.n_contacts + lanes.peaks.shape[0] + size))
-        account = account.at[:, _STATUS].set(Status.SOLVER_FAILED)  # a row that nobody writes is no success
+        account = Account.of(lanes)
         looks = Looks.of_nothing(lanes.y) if self.looks else None
         log = None
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
             log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan))
-        carry = lanes, jnp.asarray(width), account, ys, jnp.zeros((), jnp.int64), log, looks, self._nothing_last(lanes)
+        last = self._nothing_last(lanes)
+        rows = account.rows(self.n_jobs)
+        carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last
 
         def busy(carry):
             lanes, waiting, *_, looks, _ = carry
             at_least = narrow if narrow < width else 0
-            is_wide = (waiting < self.n_jobs) | (jnp.sum(_is_busy(lanes, self.n_jobs)) > at_least)
+            is_wide = (waiting < self.n_jobs) | (jnp.sum(is_busy(lanes, self.n_jobs)) > at_least)
             # The narrow block goes on, it does not look.
             return is_wide if looks is None else is_wide | looks.is_looking
 
         carry = self._gone_on(busy, carry)
         if narrow < width:
             lanes, *rest, _, _ = carry
-            order = jnp.argsort(~_is_busy(lanes, self.n_jobs))[:narrow]
+            order = jnp.argsort(~is_busy(lanes, self.n_jobs))[:narrow]
             lanes = jax.tree.map(lambda x: x[..., order], lanes)
 
             def still_busy(carry):
-                return jnp.any(_is_busy(carry[0], self.n_jobs))
+                return jnp.any(is_busy(carry[0], self.n_jobs))
 
             carry = self._gone_on(still_busy, (lanes, *rest, None, self._nothing_last(lanes)))
         log = carry[5]
         if log is not None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
         ys = self._with_corrected_samples(carry[3]) if self.corrects_late else carry[3]
-        return self._outcome(ys, carry[2], carry[4]), log
+        return account.outcome(carry[2], ys, carry[4]), log
 
     def _with_corrected_samples(self, ys):
         """The samples of the one run, of which the last is the end of a step, and corrected as such."""
@@ -326,7 +326,7 @@ class _Queue:
 
     def _have_ended(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
         """Which lanes hold a run that has ended, and has not been written down."""
-        return ~_is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
+        return ~is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
 
     def block_of(self, jobs) -> Lane:
         """Lanes at the start of jobs."""
@@ -377,13 +377,8 @@ class _Queue:
         if not self.looks_back:
             return None
         zero = jnp.zeros_like(lanes.t)
-        if isinstance(self.steps, ExplicitStages):
-            k = jnp.zeros((self.steps.n_stages, *lanes.y.shape))
-            return Last(zero, zero, zero, {"y0": lanes.y, "y1": lanes.y, "k": k})
-        made = jax.eval_shape(
-            self.steps.step, zero, zero, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, zero
-        )
-        return Last(zero, zero, zero, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), made.dense_info))
+        of_none = self.steps.nothing_made(zero, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump)
+        return Last(zero, zero, zero, of_none)
 
     def _is_due(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
         """Whether a lane has passed a sample time and has not written it down."""
@@ -437,7 +432,7 @@ class _Queue:
     def _refilled(self, lanes: Lane, waiting, account) -> tuple:
         """Write results of the lanes that have ended, and give them the next jobs."""
         has_ended = self._have_ended(lanes)
-        account = with_rows_at(account, jnp.where(has_ended, lanes.job, self.n_jobs), in_lanes(_account)(lanes).T)
+        account = written(account, jnp.where(has_ended, lanes.job, self.n_jobs), lanes)
         if not self.refills:
             return lanes._replace(job=jnp.where(has_ended, self.n_jobs, lanes.job)), waiting, account
         jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
@@ -445,56 +440,6 @@ class _Queue:
         lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)
         return lanes, jnp.minimum(waiting + jnp.sum(has_ended), self.n_jobs), account
 
-    def _outcome(self, ys, account, n_lane_steps) -> LaneOutcome:
-        n = 4 + self.n_contacts
-        n_checks = 0 if self.problem.audit is None else len(CHECKS)
-        last = account.shape[1] - self.y0[0].size
-        ends = [_STATUS, n, n + self.n_contacts, last - n_checks, last]
-        t_reached, counts, touching, peaks, audit, y_reached = jnp.split(account, ends, axis=1)
-        status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
-        return LaneOutcome(
-            ys=ys,
-            t_reached=t_reached[:, 0],
-            status=status,
-            n_accepted=n_accepted,
-            n_rejected=n_rejected,
-            n_onsets=counts[:, 3:].astype(jnp.int64),
-            touching=touching,
-            peaks=peaks,
-            y_reached=y_reached.reshape(self.y0.shape),
-            audit=audit,
-            n_lane_steps=n_lane_steps,
-        )
-
-
-_STATUS = 1
-"""Place of the status in a run's account."""
-
-
-def _account(lane: Lane) -> Float[Array, " k"]:
-    """What a run reports besides its samples, as numbers in a row."""
-    counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
-    audit = jnp.zeros(0) if lane.watch is None else lane.watch.worst
-    numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, audit, lane.y.ravel()]
-    return jnp.concatenate([each.astype(jnp.float64) for each in numbers])
-
 
 def _is_sound(watch: Watch):
     return watch.is_sound
-
-
-def _told(keep, result, verdict) -> Int[Array, ""]:
-    """The status of a lane after a step, from what the solver and the control say."""
-    if result is not None:
-        verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
-    return status_of(verdict, jnp.array(True), jnp.array(True))
-
-
-def _is_busy(lanes: Lane, n_jobs: int):
-    return (lanes.job < n_jobs) & (lanes.t < lanes.t_end) & (lanes.status == Status.SUCCEEDED)
-
-
-def _clipped(t, t_next, t_end, keep):
-    """The end of the coming step, at most the end of the run; as diffrax does it."""
-    floor = t_end - 100 * jnp.finfo(jnp.float64).eps * jnp.abs(t_end)
-    return jnp.where(t_next > floor, jnp.where(keep, t_end, t + 0.5 * (t_end - t)), t_next)

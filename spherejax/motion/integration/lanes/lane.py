@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 
 import diffrax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
 from spherejax.motion.integration.sampling import Samples
+from spherejax.motion.integration.status import Status
 from spherejax.motion.solvers.landing import Contacts
 
 
@@ -123,6 +124,11 @@ class Lane(NamedTuple):
     n_samples: Array
     status: Array
     watch: Watch | None
+
+
+def is_busy(lanes: Lane, n_jobs: int) -> Bool[Array, " n_lanes"]:
+    """Which lanes have a run to go on with, of a queue of so many."""
+    return (lanes.job < n_jobs) & (lanes.t < lanes.t_end) & (lanes.status == Status.SUCCEEDED)
 
 
 class Last(NamedTuple):

@@ -111,6 +111,11 @@ class ExplicitStages:
         end = y + sums[0]
         return Trial(end, sums[1], {"y0": y, "y1": end, "k": k}, (), None, *sums[2:])
 
+    def nothing_made(self, t, y, *_) -> dict[str, Any]:
+        """What states inside a step are made from, before there was one."""
+        del t
+        return {"y0": y, "y1": y, "k": jnp.zeros((self.n_stages, *y.shape))}
+
     def _called(self, t, h, y, parameters, bend, n_made) -> tuple[Array, Array] | None:
         """The increments of all stages and their sums by one call of machine code; None where there is none."""
         program = self.program
@@ -165,6 +170,11 @@ class MappedSteps:
             return Trial(*step)
 
         return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
+
+    def nothing_made(self, t, y, parameters, solver_state, made_jump) -> Any:
+        """What states inside a step are made from, before there was one."""
+        made = jax.eval_shape(self.step, t, t, y, parameters, solver_state, made_jump, t)
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), made.dense_info)
 
 
 def steps_of(
