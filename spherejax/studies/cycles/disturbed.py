@@ -7,8 +7,9 @@ difference of runs in lanes, from starts that are disturbed along it to both sid
 
     D(h) = (S(x + h v) - S(x - h v)) / 2h,    dS/dx v = (4 D(h) - D(2h)) / 3,
 
-and |D(h) - D(2h)| / 3, the error of D(h), is taken for that of the result: it is more than that where all is smooth,
-and shows where runs depart by steps that are repeated, or contacts that come and go.
+and 4 |D(h) - D(2h)| / 3 is taken for the error of the result: four times that of D(h), more than enough where all is
+smooth; where runs depart by steps that are repeated, or contacts that come and go, D(h) is off by something like the
+difference itself, and has a weight of 4/3 in the result.
 """
 
 from typing import NamedTuple
@@ -153,7 +154,7 @@ def _disturbed(family: Family, places, deviations, *, begin, scale, by, made, sh
             steps[-1] = DISTURBANCE
         ends = between(layout, lasts[at], lasts[lanes][1:]).reshape(len(SIDES), width, -1)
         near, far = ((ends[i] - ends[i + 1]).T / (2 * abs(SIDES[i]) * steps) for i in (0, 2))
-        changes, doubt = (4 * near - far) / 3, (near - far) / 3
+        changes, doubt = (4 * near - far) / 3, 4 * (near - far) / 3
         if by is None:
             nothing = np.zeros((len(changes), 1))
             changes, doubt = (np.concatenate([each, nothing], 1) for each in (changes, doubt))
