@@ -148,7 +148,7 @@ def test_how_often_a_run_is_sampled_says_nothing_of_its_steps(joint):
     np.testing.assert_allclose(lanes.ys[1], seldom.ys, rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize("width, narrow", [(1, None), (2, None), (3, 1), (24, None)])
+@pytest.mark.parametrize(("width", "narrow"), [(1, None), (2, None), (3, 1), (24, None)])
 def test_jobs_that_may_not_be_made_are_written_down_wherever_they_wait(width, narrow):
     """Also at the end of the queue, where nobody is busy any more: such a row said that it had succeeded."""
 
