@@ -23,3 +23,8 @@ def dry(clearance):
 def elastic(stiffness):
     """The four-bar with a bushing: cheap runs."""
     return sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))
+
+
+def film(clearance):
+    """The lubricated four-bar."""
+    return sj.gallery.four_bar(sj.Lubricated(clearance))

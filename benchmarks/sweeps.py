@@ -1,7 +1,7 @@
 """Sweeps: runs per second on all cores against what else one would do, steps, lane efficiency, cost per job, memory.
 
     python benchmarks/sweeps.py                 # about 20 minutes
-    python benchmarks/sweeps.py throughput      # one part: throughput, steps, jobs, killed, sensitivities, exudyn, gpu
+    python benchmarks/sweeps.py throughput      # throughput, steps, widths, jobs, killed, sensitivities, exudyn, gpu
 
 Throughput: 1,000 four-bars with dry friction, clearances 0.05 to 0.2 mm, 0.2 s. Every method runs at the loosest
 tolerance of its list with which the worst of 1,000 final heights is within 1e-9 m of the hand-written DOP853 at 1e-12.
@@ -23,8 +23,9 @@ from machine import write
 from sweep_exudyn import exudyn
 from sweep_jobs import jobs, killed
 from sweep_lanes import gpu
-from sweep_scenes import CLEARANCES, DURATION, N_CORES, N_RUNS, dry, model_of
-from sweep_sensitivities import sensitivities
+from sweep_scenes import CLEARANCES, DURATION, N_CORES, N_RUNS, dry, elastic, film, model_of
+from sweep_sensitivities import KEPT, PARAMETERS, runs_of, sensitivities
+from sweep_sensitivities import dry as dry_of_three
 
 import spherejax as sj
 
@@ -181,9 +182,38 @@ def steps() -> None:
     write("sweep_steps", "python benchmarks/sweeps.py steps", rows)
 
 
+# Widths ------------------------------------------------------------------------------------------------------------
+
+
+def widths() -> None:
+    """Milliseconds of a core for a run in 24 and in 64 lanes, of other joints and with sensitivities."""
+    clearances = {"clearance": CLEARANCES[::2]}
+    height = "final position.rocker"
+    by = sj.Sensitivity(KEPT, by=PARAMETERS), sj.Sensitivity(KEPT, by=PARAMETERS[:1])
+    cases = {
+        "dry": (dry, clearances, DURATION, [height], 1e-8),
+        "bushing": (elastic, {"stiffness": np.geomspace(3e5, 3e6, N_RUNS // 2)}, DURATION, [height], 1e-8),
+        "film": (film, clearances, DURATION, [height], 1e-6),
+        "dry, sensitivities by one": (dry_of_three, runs_of(), 0.05, [KEPT, by[1]], 1e-7),
+        "dry, sensitivities by three": (dry_of_three, runs_of(), 0.05, [KEPT, by[0]], 1e-7),
+    }
+    rows = []
+    for name, (build, runs, duration, record, rtol) in cases.items():
+        chunk = 100 if "sensitivities" in name else 250
+        for width in (24, 64):
+            result = sj.sweep(
+                build, runs, [0.0, duration], record=record, rtol=rtol, block=sj.Block(width), workers=1, chunk=chunk,
+                progress=False,
+            )  # fmt: skip
+            taken = 1e3 / chunk * float(np.median(result.attrs["seconds_of_chunks"]))
+            rows.append({"case": name, "lanes": width, "runs_at_a_time": chunk, "ms_per_run": f"{taken:.2f}"})
+    write("sweep_widths", "python benchmarks/sweeps.py widths", rows)
+
+
 PARTS = {
     "throughput": throughput,
     "steps": steps,
+    "widths": widths,
     "jobs": jobs,
     "killed": killed,
     "exudyn": exudyn,
