@@ -15,8 +15,8 @@ from spherejax.motion.integration.lanes import Block
 ON_CPU = Block()
 """Three groups of eight, as machine code takes them. Of 250 four-bars, 64 lanes take 0.9 (dry) to 0.97 times (bushing,
 film) as long; of 100 with sensitivities by one and three numbers 1.16 and 1.35 times, for they outgrow the cache and
-idle at the end (`benchmarks/results/sweep_widths.csv`). A second, narrower loop for the end of a queue would take as long
-to compile as the first. Without machine code the width makes no difference."""
+idle at the end (`benchmarks/results/sweep_widths.csv`). A second, narrower loop for the end of a queue would take as
+long to compile as the first. Without machine code the width makes no difference."""
 
 ON_ACCELERATOR = Block(width=65_536, narrow=8_192)
 """About 20 kB a lane of a mechanism of three bodies with a method of 14 stages: 1.3 GB."""
