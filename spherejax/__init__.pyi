@@ -22,6 +22,7 @@ from .motion.results.steps import PartingWarning
 from .motion.results.trajectory import Trajectory
 from .motion.runs.many import Runs, simulate_many
 from .motion.runs.simulate import simulate
+from .motion.solvers.dop853 import Dop853
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from .motion.start.assembly import Assembly
 from .motion.start.equilibrium import Equilibrium, equilibrium
@@ -232,6 +233,7 @@ __all__ = [
     "Design",
     "Distance",
     "DistanceDriver",
+    "Dop853",
     "Dry",
     "DynamicStiffness",
     "Equilibrium",

@@ -11,7 +11,7 @@ import equinox as eqx
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.solvers import rosenbrock
+from spherejax.motion.solvers import dop853, rosenbrock
 
 
 class Work(NamedTuple):
@@ -211,6 +211,10 @@ WORKS: Mapping[str, Work] = {
         "Dormand, J. R. and Prince, P. J.", "A family of embedded Runge-Kutta formulae",
         "Journal of Computational and Applied Mathematics", "6", "19-26", 1980,
     ),
+    "Hairer, Norsett and Wanner (1993)": Work(
+        "Hairer, E. and Norsett, S. P. and Wanner, G.",
+        "Solving Ordinary Differential Equations I: Nonstiff Problems, 2nd edition", "Springer", "", "", 1993, "book",
+    ),
     "Tsitouras (2011)": Work(
         "Tsitouras, Ch.",
         "Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption",
@@ -277,7 +281,7 @@ def cite(motion: Trajectory | Scene, *, bibtex: bool = False) -> str:
     if isinstance(motion, Trajectory):
         # "Dopri8 or Ros34PW2" where the run chose when it started
         for method in motion.choice.partition(":")[0].strip().split(" or "):
-            own = getattr(rosenbrock, method, None)
+            own = getattr(rosenbrock, method, None) or getattr(dop853, method, None)
             for key in named_in(source_of(own)) if own is not None else filter(None, [METHODS.get(method)]):
                 cited.setdefault(key, []).append(method)
     cited["Kidger (2021)"] = ["diffrax, which integrates"]

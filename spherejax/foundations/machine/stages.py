@@ -58,7 +58,7 @@ def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
 def stages(
     line: StraightLine,
     at: int,
-    method: "Method",
+    method: "ExplicitMethod",
     t: Array,
     h: Array,
     bend: Array,
@@ -97,7 +97,7 @@ def stages(
     return k, sums
 
 
-class Method(NamedTuple):
+class ExplicitMethod(NamedTuple):
     """A tableau.
 
     Attributes:
@@ -113,7 +113,7 @@ class Method(NamedTuple):
     at: int = 0
 
     @classmethod
-    def of(cls, coefficients: np.ndarray, instants: np.ndarray, sums: Sequence[np.ndarray]) -> "Method":
+    def of(cls, coefficients: np.ndarray, instants: np.ndarray, sums: Sequence[np.ndarray]) -> "ExplicitMethod":
         """Of arrays; weights of stages that are not there do not count."""
         n = len(instants)
         weights = (tuple(np.asarray(each)[:n].tolist()) + (0.0,) * (n - len(each)) for each in sums)
@@ -133,13 +133,13 @@ _stages.multiple_results = True
 
 
 @_stages.def_abstract_eval
-def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: Method, **what: Any) -> list:
+def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: ExplicitMethod, **what: Any) -> list:
     del t, h, bend, n, others, what
     return [ShapedArray((len(each), *y.shape), y.dtype) for each in (method.instants, method.sums)]
 
 
 def _lowered(
-    context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: Method, n_runs: int | None
+    context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs: int | None
 ) -> Sequence:
     # A line with coefficients belongs to one line of slopes.
     key = "stages", rows and rows.n, method, n_runs
@@ -156,7 +156,7 @@ def _groups(line: StraightLine, rows: _Rows | None, n_runs: int | None) -> Group
     return Groups.of(n_runs, widest)
 
 
-def _text(line: StraightLine, rows: _Rows | None, method: Method, n_runs: int | None) -> str:
+def _text(line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs: int | None) -> str:
     groups = _groups(line, rows, n_runs)
     declared, inner = _stages_text(line, rows, method, groups)
     size = int(line.outputs[0].size)
@@ -177,7 +177,7 @@ def _text(line: StraightLine, rows: _Rows | None, method: Method, n_runs: int | 
     return "\n".join([*sorted(declared), inner, called])
 
 
-def _others(line: StraightLine, method: Method) -> list[tuple[tuple[int, ...], str]]:
+def _others(line: StraightLine, method: ExplicitMethod) -> list[tuple[tuple[int, ...], str]]:
     """Shapes and types of the arguments of f besides t and y."""
     kinds = ["double"] * len(line.shapes) + ["i8" if line.dtype(group) == BOOL else "double" for group in line.given]
     shapes = [*line.shapes, *(group.shape for group in line.given)]
@@ -185,7 +185,7 @@ def _others(line: StraightLine, method: Method) -> list[tuple[tuple[int, ...], s
     return both[: method.at] + both[method.at + 2 :]
 
 
-def _tangents(rows: _Rows, method: Method) -> list[tuple[int, ...]]:
+def _tangents(rows: _Rows, method: ExplicitMethod) -> list[tuple[int, ...]]:
     """Shapes of the tangents that are given, besides that of the state."""
     at = _place_of_state(rows, method)
     return [shape for i, shape in enumerate(rows.line.shapes) if i != at]
@@ -195,7 +195,9 @@ _STATE = 4
 """Place of y among the arguments of the stages; before it are t, h, bend and the number of stages."""
 
 
-def _stages_text(line: StraightLine, rows: _Rows | None, method: Method, groups: Groups) -> tuple[set[str], str]:
+def _stages_text(
+    line: StraightLine, rows: _Rows | None, method: ExplicitMethod, groups: Groups
+) -> tuple[set[str], str]:
     """What is to be declared, and functions: `stages` has pointers to all arguments, to k, and to sums, of a group."""
     coefficients, instants, sums, at = method
     n, n_sums = len(instants), len(sums)
@@ -304,6 +306,6 @@ end:
     return declared, text
 
 
-def _place_of_state(rows: _Rows, method: Method) -> int:
+def _place_of_state(rows: _Rows, method: ExplicitMethod) -> int:
     """Among the arguments of the rates of rows, which are those of f that move."""
     return sum(rows.moves[: method.at])

@@ -26,6 +26,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
 from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.solvers.dop853 import Dop853
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS
 from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances
 from spherejax.output.fmu.description import Experiment, Kinds, description
@@ -233,7 +234,14 @@ def _order(tableau: Any) -> int:
     raise SceneError("export_fmu: the order of this explicit method is not known; leave solver= out")
 
 
-_EXPLICIT: tuple[Any, ...] = (diffrax.Dopri8(), diffrax.Dopri5(), diffrax.Tsit5(), diffrax.Bosh3(), diffrax.Heun())
+_EXPLICIT: tuple[Any, ...] = (
+    diffrax.Dopri8(),
+    Dop853(),
+    diffrax.Dopri5(),
+    diffrax.Tsit5(),
+    diffrax.Bosh3(),
+    diffrax.Heun(),
+)
 
 
 def _array(name: str, values: Any) -> str:

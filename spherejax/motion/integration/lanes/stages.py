@@ -17,10 +17,11 @@ from jaxtyping import Array
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.stages import Method, can_be_called, stages
+from spherejax.foundations.machine.stages import ExplicitMethod, can_be_called, stages
 from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
+from spherejax.motion.solvers.dop853 import TwoErrors
 from spherejax.motion.solvers.traits import is_explicit
 
 _TIME = 1
@@ -85,7 +86,9 @@ class ExplicitStages:
         self.n_stages, self.n_used = n if with_dense_output else n_used, n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
         stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
-        self.sums = [self.weights, self.error_weights, *([] if stray is None else [stray])]
+        lower = tableau.b_lower if isinstance(tableau, TwoErrors) else None
+        self.sums = [self.weights, self.error_weights, *(each for each in (lower, stray) if each is not None)]
+        self.has_two_errors = lower is not None
         self.can_look = can_look(self.coefficients, self.instants)
         self.rate = rate
 
@@ -108,8 +111,11 @@ class ExplicitStages:
             sums = [_weighted(weights, k) for weights in self.sums]
         else:
             k, sums = found
-        end = y + sums[0]
-        return Trial(end, sums[1], {"y0": y, "y1": end, "k": k}, (), None, *sums[2:])
+        change, error, *others = sums
+        if self.has_two_errors:
+            error = TwoErrors.together(error, others.pop(0))
+        end = y + change
+        return Trial(end, error, {"y0": y, "y1": end, "k": k}, (), None, *others)
 
     def nothing_made(self, t, y, *_) -> dict[str, Any]:
         """What states inside a step are made from, before there was one."""
@@ -125,7 +131,7 @@ class ExplicitStages:
         if not can_be_called(line, y.shape[:-1]):
             return None
         n = self.n_stages
-        method = Method.of(self.coefficients[:n, :n], self.instants[:n], self.sums)
+        method = ExplicitMethod.of(self.coefficients[:n, :n], self.instants[:n], self.sums)
         theta, ahead, slopes = parameters.theta, parameters.ahead, parameters.slopes if y.ndim == 3 else None
         others = in_lanes(lambda theta, ahead: (theta, *program.line_inside(ahead)[1]))(theta, ahead)
         along = None
