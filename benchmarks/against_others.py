@@ -31,7 +31,6 @@ from work_precision_figure import draw  # noqa: E402
 import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene  # noqa: E402
 from spherejax.motion.solvers.automatic import choose_solver  # noqa: E402
-from spherejax.motion.solvers.rosenbrock import Rodas5P  # noqa: E402
 
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 QUICK_TOLERANCES = (1e-4, 1e-6, 1e-8)
@@ -58,6 +57,7 @@ class Case(NamedTuple):
     methods: tuple[str, ...]
 
 
+OURS = {"Dopri8": diffrax.Dopri8(), "Dop853": sj.Dop853(), "Rodas5P": sj.Rodas5P()}
 _FREE = ("Dopri8", "DOP853", "LSODA", "CVODE", "Radau")
 _friction = sj.Dry(1e-4, friction=sj.Threlfall())
 _film = sj.Lubricated(
@@ -66,7 +66,9 @@ _film = sj.Lubricated(
 CASES = {
     "ideal": Case("ideal, 2 s", sj.Ideal(), 2.0, 1e-13, (*_FREE, "Rodas5P", "Exudyn")),
     "bushing": Case("bushing k 1e6 N/m, b 1e-4 s, 2 s", sj.Bushing(1e6, 1e-4), 2.0, 1e-12, (*_FREE, "Rodas5P")),
-    "stiff_bushing": Case("bushing k 1e6 N/m, b 1e-2 s, 2 s", sj.Bushing(1e6, 1e-2), 2.0, 1e-11, ("Rodas5P", *_FREE)),
+    "stiff_bushing": Case(
+        "bushing k 1e6 N/m, b 1e-2 s, 2 s", sj.Bushing(1e6, 1e-2), 2.0, 1e-11, ("Rodas5P", "Dop853", *_FREE)
+    ),
     "dry_short": Case(
         "dry with friction, c 0.1 mm, 0.2 s", _friction, 0.2, 1e-12, ("Dopri8", "Rodas5P", "DOP853", "CVODE")
     ),
@@ -145,9 +147,8 @@ def methods_of(case: Case) -> Iterator[tuple[str, Method]]:
     numbers = problem(case.model)
     chosen = type(choice_for(case)).__name__
     for name in case.methods:
-        if name in ("Dopri8", "Rodas5P"):
-            solver = Rodas5P() if name == "Rodas5P" else diffrax.Dopri8()
-            yield f"spherejax {name}{' (its choice)' if name == chosen else ''}", by_spherejax(case, solver)
+        if name in OURS:
+            yield f"spherejax {name}{' (its choice)' if name == chosen else ''}", by_spherejax(case, OURS[name])
         elif name == "DOP853":
             yield "numba DOP853", by_hand(case, numbers)
         elif name == "Exudyn":

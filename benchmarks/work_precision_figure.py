@@ -10,6 +10,7 @@ import spherejax as sj
 
 LOOKS = {
     "spherejax Dopri8": ("#0072B2", "o", "-"),
+    "spherejax Dop853": ("#332288", "<", "-"),
     "spherejax Rodas5P": ("#56B4E9", "s", "-"),
     "numba DOP853": ("#D55E00", "^", "-"),
     "numba + LSODA": ("#009E73", "v", (0, (4, 1.5))),

@@ -1,6 +1,7 @@
 """Session set-up: JAX as spherejax configures it, a compilation cache, and one thread for each parallel worker."""
 
 import contextlib
+import gc
 import os
 import signal
 from pathlib import Path
@@ -26,6 +27,10 @@ import spherejax  # noqa: E402, F401 - before any other use of JAX, so that its 
 
 # isort: split
 import pytest  # noqa: E402
+
+# What has been imported stays: the collector, a twentieth of a worker's time, need not look through it again and again.
+gc.collect()
+gc.freeze()
 
 
 def pytest_configure(config):
@@ -74,15 +79,28 @@ def hears_interrupts():
     signal.signal(signal.SIGINT, before)
 
 
+ROOM = 1.5e9
+"""Memory [bytes] up to which a worker keeps what it has compiled."""
+
+
+def memory() -> float:
+    """Of this process [bytes]; where nobody says, no worker keeps anything."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return float("inf")
+
+
 @pytest.fixture(autouse=True, scope="module")
 def lets_go():
-    """What a file has compiled is let go: the next one asks for other programs, and a worker would grow to 8 GB.
+    """What has been compiled is let go behind a file where it is much: a worker would grow to 8 GB.
 
     What the compiler gave back the C library keeps for itself, more than half of a worker's memory, until it is told.
     """
     yield
+    if memory() < ROOM:
+        return
     import ctypes
-    import gc
 
     import jax
 

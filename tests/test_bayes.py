@@ -101,11 +101,13 @@ def test_the_whitened_posterior_is_round():
 
 
 @pytest.fixture(scope="module")
-def sharp():
-    """Noise so low that the posterior is the normal distribution of the fit."""
-    noise = 1e-4
-    start = {"stiffness": STIFFNESS, "damping": DAMPING}
-    fitted = sj.fit(mount, start, measured(noise), progress=False)
+def fitted():
+    """With noise so low that the posterior is the normal distribution of the fit."""
+    return sj.fit(mount, {"stiffness": STIFFNESS, "damping": DAMPING}, measured(1e-4), progress=False)
+
+
+@pytest.fixture(scope="module")
+def sharp(fitted):
     return fitted, sj.posterior(fitted, n_samples=400, n_chains=3, n_warmup=75, seed=1, progress=False)
 
 
@@ -206,9 +208,9 @@ def test_bounds_and_priors_against_quadrature():
         ({"priors": {"damping": lambda x: jnp.zeros(3)}}, "shape \\(3,\\)"),
     ],
 )
-def test_bad_requests(sharp, options, said):
+def test_bad_requests(fitted, options, said):
     with pytest.raises(sj.SceneError, match=said):
-        sj.posterior(sharp[0], **options)
+        sj.posterior(fitted, **options)
 
 
 @pytest.mark.parametrize("make", [lambda: Normal(0.0, 0.0), lambda: LogNormal(1.0, 1.0), lambda: LogNormal(-1.0, 2.0)])
@@ -217,10 +219,10 @@ def test_bad_priors(make):
         make()
 
 
-def test_the_extra_is_named_where_it_is_missing(sharp, monkeypatch):
+def test_the_extra_is_named_where_it_is_missing(fitted, monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(sj.SceneError, match=r"pip install 'spherejax\[bayes\]'"):
-        sj.posterior(sharp[0])
+        sj.posterior(fitted)
 
 
 def test_noise_that_nobody_stated():

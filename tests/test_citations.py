@@ -50,9 +50,17 @@ def test_a_scene_is_cited_without_a_method():
     assert "Runge-Kutta" not in said
 
 
-def test_a_method_of_this_package_names_its_source():
-    run = sj.simulate(sj.gallery.four_bar(sj.Ideal()), jnp.array([0.0, 1e-3]), solver=sj.Rodas5P())
-    assert "Rosenbrock-Wanner method Rodas5P" in sj.cite(run)
+@pytest.mark.parametrize(
+    ("solver", "said"),
+    [
+        (sj.Rodas5P(), "Rosenbrock-Wanner method Rodas5P"),
+        (sj.Dop853(), "Solving Ordinary Differential Equations I: Nonstiff Problems"),
+    ],
+    ids=["Rodas5P", "Dop853"],
+)
+def test_a_method_of_this_package_names_its_source(solver, said):
+    run = sj.simulate(sj.gallery.four_bar(sj.Ideal()), jnp.array([0.0, 1e-3]), solver=solver)
+    assert said in sj.cite(run)
 
 
 def test_bibtex_has_one_entry_for_each_work():

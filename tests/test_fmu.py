@@ -166,6 +166,13 @@ def test_co_simulation_reproduces_simulate(ideal):
     np.testing.assert_allclose(found["reaction.pivot.z"], run.reaction("pivot")[:, 2], rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("solver", [sj.Dop853(), pytest.param(diffrax.Tsit5(), marks=pytest.mark.slow)], ids=repr)
+def test_co_simulation_by_any_explicit_method(tmp_path, solver):
+    """Its stages for states inside a step are left out, and its order is the controller's."""
+    path = sj.export_fmu(pendulum(), tmp_path / "pendulum.fmu", inputs=PUSH, outputs=OUTPUTS, solver=solver)
+    assert run_by(path, 0.5)["position.rod.z"][-1] == pytest.approx(pushed_height(0.5), abs=1e-9)
+
+
 def test_model_exchange_reproduces_simulate_to_the_tolerance(ideal):
     errors = []
     for tolerance in (1e-5, 1e-9):

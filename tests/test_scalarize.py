@@ -249,12 +249,12 @@ WITH_RULES = {
 
 
 @pytest.mark.parametrize("name", WITH_RULES)
-@pytest.mark.parametrize("v", [(0.3, -1.2, 2.1), (0.0, 0.0, 0.0), (1.0, 1.0, -1.0)], ids=str)
-def test_derivative_rules_are_followed(name, v):
-    function, v = WITH_RULES[name], jnp.array(v)
+def test_derivative_rules_are_followed(name):
+    function = WITH_RULES[name]
     program = sj.scalarize(function, VECTOR)
     for way in (lambda f: f, jax.jacfwd, jax.jacrev, jax.hessian, lambda f: jax.jacfwd(jax.hessian(f))):
-        assert_agree(way(program)(v), way(function)(v))
+        for v in map(jnp.array, ((0.3, -1.2, 2.1), (0.0, 0.0, 0.0), (1.0, 1.0, -1.0))):
+            assert_agree(way(program)(v), way(function)(v))
 
 
 def test_derivative_rule_of_too_high_an_order_is_refused():

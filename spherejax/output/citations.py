@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from spherejax.files.scenes.solvers import SOLVERS
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.solvers import dop853, rosenbrock
 
 
 class Work(NamedTuple):
@@ -281,8 +281,7 @@ def cite(motion: Trajectory | Scene, *, bibtex: bool = False) -> str:
     if isinstance(motion, Trajectory):
         # "Dopri8 or Ros34PW2" where the run chose when it started
         for method in motion.choice.partition(":")[0].strip().split(" or "):
-            own = getattr(rosenbrock, method, None) or getattr(dop853, method, None)
-            for key in named_in(source_of(own)) if own is not None else filter(None, [METHODS.get(method)]):
+            for key in _works_of_method(method):
                 cited.setdefault(key, []).append(method)
     cited["Kidger (2021)"] = ["diffrax, which integrates"]
     cited["Bradbury et al. (2018)"] = ["JAX"]
@@ -294,6 +293,13 @@ def _own(release: str) -> Work:
     """spherejax itself, as `CITATION.cff` has it."""
     title = "spherejax: differentiable multibody simulation with ideal, dry, lubricated and bushing spherical joints"
     return Work("{The spherejax maintainers}", title, release, "", "", 2026, "software")
+
+
+def _works_of_method(name: str) -> list[str]:
+    if name in METHODS:
+        return [METHODS[name]]
+    own = [SOLVERS[word] for word, place in SOLVERS.places.items() if place.endswith(f":{name}")]
+    return [key for solver in own for key in named_in(source_of(solver))]
 
 
 def source_of(cls: type) -> str:

@@ -26,7 +26,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
 from spherejax.motion.solvers.automatic import Choice
-from spherejax.motion.solvers.dop853 import Dop853
+from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS
 from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances
 from spherejax.output.fmu.description import Experiment, Kinds, description
@@ -61,14 +61,14 @@ def write_native(
     """
     compiler = compiler_of()
     programs = written(scene, ports)
-    tableau = tableau_of(choice.solver)
+    explicit = choice.solver if is_explicit(choice.solver) else None
     indicators = _indicators(programs.system)
-    body = model_source(programs, ports, tableau, experiment)
+    body = model_source(programs, ports, explicit, experiment)
     instance = resources.files("spherejax.output.fmu").joinpath("instance.c").read_text(encoding="utf-8")
     token = str(uuid.UUID(hashlib.sha256((identifier + body + instance).encode()).hexdigest()[:32]))
     source = f'#define TOKEN "{token}"\n{body}#include "instance.c"\n'
     states = state_ports(programs.system)
-    kinds = Kinds(True, tableau is not None)
+    kinds = Kinds(True, explicit is not None)
     xml = description(identifier, token, words, kinds, experiment, ports, states, indicators)
     with tempfile.TemporaryDirectory(prefix="spherejax_fmu_") as folder:
         library = _compiled(compiler, Path(folder), source, instance)
@@ -98,20 +98,18 @@ def compiler_of() -> str:
     return found
 
 
-def tableau_of(solver: diffrax.AbstractSolver) -> Any:
-    """The tableau of an explicit method; None of others."""
-    return getattr(solver, "tableau", None) if isinstance(solver, diffrax.AbstractERK) else None
-
-
-def model_source(programs: Written, ports: Ports, tableau: Any, experiment: Experiment) -> str:
-    """What is specific to a scene, in C."""
+def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Experiment) -> str:
+    """What is specific to a scene, in C; with the method of the steps of co-simulation, if there is one."""
     system = programs.system
     layout = system.layout
     tolerances = component_tolerances(system, experiment.rtol)
     relative, absolute = (np.broadcast_to(np.asarray(x), (layout.size,)) for x in (tolerances.rtol, tolerances.atol))
     limits = limits_of(system, experiment.rtol, diffrax.Dopri8())
-    shown = diffrax.Dopri8().tableau if tableau is None else tableau
-    order = diffrax.Dopri8().order(_TERM) if tableau is None else int(tableau.b_sol.size and _order(tableau))
+    method = diffrax.Dopri8() if explicit is None else explicit
+    tableau: Any = method.tableau
+    # Stages behind the last one with a weight are for states inside a step. Of two estimates of the error the one of
+    # the higher order is taken alone: it is never less than both together.
+    n_stages = 1 + max(int(np.flatnonzero(weights)[-1]) for weights in (tableau.b_sol, tableau.b_error))
     sizes = {
         "N_VALUES": len(ports.values),
         "N_INPUTS": len(ports.inputs),
@@ -125,13 +123,13 @@ def model_source(programs: Written, ports: Ports, tableau: Any, experiment: Expe
         "N_CORRECTIONS": system.drift.n_corrections,
         "HAS_ROOM": int(programs.has_room),
         "READS_TIME": int(programs.reads_time),
-        "HAS_CO_SIMULATION": int(tableau is not None),
-        "N_STAGES": len(shown.b_sol),
+        "HAS_CO_SIMULATION": int(explicit is not None),
+        "N_STAGES": n_stages,
         "N_NEWTON_STEPS": N_NEWTON_STEPS,
         "MAX_STEPS": MAX_STEPS,
     }
     levels = {
-        "ORDER": order,
+        "ORDER": int(method.order(_TERM)),
         "CLOSING_TOLERANCE": CLOSING_TOLERANCE,
         "LANDING_WINDOW": LANDING_WINDOW,
         "HYSTERESIS": HYSTERESIS,
@@ -154,10 +152,10 @@ def model_source(programs: Written, ports: Ports, tableau: Any, experiment: Expe
         _array("relative", relative),
         _array("absolute", absolute),
         _array("nominal", absolute / (ABSOLUTE_SHARE * experiment.rtol)),
-        _array("stage_times", [0.0, *np.asarray(shown.c)]),
-        _array("stage_weights", np.concatenate([np.asarray(row) for row in shown.a_lower])),
-        _array("weights", shown.b_sol),
-        _array("error_weights", shown.b_error),
+        _array("stage_times", [0.0, *tableau.c[: n_stages - 1]]),
+        _array("stage_weights", np.concatenate(tableau.a_lower[: n_stages - 1])),
+        _array("weights", tableau.b_sol[:n_stages]),
+        _array("error_weights", tableau.b_error[:n_stages]),
     ]
     try:
         lines += [program.c_source(name) for name, program in programs.programs.items()]
@@ -224,24 +222,6 @@ def _build_description(identifier: str) -> str:
 
 
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
-
-
-def _order(tableau: Any) -> int:
-    """The order of the method that a tableau belongs to."""
-    for solver in _EXPLICIT:
-        if solver.tableau is tableau:
-            return int(solver.order(_TERM))
-    raise SceneError("export_fmu: the order of this explicit method is not known; leave solver= out")
-
-
-_EXPLICIT: tuple[Any, ...] = (
-    diffrax.Dopri8(),
-    Dop853(),
-    diffrax.Dopri5(),
-    diffrax.Tsit5(),
-    diffrax.Bosh3(),
-    diffrax.Heun(),
-)
 
 
 def _array(name: str, values: Any) -> str:
