@@ -41,7 +41,7 @@ from spherejax.motion.solvers.landing import (
     count_of,
     without_memory,
 )
-from spherejax.motion.solvers.traits import is_linearly_implicit
+from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit, n_stages_of_end
 from spherejax.motion.solvers.wrapping import StepBudget
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
 
@@ -355,9 +355,9 @@ def _statistics(solution: diffrax.Solution, solver, contacts: Contacts | None) -
 
 
 def stages_of(solver: diffrax.AbstractSolver) -> int:
-    """Evaluations of the right-hand side in a step (an FSAL method counts its shared one once)."""
-    tableau = getattr(solver, "tableau", None)
-    if tableau is None:
-        return 1
+    """Evaluations of the right-hand side in a step; of an explicit one without those for states inside it."""
+    tableau: Any = getattr(solver, "tableau", None)
+    if is_explicit(solver):
+        return n_stages_of_end(tableau)
     n_stages = getattr(tableau, "num_stages", None) or getattr(tableau, "n_stages", 1)
     return n_stages - 1 if getattr(tableau, "fsal", False) else n_stages

@@ -16,7 +16,8 @@ class Statistics(eqx.Module):
         n_steps: steps tried.
         n_accepted: steps kept.
         n_rejected: steps repeated, for their error or to land on a contact onset or release.
-        n_evaluations: evaluations of the right-hand side; for an implicit method without its Newton iterations.
+        n_evaluations: evaluations of the right-hand side; without those for states inside explicit steps, and without
+            the Newton iterations of an implicit method.
         n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
         audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, shape (6,): above 1
             the run has failed. `run.audit` says it in words.

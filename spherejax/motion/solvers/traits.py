@@ -3,6 +3,7 @@
 from typing import Any
 
 import diffrax
+import numpy as np
 
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 
@@ -15,6 +16,11 @@ def is_linearly_implicit(solver: Any) -> bool:
 def is_explicit(solver: Any) -> bool:
     """An explicit Runge-Kutta method with one tableau: states inside its steps follow from that."""
     return isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
+
+
+def n_stages_of_end(tableau: diffrax.ButcherTableau) -> int:
+    """How many stages the end of an explicit step and its error need; those behind are for states inside it."""
+    return 1 + max(int(np.flatnonzero(weights)[-1]) for weights in (tableau.b_sol, tableau.b_error))
 
 
 def can_step_in_lanes(solver: Any) -> bool:

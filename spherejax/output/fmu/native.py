@@ -26,7 +26,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
 from spherejax.motion.solvers.automatic import Choice
-from spherejax.motion.solvers.traits import is_explicit
+from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS
 from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances
 from spherejax.output.fmu.description import Experiment, Kinds, description
@@ -107,9 +107,8 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Exp
     limits = limits_of(system, experiment.rtol, diffrax.Dopri8())
     method = diffrax.Dopri8() if explicit is None else explicit
     tableau: Any = method.tableau
-    # Stages behind the last one with a weight are for states inside a step. Of two estimates of the error the one of
-    # the higher order is taken alone: it is never less than both together.
-    n_stages = 1 + max(int(np.flatnonzero(weights)[-1]) for weights in (tableau.b_sol, tableau.b_error))
+    # Of two estimates of the error the one of the higher order is taken alone: it is never less than both together.
+    n_stages = n_stages_of_end(tableau)
     sizes = {
         "N_VALUES": len(ports.values),
         "N_INPUTS": len(ports.inputs),

@@ -22,7 +22,7 @@ from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
 from spherejax.motion.solvers.dop853 import TwoErrors
-from spherejax.motion.solvers.traits import is_explicit
+from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
 
 _TIME = 1
 """Place of t among the arguments of a program; y is behind it."""
@@ -82,7 +82,7 @@ class ExplicitStages:
             self.coefficients[i, :i] = row
         self.instants = np.concatenate([[0.0], tableau.c])
         self.weights, self.error_weights = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
-        n_used = _last_used(self.weights, self.error_weights)
+        n_used = n_stages_of_end(tableau)
         self.n_stages, self.n_used = n if with_dense_output else n_used, n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
         stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
@@ -197,11 +197,6 @@ def _stray_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: n
     differences = [row - weights for row, c in zip(coefficients, instants, strict=True) if c == 1]
     others = [difference for difference in differences if np.any(np.abs(difference) > 1e-12)]
     return others[-1] if others else None
-
-
-def _last_used(*weights: np.ndarray) -> int:
-    """Number of stages up to the last one with a weight."""
-    return 1 + max(int(np.flatnonzero(w)[-1]) for w in weights)
 
 
 def _moved(row: np.ndarray, y: Array, k: Array) -> Array:
