@@ -1,6 +1,7 @@
 """The house: folders import downwards only, files within a folder too, one importer of matplotlib, short files."""
 
 import ast
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -39,6 +40,7 @@ def _executed(tree: ast.AST):
         yield from _executed(node)
 
 
+@cache
 def imported(path: Path, *, for_types: bool = True) -> set[str]:
     """Full names that a file imports, anywhere in it, within functions too, and for type checkers if asked.
 
@@ -60,51 +62,43 @@ def test_the_folders_are_the_known_ones():
     assert {folder_of(path) for path in FILES} <= set(ORDER)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_go_down(path):
+def goes_down(path: Path, name: str) -> bool:
+    """Whether a file of a floor may import a module of the package."""
     own = folder_of(path)
-    for name in imported(path):
-        if name.split(".")[0] != "spherejax":
-            continue
-        assert name in MODULES, f"{path.name} imports {name}, which is no module"
-        other = folder_of(MODULES[name])
-        if own == "command_line" and name == "spherejax":
-            continue  # the command line is a user of the public names
-        is_runtime = MODULES[name] == PACKAGE / "runtime.py"  # sets up the process; imports nothing of the package
-        assert is_runtime or ORDER.index(other) <= ORDER.index(own), f"{path.name} imports upwards: {name}"
+    if own == "command_line" and name == "spherejax":
+        return True  # the command line is a user of the public names
+    if name == "spherejax.runtime":
+        return True  # sets up the process; imports nothing of the package
+    return name in MODULES and ORDER.index(folder_of(MODULES[name])) <= ORDER.index(own)
 
 
-def room_of(path: Path) -> str:
-    return path.relative_to(PACKAGE / "motion").parts[0]
+def test_imports_go_down():
+    of_ours = [(path, name) for path in FILES for name in imported(path) if name.split(".")[0] == "spherejax"]
+    assert [f"{path}: {name}" for path, name in of_ours if not goes_down(path, name)] == []
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in FILES if folder_of(p) == "motion"], ids=lambda path: str(path.relative_to(PACKAGE))
-)
-def test_rooms_of_motion_follow_the_run(path):
-    if path == PACKAGE / "motion" / "__init__.py":
-        return
-    assert room_of(path) in ROOMS, "every file of motion/ stands in a room"
-    for name in imported(path):
-        if name.startswith("spherejax.motion."):
-            assert ROOMS.index(room_of(MODULES[name])) <= ROOMS.index(room_of(path)), f"imports upwards: {name}"
+def between_rooms(folder: str, rooms: list[str]) -> list[str]:
+    """Imports of a room of a folder by one before it."""
+    found = []
+    top = PACKAGE / folder / "__init__.py"
+    for path in (path for path in FILES if folder_of(path) == folder and path != top):
+        own, *_ = path.relative_to(PACKAGE / folder).parts
+        assert own in rooms, f"every file of {folder}/ stands in a room: {path}"
+        others = [name for name in imported(path) if name.startswith(f"spherejax.{folder}.")]
+        found += [f"{path}: {name}" for name in others if rooms.index(name.split(".")[2]) > rooms.index(own)]
+    return found
+
+
+def test_rooms_of_motion_follow_the_run():
+    assert between_rooms("motion", ROOMS) == []
 
 
 ROOMS_OF_FILES = ["numbers", "fields", "scenes", "robots"]
 """Of `files`: what a number is, an argument, a scene; robot descriptions beside it."""
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in FILES if folder_of(p) == "files"], ids=lambda path: str(path.relative_to(PACKAGE))
-)
-def test_rooms_of_files_go_from_numbers_to_scenes(path):
-    if path == PACKAGE / "files" / "__init__.py":
-        return
-    own, *_ = path.relative_to(PACKAGE / "files").parts
-    for name in imported(path):
-        if name.startswith("spherejax.files."):
-            other = name.split(".")[2]
-            assert ROOMS_OF_FILES.index(other) <= ROOMS_OF_FILES.index(own), f"imports upwards: {name}"
+def test_rooms_of_files_go_from_numbers_to_scenes():
+    assert between_rooms("files", ROOMS_OF_FILES) == []
 
 
 def test_most_of_the_foundations_stands_in_rooms():
@@ -162,9 +156,8 @@ def test_matplotlib_only_in_plot():
     assert {path.relative_to(PACKAGE).parts[:2] for path in users} <= {("output", "plot")}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_files_are_short(path):
-    assert len(path.read_text().splitlines()) <= LONGEST
+def test_files_are_short():
+    assert [path for path in FILES if len(path.read_text().splitlines()) > LONGEST] == []
 
 
 def test_checks_can_fail(tmp_path):
@@ -173,3 +166,6 @@ def test_checks_can_fail(tmp_path):
     bad.write_text("from spherejax.motion.runs import simulate\nimport matplotlib.pyplot as plt\n" + late)
     assert {"spherejax.motion.runs.simulate", "matplotlib.pyplot", "spherejax.physics.bodies"} <= imported(bad)
     assert late_imports(bad) == {"spherejax.physics.bodies"}
+    assert not goes_down(PACKAGE / "physics" / "bad.py", "spherejax.motion.runs.simulate")
+    assert not goes_down(PACKAGE / "studies" / "bad.py", "spherejax.motion.nothing")
+    assert between_rooms("motion", ROOMS[::-1])

@@ -134,9 +134,14 @@ def height(joint, scale, **options):
     return sj.simulate(scene, TS, **options).position("rocker")[:, 2]
 
 
+def test_a_run_is_that_of_dopri8():
+    run, expected = (height(sj.Ideal(), 1.0, rtol=1e-9, solver=solver) for solver in (sj.Dop853(), diffrax.Dopri8()))
+    np.testing.assert_allclose(run, expected, atol=1e-10)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [sj.Ideal(), sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1))], ids=["ideal", "dry"])
-def test_runs_are_those_of_dopri8(joint):
-    """Alone, with a derivative, in lanes, and by diffrax's own loop."""
+def test_runs_with_derivatives_in_lanes_and_by_diffrax_are_those_of_dopri8(joint):
     of_ours = {"rtol": 1e-9, "solver": sj.Dop853()}
     moved = (1.0,), (1.0,)
     expected, slope = jax.jvp(lambda x: height(joint, x, rtol=1e-11, solver=diffrax.Dopri8()), *moved)
