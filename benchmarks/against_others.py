@@ -171,8 +171,8 @@ def timed(method: Method, setting: float) -> tuple[Run, float]:
 def rows_of(case: Case, quick: bool) -> list[dict]:
     """Every method at every tolerance, with errors."""
     reference = by_hand(case, problem(case.model))(case.tight).heights
-    is_stiff = isinstance(choice_for(case), Rodas5P)
-    other = by_spherejax(case, Rodas5P() if is_stiff else diffrax.Dopri5())
+    is_stiff = isinstance(choice_for(case), sj.Rodas5P)
+    other = by_spherejax(case, sj.Rodas5P() if is_stiff else diffrax.Dopri5())
     loose = max(case.tight, 1e-9 if is_stiff else 1e-11)
     difference = np.abs(other(loose).heights - reference)
     print(f"{case.title}: references differ by {difference[-1]:.1e} m at the end, {difference.max():.1e} m at most")

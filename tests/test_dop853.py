@@ -19,13 +19,13 @@ TABLEAU = sj.Dop853.tableau
 TS = jnp.linspace(0.0, 0.1, 6)
 
 
-def stages():
-    """a and c of all sixteen."""
-    n = len(TABLEAU.b_sol)
+def stages(tableau=TABLEAU):
+    """a and c of all."""
+    n = len(tableau.b_sol)
     a = np.zeros((n, n))
-    for i, row in enumerate(TABLEAU.a_lower, start=1):
+    for i, row in enumerate(tableau.a_lower, start=1):
         a[i, :i] = row
-    return a, np.concatenate([[0.0], TABLEAU.c])
+    return a, np.concatenate([[0.0], tableau.c])
 
 
 def defects(weights, a, order):
@@ -53,6 +53,24 @@ def test_the_order_conditions_hold():
     for method, order in methods:
         held = [np.abs(defects(method, a, n)).max() < 1e-13 for n in range(1, order + 2)]
         assert held == [True] * order + [False]
+
+
+def stable_up_to(tableau, direction):
+    """The first h |lambda| with |R(h lambda)| > 1, R(z) = 1 + z b (I - z A)^-1 1."""
+    a, _ = stages(tableau)
+    powers = [np.ones(len(a))]
+    for _ in a:
+        powers.append(a @ powers[-1])
+    factors = [1.0, *(tableau.b_sol @ power for power in powers)]
+    sizes = np.arange(0.01, 10.0, 0.01)
+    grows = np.abs(np.polynomial.polynomial.polyval(direction * sizes, factors)) > 1 + 1e-6
+    return sizes[np.argmax(grows)]
+
+
+@pytest.mark.parametrize(("direction", "found"), [(-1, (5.2, 6.4)), (1j, (3.7, 6.0))])
+def test_it_is_stable_over_longer_steps_than_dopri8(direction, found):
+    tableaus = diffrax.Dopri8.tableau, TABLEAU
+    assert [stable_up_to(tableau, direction) for tableau in tableaus] == pytest.approx(found, abs=0.05)
 
 
 def step_by_scipy(h):
@@ -99,6 +117,19 @@ def test_no_error_is_none_and_has_a_derivative():
     values, slopes = jax.jvp(TwoErrors.together, (jnp.zeros(2), jnp.array([0.0, 1.0])), (jnp.ones(2), jnp.ones(2)))
     assert values.tolist() == [0.0, 0.0]
     assert np.isfinite(slopes).all()
+
+
+def test_errors_of_any_size_are_told():
+    """A trial step far beyond a wall has errors whose squares are no numbers."""
+    for size in (1e-200, 1e200):
+        found = TwoErrors.together(size * jnp.array([3.0, -3.0, 0.0]), size * jnp.array([40.0, 0.0, 1.0]))
+        np.testing.assert_allclose(found / size, [9 / 5, 3, 0], rtol=1e-15)
+
+
+def test_a_step_without_length_is_its_start():
+    _, _, dense_info, _, _ = step_of_ours(0.0)
+    inside = sj.Dop853.interpolation_cls(t0=0.3, t1=0.3, **dense_info)
+    assert inside.evaluate(0.3).tolist() == [1.0, 0.5]
 
 
 def test_errors_fall_with_the_eighth_power():
