@@ -69,23 +69,18 @@ def compare(subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report 
         found = pool.each([_piece("simulated", _curves, subject, models[name], ts) for name in order])
         runs = {name: found[order.index(name)][0] for name in models}
         curves = {name: found[order.index(name)][1] for name in models}
-        # The rest at once, for no worker to wait at a border: what has to be compiled first, then the runs by programs
-        # that the models have left.
-        t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
-        solvers = (fixed, None) if fixed is not None else (None,)
-        found = pool.groups(
-            [
-                _piece("prepared to be timed", _run_for_timing, subject, models[n], t_end, s)
-                for s in solvers
-                for n in order
-            ],
-            [_piece("limit", _limit, subject, study, t_short) for study in limits],
-            [_piece("compared with a smaller tolerance", horizon, subject, c, ts, runs[n]) for n, c in models.items()],
-            [_piece("simulated", _curves_only, subject, case, ts) for case in others],
+        for solver in (None, *(() if fixed is None else (fixed,))):
+            pieces = [_piece("prepared to be timed", _run_for_timing, subject, models[n], t_end, solver) for n in order]
+            pool.each(pieces)
+        apart = pool.each(
+            [_piece("compared with a smaller tolerance", horizon, subject, c, ts, runs[n]) for n, c in models.items()]
         )
-        _, limit_results, apart, more = found
         horizons = dict(zip(models, apart, strict=True))
-        known = {**{case: curves[name] for name, case in models.items()}, **dict(zip(others, more, strict=True))}
+        known = {case: curves[name] for name, case in models.items()}
+        found = pool.each([_piece("simulated", _curves_only, subject, case, ts) for case in others])
+        known.update(zip(others, found, strict=True))
+        t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
+        limit_results = pool.each([_piece("limit", _limit, subject, study, t_short) for study in limits])
     usual = _timed(subject, models, t_end, None, done)
     by_fixed = {} if fixed is None else _timed(subject, models, t_end, fixed, done)
     rows = [

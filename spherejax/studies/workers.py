@@ -53,11 +53,6 @@ class Pool:
             self.done(futures[future].what)
         return [future.result() for future in futures]
 
-    def groups(self, *groups: Sequence[Piece]) -> list[list]:
-        """The results of groups of pieces, all at work at once, the first groups first."""
-        found = iter(self.each([piece for group in groups for piece in group]))
-        return [[next(found) for _ in group] for group in groups]
-
 
 @contextmanager
 def workers(done: Progress) -> Iterator[Pool]:
