@@ -251,7 +251,7 @@ def test_requirements():
 ALLOWED = set(
     """add sub mul div neg max min sqrt exp log log1p tanh sin cos abs sign pow integer_pow square dot_general
     reduce_sum select_n eq ne lt le gt ge and or not concatenate stack slice squeeze reshape broadcast_in_dim
-    convert_element_type transpose jit expand_dims split""".split()  # noqa: SIM905
+    convert_element_type transpose jit pjit expand_dims split""".split()  # noqa: SIM905
 )
 
 
