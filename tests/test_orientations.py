@@ -29,7 +29,8 @@ def test_an_axis_and_an_angle():
 @pytest.mark.parametrize("sequence", ["ZXZ", "xyz", "Y", "zy", "XYZ", "zxz"])
 def test_angles_one_after_the_other(sequence):
     angles = RANDOM.uniform(-3, 3, len(sequence))
-    expected = Rotation.from_euler(sequence, angles if len(sequence) > 1 else angles[0])  # older ones make a list of one
+    # SciPy before 1.15 makes a list of one rotation of a list of one angle.
+    expected = Rotation.from_euler(sequence, angles if len(sequence) > 1 else angles[0])
     same(sj.orientation(sequence=sequence, angles=angles), expected)
 
 
