@@ -3,7 +3,10 @@
 Dry four-bars with friction through their first impacts; kept are the rocker's final position and its derivatives by
 one, two and three parameters. Both ways run at the loosest tolerance with which the median error of the runs'
 derivatives is below `ACCURACY`, relative to the largest derivative of the run; central differences with the shift that
-suits them best. The reference are sensitivities at a far tighter tolerance.
+suits them best. A sweep is as good as its derivatives where contacts graze too, so a third row says what differences
+cost whose error in the run that is worse than 95 of 100 is no larger than that of the recorded sensitivities; where no
+tolerance brings them there, the row is of the least such error. The reference are sensitivities at a far tighter
+tolerance.
 """
 
 from collections.abc import Callable
@@ -65,15 +68,19 @@ def differences(by: tuple[str, ...], rtol: float, shift: float) -> np.ndarray:
     return np.stack([(ahead - behind) / (2 * shift) for ahead, behind in ends], axis=-1)
 
 
-def accurate(found: Callable, choices, exact: np.ndarray) -> tuple[tuple, np.ndarray]:
-    """The first choice whose median error is small enough, and the errors of all runs."""
+def accurate(found: Callable, choices, exact: np.ndarray, percent: float, limit: float) -> tuple[tuple, np.ndarray]:
+    """The first choice that makes the errors of so many runs small enough, or the least; and the errors of all runs."""
     size = np.abs(exact).max(axis=(1, 2), keepdims=True)
+    best = None
     for choice in choices:
         errors = np.abs((found(*choice) - exact) / size).max(axis=(1, 2))
-        print(f"{found.__name__} at {choice}: median error {np.median(errors):.1e}", flush=True)
-        if np.median(errors) < ACCURACY:
+        reached = np.percentile(errors, percent)
+        print(f"{found.__name__} at {choice}: error of {percent} % {reached:.1e}", flush=True)
+        if best is None or reached < best[0]:
+            best = reached, choice, errors
+        if reached <= limit:
             break
-    return choice, errors
+    return best[1:]
 
 
 def us_per_run(rtol: float, by: tuple[str, ...] = ()) -> float:
@@ -96,11 +103,15 @@ def sensitivities() -> None:
         def differences_at(rtol, shift, by=by):
             return differences(by, rtol, shift)
 
-        recorded, own = accurate(recorded_at, product(TOLERANCES), exact)
-        differenced, others = accurate(differences_at, product(TOLERANCES, SHIFTS), exact)
+        recorded, own = accurate(recorded_at, product(TOLERANCES), exact, 50, ACCURACY)
+        ways = product(TOLERANCES, SHIFTS)
+        differenced, others = accurate(differences_at, ways, exact, 50, ACCURACY)
+        ways = product(TOLERANCES, SHIFTS)
+        as_exact, those = accurate(differences_at, ways, exact, 95, np.percentile(own, 95))
         for way, (rtol, *shift), errors, taken in (
             ("recorded sensitivities", recorded, own, us_per_run(recorded[0], by)),
             ("central differences", differenced, others, 2 * p * us_per_run(differenced[0])),
+            ("differences as exact in 95 %", as_exact, those, 2 * p * us_per_run(as_exact[0])),
         ):
             rows.append(
                 {
@@ -110,6 +121,7 @@ def sensitivities() -> None:
                     "shift": "".join(f"{each:.0e}" for each in shift),
                     "us_per_run_and_core": f"{taken:.0f}",
                     "median_error": f"{np.median(errors):.1e}",
+                    "error_of_95_percent": f"{np.percentile(errors, 95):.1e}",
                     "worst_error": f"{errors.max():.1e}",
                 }
             )

@@ -333,7 +333,9 @@ def test_decades_are_numbered_within_one_too(reach, shown):
     ax.semilogy(range(2), reach)
     number_decades(ax.yaxis, np.array(reach))
     figure.draw_without_rendering()
-    said = [label.get_text() for label in [*ax.get_yticklabels(), *ax.get_yticklabels(minor=True)]]
+    low, high = ax.get_ylim()  # older versions of Matplotlib have ticks beyond it, which nobody sees
+    labels = [*ax.get_yticklabels(), *ax.get_yticklabels(minor=True)]
+    said = [label.get_text() for label in labels if low <= label.get_position()[1] <= high]
     assert shown <= set(said)
     assert not [text for text in said if r"\times" in text or "10^{0}" in text]
 

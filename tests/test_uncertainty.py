@@ -5,6 +5,7 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from scipy import stats
 
 import spherejax as sj
@@ -112,7 +113,9 @@ def test_a_budget_is_told_tabled_and_drawn(budget, tmp_path):
     z = data["deviation.position.ball"].sel(axis="z").values
     np.testing.assert_array_equal(z, budget.of("position.ball").deviation[:, 2])
     assert data["share.position.ball"].sel(parameter="speed", axis="z").values[-1] > 0.9
-    data.to_netcdf(tmp_path / "budget.nc")
+    for engine in ("h5netcdf", "scipy"):
+        data.to_netcdf(tmp_path / f"{engine}.nc", engine=engine)
+        assert xarray.open_dataset(tmp_path / f"{engine}.nc").attrs["derivative_mode"] == "forward"
     figures = budget.figures()
     assert set(figures) == {"position.ball", "shares"}
     bars = figures["shares"].axes[0].patches

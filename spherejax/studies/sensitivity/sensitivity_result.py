@@ -203,7 +203,7 @@ def _dataset_of(found: Sensitivities) -> "xarray.Dataset":
         **coordinates,
     }
     facts = {
-        "mode": found.mode,
+        "derivative_mode": found.mode,  # SciPy, which xarray may write with, fails on files that have a `mode`
         "reason": found.reason,
         "method": found.method,
         "n_steps": found.n_steps,
