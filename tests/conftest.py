@@ -40,6 +40,8 @@ def pytest_configure(config):
         os.environ["SPHEREJAX_TEST_OPTIMIZED"] = "1"  # for the workers, which start after this
     # Two workers may write the same entry at the same time; JAX then compiles again, which is all that matters.
     config.addinivalue_line("filterwarnings", "ignore:.*persistent compilation cache.*:UserWarning")
+    # What `.ci/versions` tries is known to be slower.
+    config.addinivalue_line("filterwarnings", "ignore:spherejax cannot compile its own machine code")
 
 
 def long_tests() -> dict[str, float]:

@@ -3,6 +3,7 @@
 `test_straight_line.py` tests every operation and transformation twice, once as machine code.
 """
 
+import functools
 import os
 import subprocess
 import sys
@@ -68,6 +69,33 @@ def test_every_model_has_the_numbers_of_its_program(name, small_ones_too):
     np.testing.assert_allclose(many, expected, rtol=1e-12, atol=1e-12 * scale)
     by_xla = jax.vmap(lambda d: jax.jvp(lambda y: rate(theta, 0.1, y), (ys[0],), (d,))[1])(ys[:3])
     np.testing.assert_allclose(along, by_xla, rtol=1e-11, atol=1e-11 * (1 + np.abs(by_xla).max()))
+
+
+# Where there is none --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("version", lambda _: "0.99.1", r"it has not been tried with jaxlib 0\.99\.1"),
+        ("version", lambda _: "0.6.1", r"with jaxlib 0\.6\.1"),
+        ("llvmlite", None, r"llvmlite cannot be used \(ModuleNotFoundError"),
+    ],
+)
+def test_an_installation_that_cannot_have_it_is_told_once(name, value, why, monkeypatch):
+    afresh = functools.cache(machine_code.is_available.__wrapped__)
+    if name == "version":
+        monkeypatch.setattr(machine_code, "version", value)
+    else:
+        for module in [each for each in sys.modules if each.split(".")[0] == name]:
+            monkeypatch.delitem(sys.modules, module)
+        monkeypatch.setitem(sys.modules, name, value)
+    remedy = "Install jax and jaxlib 0.10, or set SPHEREJAX_MACHINE_CODE=0"
+    with pytest.warns(sj.runtime.ConfigurationWarning, match=f"{why}.*{remedy}") as told:
+        assert [afresh(), afresh()] == [False, False]
+    assert len(told) == 1
+    monkeypatch.setenv("SPHEREJAX_MACHINE_CODE", "0")
+    assert not machine_code.is_available.__wrapped__()
 
 
 # Between calls --------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import ctypes
 import hashlib
 import os
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -24,6 +25,7 @@ from typing import Any
 import jax
 import jax.ffi
 
+from spherejax import runtime
 from spherejax.foundations.kept import kept_on_disk
 from spherejax.foundations.machine.text import FUNCTION, Text
 
@@ -36,19 +38,36 @@ KNOWN_JAXLIB = ((0, 10),)
 
 @cache
 def is_available() -> bool:
-    """Whether programs can be made so in this process."""
-    if os.environ.get("SPHEREJAX_MACHINE_CODE", "1") == "0" or not hasattr(jax, "make_user_context"):
+    """Whether programs can be made so in this process; where the installation is why not, one warning says so."""
+    if os.environ.get("SPHEREJAX_MACHINE_CODE", "1") == "0" or jax.default_backend() != "cpu":
         return False
-    if tuple(int(part) for part in version("jaxlib").split(".")[:2]) not in KNOWN_JAXLIB:
-        return False
+    if why := _what_is_missing():
+        known = " or ".join(f"{major}.{minor}" for major, minor in KNOWN_JAXLIB)
+        # Compiled anew with jaxlib 0.6.1: a dry run 1.9, of many 2.3, with its derivative 6.8 times as long.
+        warnings.warn(
+            f"spherejax cannot compile its own machine code: {why}. XLA compiles everything instead: the numbers are "
+            "the same up to rounding, but first calls take two to eight times as long, and films and sweeps run up to "
+            f"twice as long. Install jax and jaxlib {known}, or set SPHEREJAX_MACHINE_CODE=0 to hear no more of it.",
+            runtime.ConfigurationWarning,
+            stacklevel=2,
+        )
+    return not why
+
+
+def _what_is_missing() -> str:
+    installed = version("jaxlib")
+    if tuple(int(part) for part in installed.split(".")[:2]) not in KNOWN_JAXLIB:
+        return f"it has not been tried with jaxlib {installed}"
+    if not hasattr(jax, "make_user_context"):
+        return f"jax {jax.__version__} has no make_user_context"
     try:
         import llvmlite.binding as llvm
 
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-    except Exception:  # not installed, or not for this processor
-        return False
-    return jax.default_backend() == "cpu"
+    except Exception as error:  # not installed, or not for this processor
+        return f"llvmlite cannot be used ({type(error).__name__}: {error})"
+    return ""
 
 
 # JAX traces again what it has traced in another context.
