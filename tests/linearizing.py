@@ -18,7 +18,7 @@ from spherejax.motion.equations.projection import corrected
 from spherejax.motion.start.start_now import start_now
 from spherejax.physics.state import unpack
 from spherejax.studies.linear.coordinates import coordinates_of
-from spherejax.studies.linear.tangent import Equations
+from spherejax.studies.linear.tangent import TangentEquations
 
 
 def moment(scene: sj.Scene, *, seed: int = 0, distance: float = 1e-3) -> sj.Trajectory:
@@ -106,7 +106,7 @@ def basis_rate(lin: sj.Linearization, f0, step: float = 1e-5) -> np.ndarray:
     found = []
     for h in (step, -step, 2 * step, -2 * step):
         y = closed(point.structure, point.theta, point.t + h, displaced(layout, point.y, h * change))
-        there = coordinates_of(Equations(point.structure, point.theta, point.t + h, y).geometry, layout.n_memory)
+        there = coordinates_of(TangentEquations(point.structure, point.theta, point.t + h, y).geometry, layout.n_memory)
         turn = scipy.linalg.polar(there.free.T @ (here.mass + there.mass) / 2 @ here.free)[0]
         found.append(there.basis @ scipy.linalg.block_diag(turn, turn, np.eye(layout.n_memory)))
     near, far = (found[0] - found[1]) / (2 * step), (found[2] - found[3]) / (4 * step)

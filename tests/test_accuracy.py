@@ -16,9 +16,9 @@ from spherejax import cli
 from spherejax.output.plot.style import typeset
 from spherejax.output.plot.work_precision import WorkCurve, WorkDiagram, work_precision_figure
 from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
-from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, price, spreads, usual_target
+from spherejax.studies.accuracy.frontier import FrontierPoint, advice, duration, efficient, price, spreads, usual_target
 from spherejax.studies.accuracy.reference import AGREEMENT, PARTED, Reference, make_reference, parting
-from spherejax.studies.accuracy.runs import PROBE_STEPS, Program, Trial
+from spherejax.studies.accuracy.runs import PROBE_STEPS, TimedProgram, TimedTrial
 from spherejax.studies.accuracy.samples import UNITS, errors, samples_of, scales, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS
 
@@ -118,7 +118,7 @@ def test_relative_errors_refer_to_peaks(result):
 
 def test_the_reference_is_as_good_as_it_says():
     programs = {
-        name: Program(FRICTION, SOLVERS[name], friction_ts(), atol_ratio=1e-2, measures=True)
+        name: TimedProgram(FRICTION, SOLVERS[name], friction_ts(), atol_ratio=1e-2, measures=True)
         for name in ("Dopri8", "Tsit5")
     }
     truth = samples_of(programs["Dopri8"].run(1e-12))
@@ -134,7 +134,7 @@ def test_the_reference_is_as_good_as_it_says():
 
 
 def test_a_reference_falls_back_to_one_method_and_to_looser_tolerances():
-    ideal = Program(IDEAL, SOLVERS["Dopri8"], jnp.linspace(0.0, 0.2, 501), atol_ratio=1e-2, measures=True)
+    ideal = TimedProgram(IDEAL, SOLVERS["Dopri8"], jnp.linspace(0.0, 0.2, 501), atol_ratio=1e-2, measures=True)
     alone = make_reference({"Dopri8": ideal}.__getitem__, ("Dopri8",), 1e-8, 10.0)
     assert alone.methods == ("Dopri8", "Dopri8")
     assert alone.rtols == (pytest.approx(1e-10), pytest.approx(1e-9))
@@ -177,7 +177,7 @@ def test_errors_are_measured_until_the_horizon_and_statistics_compared_after(cha
     peaks = [member["peak_acceleration"] for member in reference.members]
     assert min(peaks) < max(peaks)
     # The histories do part: over the whole time, no tolerance is met.
-    again = Program(
+    again = TimedProgram(
         sj.gallery.four_bar(cases.FOUR_BAR_MODELS["dry"]),
         SOLVERS["Dopri8"],
         jnp.linspace(0.0, 0.6, 5001),
@@ -223,11 +223,11 @@ def test_spreads_count_standard_deviations():
 # Frontier and advice -------------------------------------------------------------------------------------------------
 
 POINTS = [
-    Point("fast", 1e-4, 1e-4, 1e-3),
-    Point("fast", 1e-6, 1e-6, 4e-3),
-    Point("fast", 1e-8, 1e-8, 16e-3),
-    Point("slow", 1e-4, 1e-5, 8e-3),
-    Point("slow", 1e-8, 1e-11, 20e-3),
+    FrontierPoint("fast", 1e-4, 1e-4, 1e-3),
+    FrontierPoint("fast", 1e-6, 1e-6, 4e-3),
+    FrontierPoint("fast", 1e-8, 1e-8, 16e-3),
+    FrontierPoint("slow", 1e-4, 1e-5, 8e-3),
+    FrontierPoint("slow", 1e-8, 1e-11, 20e-3),
 ]
 
 
@@ -258,9 +258,9 @@ def test_the_advice_prices_an_accuracy_and_one_more_digit():
 
 
 def test_the_usual_target_is_one_that_the_runs_bracket():
-    assert usual_target([Point("a", 1e-4, 3e-9, 1.0), Point("a", 1e-8, 2e-12, 2.0)]) == 1e-9
-    assert usual_target([Point("a", 1e-4, 3e-2, 1.0), Point("a", 1e-8, 2e-5, 2.0)]) == 1e-3
-    assert usual_target([Point("a", 1e-4, 3e-9, 1.0)]) == 3e-9
+    assert usual_target([FrontierPoint("a", 1e-4, 3e-9, 1.0), FrontierPoint("a", 1e-8, 2e-12, 2.0)]) == 1e-9
+    assert usual_target([FrontierPoint("a", 1e-4, 3e-2, 1.0), FrontierPoint("a", 1e-8, 2e-5, 2.0)]) == 1e-3
+    assert usual_target([FrontierPoint("a", 1e-4, 3e-9, 1.0)]) == 3e-9
 
 
 def test_durations_are_for_people():
@@ -285,7 +285,7 @@ def test_a_solver_that_fails_is_a_row_with_a_diagnosis(result):
 
 def test_a_hopeless_run_ends_with_its_budget_and_tighter_ones_are_not_tried(monkeypatch, result):
     patience = 17.0
-    monkeypatch.setattr(Program, "budget", lambda self, rtol, seconds: 7)  # whatever the machine
+    monkeypatch.setattr(TimedProgram, "budget", lambda self, rtol, seconds: 7)  # whatever the machine
     known = result.references["ideal"]
     monkeypatch.setattr("spherejax.studies.accuracy.study.make_reference", lambda *arguments: known)
     found = study(
@@ -302,17 +302,17 @@ def test_a_hopeless_run_ends_with_its_budget_and_tighter_ones_are_not_tried(monk
 
 
 def test_a_budget_is_learned_from_the_time_of_a_step(result):
-    program = Program(IDEAL, SOLVERS["Tsit5"], jnp.array([0.0, 0.2]), atol_ratio=1e-2, measures=False)
+    program = TimedProgram(IDEAL, SOLVERS["Tsit5"], jnp.array([0.0, 0.2]), atol_ratio=1e-2, measures=False)
     few = program.run(1e-10, 11)
     assert int(few.stats.n_steps) == 11
     assert int(few.status) == sj.Status.TOO_MANY_STEPS
     assert 0 < float(few.t_reached) < 0.2
     n = program.budget(1e-10, 1.0)
     assert n == int(1.0 / program.seconds_a_step) > PROBE_STEPS
-    trial = Trial(program, 1e-7, 1e-9)  # no time for a second run: the first one counts
+    trial = TimedTrial(program, 1e-7, 1e-9)  # no time for a second run: the first one counts
     trial.repeat()
     assert (trial.n_repeats, trial.seconds) == (1, trial.first)
-    patient = Trial(program, 1e-7, 100.0)
+    patient = TimedTrial(program, 1e-7, 100.0)
     patient.repeat()
     patient.repeat()
     assert patient.n_repeats == 2

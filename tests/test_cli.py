@@ -21,7 +21,7 @@ from spherejax.command_line.models import model_from
 from spherejax.command_line.sweep import asked_of
 from spherejax.output.plot.curves import curves_of
 from spherejax.studies.compare import compare
-from spherejax.studies.subject import Comparison, Row
+from spherejax.studies.subject import Comparison, ModelRow
 from spherejax.studies.subjects.four_bar import FOUR_BAR
 
 QUICK = ["--t1", "0.01", "--samples", "5"]
@@ -438,7 +438,7 @@ def test_effects_prints_a_table(capsys, monkeypatch):
 
 def test_compare_writes_table_files_and_figures(tmp_path, capsys, monkeypatch):
     run = sj.simulate(sj.gallery.four_bar(), np.linspace(0.0, 0.01, 5))
-    row = Row("ideal", "ideal", 0.0, 9.0, 0.0, None, 5, 0.01, 1.0, None, run.choice)
+    row = ModelRow("ideal", "ideal", 0.0, 9.0, 0.0, None, 5, 0.01, 1.0, None, run.choice)
     curves = {"ideal": curves_of(run, "ideal", body="rocker", joint="coupler_rocker")}
     found = Comparison(0.01, [row], curves, {"ideal": run}, subject=FOUR_BAR)
     only = {name: draw for name, draw in figures(found).items() if name.startswith(("fig07", "fig21"))}

@@ -18,13 +18,13 @@ from spherejax.output.plot.curves import Curves, curves_of, thinned
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import acceleration_and_energy, four_histories, slowest_sliding
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
-from spherejax.output.plot.limits import Limit, limits_to_ideal
+from spherejax.output.plot.limits import LimitCurve, limits_to_ideal
 from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
 from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, new_figure, number_decades, typeset_number
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
-from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult
+from spherejax.studies.subject import Comparison, LimitResult, ModelRow, StudyResult
 from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures, study_figure
 
 TS = np.linspace(0.0, 2.0, 20001)
@@ -206,9 +206,9 @@ def test_loops_that_lie_on_each_other_have_a_close_up():
 
 def test_limits_share_a_panel_where_they_share_a_parameter():
     found = [
-        Limit("dry", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-4], 1),
-        Limit("lubricated", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-5]),
-        Limit("bushing", "stiffness [N/m]", [1e5, 1e6], [1e-4, 1e-5], -1),
+        LimitCurve("dry", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-4], 1),
+        LimitCurve("lubricated", "clearance [mm]", [0.2, 0.1], [2e-4, 1e-5]),
+        LimitCurve("bushing", "stiffness [N/m]", [1e5, 1e6], [1e-4, 1e-5], -1),
     ]
     figure = limits_to_ideal(found, "limits")
     check_readable(figure)
@@ -218,7 +218,7 @@ def test_limits_share_a_panel_where_they_share_a_parameter():
 
 
 def test_a_comparison_draws_every_figure_of_the_paper(models):
-    rows = [Row(n, one.label, 1e-3, 9.0, 1.0, 1, 100, 0.1, 10.0, 0.5, "Dopri8") for n, one in models.items()]
+    rows = [ModelRow(n, one.label, 1e-3, 9.0, 1.0, 1, 100, 0.1, 10.0, 0.5, "Dopri8") for n, one in models.items()]
     studies = [StudyResult(s, [curves(c.label) for c in s.cases]) for s in parameter_studies()]
     limits = [
         LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order) for s in limit_studies()

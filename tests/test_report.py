@@ -22,7 +22,7 @@ from spherejax import cli
 from spherejax.output.plot.style import new_figure
 from spherejax.output.report.motion import viewed
 from spherejax.output.report.numbers import numbers_of
-from spherejax.output.report.page import Page, Picture, Table, Text
+from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
 
 needs_browser = pytest.mark.skipif(bool(browsing.missing()), reason=browsing.missing() or "-")
 EVIL = """<script>alert("x")</script> & 'so' </script>"""
@@ -330,7 +330,7 @@ def test_pictures_become_coarser_where_a_page_would_be_too_large(monkeypatch):
     figure, axes = new_figure(1, 1, 4.0, 4.0, "noise")
     axes[0, 0].imshow(np.random.default_rng(0).uniform(size=(400, 400)))
     page = Page("t", "v")
-    page.add("noise", Picture(figure, "noise"))
+    page.add("noise", PagePicture(figure, "noise"))
     (fine,) = map(len, page._pictures().values())
     monkeypatch.setattr("spherejax.output.report.page.MOST_OF_PICTURES", fine // 2)
     (coarse,) = map(len, page._pictures().values())
@@ -338,7 +338,7 @@ def test_pictures_become_coarser_where_a_page_would_be_too_large(monkeypatch):
 
 
 def test_long_names_go_on_in_the_next_line_between_their_words():
-    cell = Table(("name", "value"), [("joints.<b>x.free_angle", "-1.5")]).html()
+    cell = PageTable(("name", "value"), [("joints.<b>x.free_angle", "-1.5")]).html()
     assert "joints.&lt;b&gt;x.<wbr>free_<wbr>angle" in cell
     assert "-1.5<" in cell
 
@@ -352,7 +352,7 @@ def test_a_number_that_has_only_a_letter_says_where_it_is_from():
 
 def test_a_long_table_says_that_it_is_cut():
     page = Page("t", "v")
-    page.add("rows", Table(("i",), [(str(i),) for i in range(1000)]), Text(["<"]))
+    page.add("rows", PageTable(("i",), [(str(i),) for i in range(1000)]), PageText(["<"]))
     read = Reader(page.html())
     assert "The first 400 of 1,000 rows." in read.text
 

@@ -20,8 +20,8 @@ import spherejax as sj
 from spherejax.files.fields.dimensions import FIELDS
 from spherejax.files.fields.kinds import keys_of, kinds_of, parameters_of
 from spherejax.files.fields.objects import same
-from spherejax.files.fields.parts import Part
-from spherejax.files.fields.quantities import Quantity
+from spherejax.files.fields.parts import PartField
+from spherejax.files.fields.quantities import QuantityField
 from spherejax.files.numbers.units import in_si, simplified
 from spherejax.foundations.parts import kebab
 
@@ -113,7 +113,7 @@ UNITS_BY_TIME = {
 def test_units_of_functions_follow_their_argument_and_value():
     assert set(UNITS_BY_TIME) == set(kinds_of(sj.AbstractFunction))
     for kind, cls in kinds_of(sj.AbstractFunction).items():
-        fields = {name: field for name, field in FIELDS[cls].items() if isinstance(field, Quantity)}
+        fields = {name: field for name, field in FIELDS[cls].items() if isinstance(field, QuantityField)}
         assert set(fields) == set(UNITS_BY_TIME[kind])
         for name, field in fields.items():
             si = simplified(field.si.format(of_argument="s", of_value="N"))
@@ -450,11 +450,11 @@ def test_units_are_those_of_the_docstrings(cls):
     for name, field in FIELDS[cls].items():
         entry = re.search(rf"(?<![\w.]){name}: (.*?)(?= \w+: |$)", doc)
         unit = re.search(r"\[([^\]]+)\]", entry.group(1)) if entry else None
-        if isinstance(field, Part) and field.argument is not None and entry:
+        if isinstance(field, PartField) and field.argument is not None and entry:
             value_by_argument = re.match(r"[^\[]*\[([^\]]+)\] by [^\[]*\[([^\]]+)\]", entry.group(1))
             assert not value_by_argument or value_by_argument.groups() == (field.value, field.argument), name
-        depends_on_the_place = isinstance(field, Quantity) and "{of_" in (field.si or "")
-        if isinstance(field, Quantity) and unit and not depends_on_the_place:
+        depends_on_the_place = isinstance(field, QuantityField) and "{of_" in (field.si or "")
+        if isinstance(field, QuantityField) and unit and not depends_on_the_place:
             assert field.si == UNITS_WRITTEN.get(unit.group(1), unit.group(1)), name
 
 

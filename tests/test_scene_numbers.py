@@ -9,7 +9,7 @@ import spherejax as sj
 from spherejax import cli
 from spherejax.command_line.scene_numbers import number_at, with_number, with_text
 from spherejax.files.fields.kinds import fields_of, is_needed, kinds_of, parameters_of
-from spherejax.files.fields.quantities import Quantity
+from spherejax.files.fields.quantities import QuantityField
 
 STUDIED = "coupler_rocker"
 SCENE = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))
@@ -76,7 +76,7 @@ def laws_with_numbers():
 def test_every_number_of_every_law_is_reached(cls, argument):
     law = cls(**{name: 0.5 for name, parameter in parameters_of(cls).items() if is_needed(parameter)})
     scene = sj.gallery.four_bar(sj.Dry(1e-4, **{argument: law}))
-    names = [name for name, field in fields_of(cls).items() if isinstance(field, Quantity)]
+    names = [name for name, field in fields_of(cls).items() if isinstance(field, QuantityField)]
     assert names
     for name in names:
         changed = with_text(scene, f"{argument}.{name}=0.125", STUDIED)

@@ -7,11 +7,11 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.cli import main
-from spherejax.command_line.shown import Shown, in_units
+from spherejax.command_line.shown import ShownNumbers, in_units
 from spherejax.motion.integration.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
 from spherejax.studies.sweep import product, sobol_samples, zipped
-from spherejax.studies.sweep.dataset import COUNTED, Account, RunsColumn, coordinates_of, dataset_of
+from spherejax.studies.sweep.dataset import COUNTED, RunsColumn, SweepAccount, coordinates_of, dataset_of
 
 TIMES = np.linspace(0.0, 0.2, 11)
 
@@ -32,7 +32,7 @@ def swept(grid) -> xarray.Dataset:
     columns = {"peak": RunsColumn((), {"units": "N"}), "ends": RunsColumn(("axis",), {"units": "m"})}
     columns |= {"motion": RunsColumn(("time",), {"units": "m"}), **{name: RunsColumn((), {}) for name in COUNTED}}
     shaped = {name: each.reshape(*grid.shape, *each.shape[1:]) for name, each in values.items()}
-    account = Account.of_nothing(np.array([True]), grid.n_runs, np.zeros(1), np.zeros(1, int))
+    account = SweepAccount.of_nothing(np.array([True]), grid.n_runs, np.zeros(1), np.zeros(1, int))
     account.add(0, status, values["n_steps"])
     return dataset_of(grid.dims, coordinates_of(grid, TIMES), columns, shaped, {}, account)
 
@@ -67,10 +67,10 @@ def test_a_curve_marks_failed_runs():
 
 
 def test_axes_have_the_units_in_which_parameters_are_told():
-    told = in_units(swept(product({"a": A, "b": B})), {"a": Shown("mm", 1e-3), "b": Shown()})
+    told = in_units(swept(product({"a": A, "b": B})), {"a": ShownNumbers("mm", 1e-3), "b": ShownNumbers()})
     (panel,) = drawn(figures_of_sweep(told)["n_steps"])
     assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_xlim()) == ("a [mm]", "b", (1e3, 2e3))
-    told = in_units(swept(zipped({"a": A})), {"a": Shown("mm", 1e-3)})
+    told = in_units(swept(zipped({"a": A})), {"a": ShownNumbers("mm", 1e-3)})
     assert drawn(figures_of_sweep(told)["n_steps"])[0].get_xlabel() == "a [mm]"
 
 

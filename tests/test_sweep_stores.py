@@ -19,7 +19,7 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.studies.sweep import lock
-from spherejax.studies.sweep.dataset import Account
+from spherejax.studies.sweep.dataset import SweepAccount
 from spherejax.studies.sweep.grids import Combinations, product
 from spherejax.studies.sweep.identity import points_of
 from spherejax.studies.sweep.results import check_memory
@@ -356,7 +356,7 @@ def test_results_that_memory_cannot_hold_are_refused_before_anything_is_computed
 
 
 def test_failures_are_counted_chunk_by_chunk():
-    account = Account.of_nothing(np.ones(2, bool), 8, np.ones(2), np.array([10, 10]))
+    account = SweepAccount.of_nothing(np.ones(2, bool), 8, np.ones(2), np.array([10, 10]))
     account.add(0, np.array([0, 1, 1, 1]), np.array([2, 2, 2, 2]))
     account.add(4, np.array([1, 1, 1, 3]), np.array([2, 2, 2, -1]))
     assert account.failures.splitlines()[0].startswith("6 runs (1, 2, 3, 4, 5, ...), ")

@@ -14,7 +14,7 @@ from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.reports import add_report, check_report, write_report
 
 if TYPE_CHECKING:
-    from spherejax.studies.subject import Comparison, Row
+    from spherejax.studies.subject import Comparison, ModelRow
 
 SAVED_SAMPLES = 2000
 """Samples of the netCDF files, about; the study itself uses a hundred times more."""
@@ -120,7 +120,7 @@ def _write(comparison: Comparison, folder: Path, report) -> list[str]:
     return list(figures)
 
 
-def _write_table(rows: list[Row], path: Path) -> None:
+def _write_table(rows: list[ModelRow], path: Path) -> None:
     """Every number of every row, in SI units, whatever the mechanism."""
     heads = {
         "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",

@@ -17,7 +17,7 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
-from spherejax.command_line.shown import Shown, shown_in
+from spherejax.command_line.shown import ShownNumbers, shown_in
 
 DESCRIPTION = """\
 Estimate numbers of a mechanism from measurements of its motion, by Levenberg-Marquardt on
@@ -146,7 +146,7 @@ class _InUnits(NamedTuple):
     """A fit whose page tells the estimates in the units that were given."""
 
     fitted: sj.Fit
-    shown: dict[str, Shown]
+    shown: dict[str, ShownNumbers]
 
     def report_page(self, title: str, scene: sj.Scene | None) -> Any:
         """The page that `sj.report` writes."""
@@ -185,7 +185,7 @@ def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> di
     return start
 
 
-def _shown(options: argparse.Namespace, unit_of: UnitOf) -> dict[str, Shown]:
+def _shown(options: argparse.Namespace, unit_of: UnitOf) -> dict[str, ShownNumbers]:
     """In which units the parameters are told."""
     given = (text.partition("=") for text in options.start)
     return {name: shown_in(texts.split(":"), unit_of(name)) for name, _, texts in given}
@@ -280,12 +280,12 @@ def _deviation(text: str, sigma: str, name: str, scene: sj.Scene) -> float:
     return number_of("--noise", text, sigma, unit)
 
 
-def _print(fitted: sj.Fit, shown: dict[str, Shown]) -> None:
+def _print(fitted: sj.Fit, shown: dict[str, ShownNumbers]) -> None:
     from spherejax.studies.fit.report import report
 
     print(report(fitted, shown))
     if len(fitted.courses) > 1:
-        told = {name: shown.get(name, Shown()) for name in fitted.names}
+        told = {name: shown.get(name, ShownNumbers()) for name in fitted.names}
         rows = [
             (*(f"{v / told[name].factor:.5g}" for name, v in (each["end"] or dict.fromkeys(told, np.nan)).items()),
              f"{each['cost']:.6g}", each["status"])
@@ -294,7 +294,7 @@ def _print(fitted: sj.Fit, shown: dict[str, Shown]) -> None:
         print_table("starts", (*(one.head(name) for name, one in told.items()), "cost", "status"), rows)
 
 
-def _write(fitted: sj.Fit, shown: dict[str, Shown], folder: Path, title: str, *, pictures: bool) -> list[str]:
+def _write(fitted: sj.Fit, shown: dict[str, ShownNumbers], folder: Path, title: str, *, pictures: bool) -> list[str]:
     """Table, report, data set and figures; returns their names."""
     from spherejax.studies.fit.report import report
 
@@ -308,7 +308,7 @@ def _write(fitted: sj.Fit, shown: dict[str, Shown], folder: Path, title: str, *,
     return names
 
 
-def _write_estimates(fitted: sj.Fit, shown: dict[str, Shown], path: Path) -> None:
+def _write_estimates(fitted: sj.Fit, shown: dict[str, ShownNumbers], path: Path) -> None:
     known = fitted.knowledge
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -316,6 +316,6 @@ def _write_estimates(fitted: sj.Fit, shown: dict[str, Shown], path: Path) -> Non
         for name, value, deviation, (low, high) in zip(
             fitted.names, known.values, known.standard_deviations, known.intervals(fitted.level), strict=True
         ):
-            unit, factor = shown.get(name, Shown())
+            unit, factor = shown.get(name, ShownNumbers())
             numbers = (repr(float(v) / factor) for v in (value, deviation, low, high))
             writer.writerow([name, *numbers, fitted.level, unit])

@@ -18,7 +18,7 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
-from spherejax.command_line.shown import Wanted
+from spherejax.command_line.shown import WantedQuantity
 
 DESCRIPTION = """\
 Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
@@ -226,7 +226,7 @@ def _write_spectrum(run: sj.Trajectory, name: str, path: Path, *, overwrite: boo
     print(f"wrote {path}")
 
 
-def _peaks(run: sj.Trajectory, wanted: list[Wanted]) -> list[tuple[str, str]]:
+def _peaks(run: sj.Trajectory, wanted: list[WantedQuantity]) -> list[tuple[str, str]]:
     from spherejax.motion.equations.quantities import quantity
 
     system, found = run.system, []

@@ -9,7 +9,7 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.models import UNITS, USED_BY
-from spherejax.command_line.shown import Wanted, wanted
+from spherejax.command_line.shown import WantedQuantity, wanted
 from spherejax.files.numbers.number_texts import NumberError, number_in
 from spherejax.files.numbers.units import UnitError, in_si
 
@@ -69,7 +69,7 @@ def units_in(scene: sj.Scene, studied: str | None) -> UnitOf:
     return unit
 
 
-def require_quantities(scene: sj.Scene, texts: Iterable[str], *, units: bool = False) -> list[Wanted]:
+def require_quantities(scene: sj.Scene, texts: Iterable[str], *, units: bool = False) -> list[WantedQuantity]:
     """Judge names of quantities, before what takes long is imported or computed.
 
     Args:
@@ -86,7 +86,7 @@ def require_quantities(scene: sj.Scene, texts: Iterable[str], *, units: bool = F
     """
     from spherejax.motion.equations.quantities import quantity
 
-    found = [wanted(text) if units else Wanted(text) for text in texts]
+    found = [wanted(text) if units else WantedQuantity(text) for text in texts]
     named = [one for one in found if one.name.partition(".")[0] not in ("onsets", "time_in_contact")]
     system = sj.compile_scene(scene).system if named else None
     for one in named:

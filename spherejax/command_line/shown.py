@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import spherejax as sj
 
 
-class Shown(NamedTuple):
+class ShownNumbers(NamedTuple):
     """How the numbers of a parameter are told.
 
     Attributes:
@@ -36,7 +36,7 @@ class Shown(NamedTuple):
         return values.dims, told, {**values.attrs, "units": self.unit or PURE}
 
 
-def shown_in(texts: Iterable[str], si: str | None) -> Shown:
+def shown_in(texts: Iterable[str], si: str | None) -> ShownNumbers:
     """The unit of the first text that has one, else that of SI.
 
     Args:
@@ -45,11 +45,11 @@ def shown_in(texts: Iterable[str], si: str | None) -> Shown:
     """
     given = next(filter(None, map(unit_in, texts)), "")
     if given:
-        return Shown(given, factor_of(given, si))
-    return Shown("" if si in (None, PURE) else str(si))
+        return ShownNumbers(given, factor_of(given, si))
+    return ShownNumbers("" if si in (None, PURE) else str(si))
 
 
-class Wanted(NamedTuple):
+class WantedQuantity(NamedTuple):
     """A quantity as it is asked for, with the unit in which it is told.
 
     Attributes:
@@ -60,32 +60,32 @@ class Wanted(NamedTuple):
     name: str
     unit: str = ""
 
-    def shown(self, si: str) -> Shown:
+    def shown(self, si: str) -> ShownNumbers:
         """How it is told.
 
         Raises:
             SceneError: for a unit of another dimension.
         """
         if not self.unit:
-            return Shown(si)
+            return ShownNumbers(si)
         try:
-            return Shown(self.unit, factor_of(self.unit, si or PURE))
+            return ShownNumbers(self.unit, factor_of(self.unit, si or PURE))
         except UnitError as error:
             raise SceneError(f"{self.name} [{self.unit}]: {error}") from None
 
 
-def wanted(text: str) -> Wanted:
+def wanted(text: str) -> WantedQuantity:
     """A quantity with a unit in brackets, "reaction.elbow [kN]", or without."""
     name, bracket, unit = text.strip().removesuffix("]").partition("[")
-    return Wanted(name.strip(), unit.strip() if bracket else "")
+    return WantedQuantity(name.strip(), unit.strip() if bracket else "")
 
 
-def in_units(dataset: xarray.Dataset, shown: Mapping[str, Shown]) -> xarray.Dataset:
+def in_units(dataset: xarray.Dataset, shown: Mapping[str, ShownNumbers]) -> xarray.Dataset:
     """The result of a sweep with its parameters in the units in which they are told."""
     return dataset.assign_coords({key: one.of(dataset[key]) for key, one in shown.items()})
 
 
-def sensitivities_in_units(found: sj.Sensitivities, asked: Sequence[Wanted]) -> sj.Sensitivities:
+def sensitivities_in_units(found: sj.Sensitivities, asked: Sequence[WantedQuantity]) -> sj.Sensitivities:
     """Derivatives with what is observed in the units in which it was asked for."""
     units = {one.name: one for one in asked}
     shown = [(column, units[column.name].shown(column.unit)) for column in found.columns]

@@ -18,7 +18,7 @@ from spherejax.command_line.printing import print_table
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
-from spherejax.command_line.shown import Shown, Wanted, in_units, shown_in, wanted
+from spherejax.command_line.shown import ShownNumbers, WantedQuantity, in_units, shown_in, wanted
 from spherejax.files.numbers.units import PURE
 from spherejax.foundations.errors import one_of
 
@@ -127,7 +127,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
     if path.suffix != ".zarr":
         from spherejax.output.io import save
 
-        of_si = {key: Shown(unit_of(name) or "") for key, name in names.items()}
+        of_si = {key: ShownNumbers(unit_of(name) or "") for key, name in names.items()}
         save(in_units(result, of_si), path, overwrite=options.overwrite)
     result = in_units(result, asked.shown)
     for one, name in zip(recorded, list(result.data_vars), strict=False):
@@ -139,7 +139,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-class Asked(NamedTuple):
+class AskedGrid(NamedTuple):
     """What `--vary` asks for, in SI units.
 
     Attributes:
@@ -154,7 +154,7 @@ class Asked(NamedTuple):
     values: dict[str, np.ndarray]
     ranges: dict[str, tuple[float, float]]
     logarithmic: list[str]
-    shown: dict[str, Shown]
+    shown: dict[str, ShownNumbers]
 
     @property
     def first(self) -> dict[str, float]:
@@ -169,9 +169,9 @@ class Asked(NamedTuple):
         return sj.sobol_samples(self.ranges, options.draws, seed=options.seed, logarithmic=self.logarithmic)
 
 
-def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> Asked:
+def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> AskedGrid:
     """What `--vary` asks for; it takes no long import."""
-    asked = Asked({}, {}, {}, [], {})
+    asked = AskedGrid({}, {}, {}, [], {})
     for text in options.vary:
         name, equals, given = text.partition("=")
         if not equals or not name or not given:
@@ -208,7 +208,7 @@ def _values(text: str, parts: list[str], unit: str | None) -> np.ndarray:
     return np.geomspace(low, high, n) if parts[3:] else np.linspace(low, high, n)
 
 
-def _with_first_values(options: argparse.Namespace, asked: Asked) -> argparse.Namespace:
+def _with_first_values(options: argparse.Namespace, asked: AskedGrid) -> argparse.Namespace:
     """Options with the first run's values, to check that they mean something together."""
     first = {key: value for key, value in asked.first.items() if asked.names[key] in USED_BY}
     for key in first:
@@ -239,7 +239,7 @@ def builder(found: Chosen, options: argparse.Namespace, names: dict[str, str], f
     return build
 
 
-def _recorded(found: Chosen, options: argparse.Namespace, scene: sj.Scene) -> list[Wanted]:
+def _recorded(found: Chosen, options: argparse.Namespace, scene: sj.Scene) -> list[WantedQuantity]:
     """What is kept, judged by the scene of the first run; if no such mechanism can be, the sweep judges the others."""
     texts = options.record or _default_record(found, scene)
     try:
@@ -257,7 +257,7 @@ def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     return [*([f"peak reaction.{joint}"] if joint else []), *ends, *events]
 
 
-def _print(found: Chosen, options: argparse.Namespace, asked: Asked, result, seconds: float) -> None:
+def _print(found: Chosen, options: argparse.Namespace, asked: AskedGrid, result, seconds: float) -> None:
     facts = result.attrs
     # Said, because "mu=0,3" is a list of two numbers, where somebody may mean 0.3.
     varied = {asked.shown[key].head(name): np.unique(result[key]) for key, name in asked.names.items()}

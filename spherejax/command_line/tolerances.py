@@ -17,7 +17,7 @@ from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
-from spherejax.command_line.shown import Shown, Wanted, sensitivities_in_units, shown_in
+from spherejax.command_line.shown import ShownNumbers, WantedQuantity, sensitivities_in_units, shown_in
 from spherejax.files.numbers.number_texts import NumberError, number_in
 from spherejax.files.numbers.units import UnitError, in_si
 
@@ -152,7 +152,7 @@ def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any], obs
     return study(build, spreads, ts, record=observables, n=n, seed=options.seed, **how)
 
 
-def _in_units(result: Any, asked: Sequence[Wanted]) -> Any:
+def _in_units(result: Any, asked: Sequence[WantedQuantity]) -> Any:
     """The result with what is observed in the units in which it was asked for."""
     from spherejax.studies.sweep.records import TAKEN
     from spherejax.studies.uncertainty.outputs import outputs_of
@@ -210,7 +210,7 @@ def _spreads(
     }
 
 
-def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene) -> dict[str, Shown]:
+def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene) -> dict[str, ShownNumbers]:
     """In which units the numbers are told."""
     from spherejax.files.fields.number_units import unit_at
 

@@ -169,7 +169,7 @@ class System(eqx.Module):
         return next((slot.entries for slot in self.force_slots if slot.joint == force), slice(0, 0))
 
 
-class Compiled(NamedTuple):
+class CompiledScene(NamedTuple):
     """A compiled scene and the conditions that could not be judged yet.
 
     Attributes:
@@ -181,7 +181,7 @@ class Compiled(NamedTuple):
     conditions: list
 
 
-def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
+def compile_scene(scene: Scene, *, track_work: bool = False) -> CompiledScene:
     """Check a scene and reduce it to the effects that it calls for.
 
     Constraint rows exist for ideal joints only; contact, friction, film and elastomer only in joints whose model has
@@ -216,7 +216,7 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> Compiled:
     system = System(
         bodies, joints, forces, scene.gravity, scene.drift, slots, track_work, gains, refines, smallest, force_slots
     )
-    return Compiled(system, conditions)
+    return CompiledScene(system, conditions)
 
 
 def _slots(entries: dict[str, tuple[MemoryEntry, ...]], start: int) -> tuple[MemorySlot, ...]:

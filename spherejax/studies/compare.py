@@ -28,7 +28,7 @@ from spherejax.output.plot.curves import Curves, curves_of
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.studies.cases import Case, LimitStudy, Study
-from spherejax.studies.subject import Comparison, LimitResult, Row, StudyResult, Subject, Timed
+from spherejax.studies.subject import Comparison, LimitResult, ModelRow, StudyResult, Subject, Timed
 from spherejax.studies.subjects.four_bar import FOUR_BAR
 from spherejax.studies.workers import Piece, Progress, Report, silent, workers
 
@@ -117,8 +117,8 @@ def _row(
     timed: Timed,
     part: float | None,
     fixed: Timed | None,
-) -> Row:
-    return Row(
+) -> ModelRow:
+    return ModelRow(
         name=name,
         label=case.label,
         lost_energy=-float(one.energy_change[-1]),

@@ -1,7 +1,7 @@
 """The report of a comparison of joint models as a page."""
 
 from spherejax.model.scene import Scene
-from spherejax.output.report.page import Page, Picture, Table, Text
+from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
 
 
 def page_of(comparison, title: str, scene: Scene | None) -> Page:
@@ -30,18 +30,23 @@ def page_of(comparison, title: str, scene: Scene | None) -> Page:
     add_motion(page, {labels[name]: run for name, run in runs.items()}, scene)
     rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]
     heads = ("model", *(column.head for column in subject.columns))
-    tables = [Table(one.heads, one.rows, one.title, numeric=True) for one in subject.summaries(comparison)]
-    page.add("Models", Table(heads, rows, subject.parameters, numeric=True), *tables, Text(subject.remarks(comparison)))
+    tables = [PageTable(one.heads, one.rows, one.title, numeric=True) for one in subject.summaries(comparison)]
+    page.add(
+        "Models",
+        PageTable(heads, rows, subject.parameters, numeric=True),
+        *tables,
+        PageText(subject.remarks(comparison)),
+    )
     methods = [(row.label, row.method, f"{row.n_steps:,}", f"{row.seconds:.3g}") for row in comparison.rows]
-    page.add("Methods", Table(("model", "method, and why", "steps", "time of a warm run [s]"), methods))
+    page.add("Methods", PageTable(("model", "method, and why", "steps", "time of a warm run [s]"), methods))
     for result in comparison.studies:
         cells = [(label, f"{1e3 * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
         name = f"{result.study.name}: {result.study.title}".replace("\n", " ")
         page.add(
-            name, Table(("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), cells, numeric=True), folded=True
+            name, PageTable(("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), cells, numeric=True), folded=True
         )
     figures = subject.figures(comparison)
-    page.add("Figures", *(Picture(figure_of(), name) for name, figure_of in figures.items()))
+    page.add("Figures", *(PagePicture(figure_of(), name) for name, figure_of in figures.items()))
     add_numbers(page, scene or next(iter(runs.values())).system)
     for name, run in runs.items():
         add_numbers(page, run.system, f"Numbers of {subject.joint}, {labels[name]}", f"joints.{subject.joint}")

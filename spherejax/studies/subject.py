@@ -38,10 +38,10 @@ class TableColumn(NamedTuple):
     """
 
     head: str
-    value: "Callable[[Row], Any]"
+    value: "Callable[[ModelRow], Any]"
     text: str | Callable[[Any], str] = ".4g"
 
-    def cell(self, row: "Row") -> str:
+    def cell(self, row: "ModelRow") -> str:
         """What the table shows."""
         value = self.value(row)
         if callable(self.text):
@@ -167,7 +167,7 @@ class Timed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Row:
+class ModelRow:
     """One joint model in the table.
 
     Attributes:
@@ -258,7 +258,7 @@ class Comparison(Reported):
     """
 
     t_end: float
-    rows: list[Row]
+    rows: list[ModelRow]
     models: dict[str, Curves]
     runs: dict[str, Trajectory]
     studies: list[StudyResult] = field(default_factory=list)

@@ -18,7 +18,7 @@ from typing import Any
 from zlib import crc32
 
 from spherejax.files.fields.fields import Context, words_of
-from spherejax.files.fields.location import Place
+from spherejax.files.fields.location import FilePlace
 from spherejax.files.fields.parts import OwnFunction
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.functions.base import AbstractFunction
@@ -30,7 +30,7 @@ _PREFIX = "scene_file_"
 """Of the names of modules that are made from files beside scene files."""
 
 
-def users_own(kind: str, family: type, context: Context, place: Place) -> Any:
+def users_own(kind: str, family: type, context: Context, place: FilePlace) -> Any:
     """The class or function that `"my_file.py:MyClass"` names; `place.fail` where it is not allowed or not there."""
     where, _, name = kind.rpartition(":")
     if not context.allow_code:
@@ -80,7 +80,7 @@ def named_by(cls: Any, module: ModuleType, folder: Path, what: str) -> str:
 
 
 @contextmanager
-def reported(place: Place, what: str) -> Iterator[None]:
+def reported(place: FilePlace, what: str) -> Iterator[None]:
     """Whatever a user's code raises, `SystemExit` included, as an error at a place, with its own file and line."""
     try:
         yield
@@ -132,7 +132,7 @@ def run_again(files: Mapping[str, str]) -> None:
         _run(path, path.read_bytes())
 
 
-def _path_in(folder: Path, where: str, kind: str, place: Place) -> Path:
+def _path_in(folder: Path, where: str, kind: str, place: FilePlace) -> Path:
     """The file, which must be in the folder, also when links are followed."""
     for flavor in (PurePosixPath, PureWindowsPath):
         given = flavor(where)
@@ -157,7 +157,7 @@ def _path_in(folder: Path, where: str, kind: str, place: Place) -> Path:
     return path
 
 
-def _imported(where: str, name: str, kind: str, place: Place) -> ModuleType:
+def _imported(where: str, name: str, kind: str, place: FilePlace) -> ModuleType:
     """A module that the program has imported itself."""
     module = sys.modules.get(where)
     if where.partition(".")[0] in sys.stdlib_module_names:

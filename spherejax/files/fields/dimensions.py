@@ -16,8 +16,8 @@ import equinox as eqx
 
 from spherejax.files.fields.fields import Field, Plain
 from spherejax.files.fields.names import BodyName, BodyNames, End, Ends, PointName, PointOrPlace
-from spherejax.files.fields.parts import Either, OwnFunction, Part, Parts
-from spherejax.files.fields.quantities import Coefficients, Points, Quantity
+from spherejax.files.fields.parts import Either, OwnFunction, PartField, PartsField
+from spherejax.files.fields.quantities import Coefficients, Points, QuantityField
 from spherejax.foundations.types import COEFFICIENTS, OWN, Function, Named, Shaped, Unit
 from spherejax.model import drift
 from spherejax.physics import forces, functions, joints, laws
@@ -60,26 +60,26 @@ def described_field(parameter: inspect.Parameter) -> Field | None:
     function = next((mark for mark in marks if isinstance(mark, Function)), None)
     if function is not None and unit is not None:
         family = AbstractFunction
-        return Either(Quantity(unit, ((),)), Part(family, function.argument, function.value))
+        return Either(QuantityField(unit, ((),)), PartField(family, function.argument, function.value))
     if function is not None:
         is_many = parameter.kind is inspect.Parameter.VAR_POSITIONAL or (get_origin(kind) or kind) is Sequence
         family = AbstractFunction
-        return Parts(family) if is_many else Part(family, function.argument, function.value)
+        return PartsField(family) if is_many else PartField(family, function.argument, function.value)
     if unit is not None:
         if (get_origin(kind) or kind) is Mapping:
             return Points()
         shapes = next((mark.shapes for mark in marks if isinstance(mark, Shaped)), _shapes_of(kind))
-        quantity = Quantity(unit, ((3,),) if OWN in marks else shapes)
-        return Either(quantity, Part(OwnFunction)) if OWN in marks else quantity
+        quantity = QuantityField(unit, ((3,),) if OWN in marks else shapes)
+        return Either(quantity, PartField(OwnFunction)) if OWN in marks else quantity
     if OWN in marks:
-        return Part(OwnFunction)
+        return PartField(OwnFunction)
     if COEFFICIENTS in marks:
         return Coefficients()
     named = next((NAMES[mark] for mark in marks if isinstance(mark, Named)), None)
     if named is not None or kind in (bool, str, int):
         return named or Plain(kind)
     is_family = inspect.isclass(kind) and eqx.Module in kind.__mro__
-    return Part(kind) if is_family else None
+    return PartField(kind) if is_family else None
 
 
 def _without_none(annotation: Any) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spherejax.files.fields.location import Place
+from spherejax.files.fields.location import FilePlace
 from spherejax.files.numbers.units import simplified
 from spherejax.foundations.errors import one_of
 
@@ -47,7 +47,7 @@ class Field(abc.ABC):
     """What one argument of a constructor holds."""
 
     @abc.abstractmethod
-    def read(self, value: Any, place: Place, context: Context) -> Any:
+    def read(self, value: Any, place: FilePlace, context: Context) -> Any:
         """The argument from the value in the file; `place.fail` for a wrong one."""
 
     def write(self, value: Any, context: Context) -> Any:
@@ -92,7 +92,7 @@ class Plain(Field):
 
 
 @dataclass(frozen=True)
-class Choice(Field):
+class ChoiceField(Field):
     """One of several words."""
 
     names: tuple[str, ...]

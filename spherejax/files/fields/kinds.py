@@ -15,9 +15,9 @@ from typing import Any, get_args, get_origin
 from spherejax.files.fields.code import named_by, users_own
 from spherejax.files.fields.dimensions import FIELDS, Fields, described_field, parameters_of
 from spherejax.files.fields.fields import Context, Plain, words_of
-from spherejax.files.fields.location import Place
-from spherejax.files.fields.parts import OwnFunction, Part
-from spherejax.files.fields.quantities import Quantity
+from spherejax.files.fields.location import FilePlace
+from spherejax.files.fields.parts import OwnFunction, PartField
+from spherejax.files.fields.quantities import QuantityField
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.parts import kebab
 from spherejax.model.drift import AbstractDriftControl
@@ -32,7 +32,7 @@ def kinds_of(family: type) -> dict[str, type]:
     return {kebab(cls.__name__): cls for cls in members}
 
 
-def class_named(kind: str, family: type, context: Context, place: Place) -> Any:
+def class_named(kind: str, family: type, context: Context, place: FilePlace) -> Any:
     """The class of a kind, or a user's function; `place.fail` where there is none."""
     if ":" in kind:
         return users_own(kind, family, context, place)
@@ -117,7 +117,7 @@ def family_names() -> list[tuple[str, type]]:
     found: dict[type, str] = {}
     for cls, fields in FIELDS.items():
         for name, field in fields.items():
-            if isinstance(field, Part) and field.family not in found and field.family is not OwnFunction:
+            if isinstance(field, PartField) and field.family not in found and field.family is not OwnFunction:
                 found[field.family] = f"{words_of(field.family)}: {name} = {{ kind = ... }} of {kebab(cls.__name__)}"
     top: list[tuple[str, type]] = [
         ("[joints.NAME]", AbstractJoint), ("[forces.NAME]", AbstractForce), ("drift", AbstractDriftControl),
@@ -132,15 +132,15 @@ def is_needed(parameter: inspect.Parameter) -> bool:
 
 def _field_of(parameter: inspect.Parameter):
     if hasattr(parameter.annotation, "__metadata__"):
-        return described_field(parameter) or Quantity(None, None)
+        return described_field(parameter) or QuantityField(None, None)
     annotation = _class_in(parameter.annotation)
     if annotation in (bool, str, int):
         return Plain(annotation)
     if (get_origin(annotation) or annotation) is Callable:
-        return Part(AbstractFunction)
+        return PartField(AbstractFunction)
     if isinstance(annotation, type) and annotation in _families():
-        return Part(annotation)
-    return Quantity(None, None)
+        return PartField(annotation)
+    return QuantityField(None, None)
 
 
 def _class_in(annotation: Any) -> Any:

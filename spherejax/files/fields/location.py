@@ -25,7 +25,7 @@ class Source(NamedTuple):
     lines: Mapping[KeyPath, int]
 
 
-class Place(NamedTuple):
+class FilePlace(NamedTuple):
     """A key of a file.
 
     Attributes:
@@ -36,9 +36,9 @@ class Place(NamedTuple):
     source: Source
     keys: KeyPath = ()
 
-    def __truediv__(self, key: str | int) -> "Place":
+    def __truediv__(self, key: str | int) -> "FilePlace":
         """A key below this one."""
-        return Place(self.source, (*self.keys, key))
+        return FilePlace(self.source, (*self.keys, key))
 
     @property
     def line(self) -> int:
@@ -55,7 +55,7 @@ class Place(NamedTuple):
         raise SceneError(f"{self.source.path}:{self.line}: {name + ': ' if name else ''}{what}")
 
 
-def read_toml(path: Path) -> tuple[dict[str, Any], Place]:
+def read_toml(path: Path) -> tuple[dict[str, Any], FilePlace]:
     """The tables of a file, and the place of its top.
 
     Raises:
@@ -79,18 +79,20 @@ def read_toml(path: Path) -> tuple[dict[str, Any], Place]:
         long = re.search(r"[0-9_]{4300,}", text)
         line = 1 + text.count("\n", 0, long.start() if long else 0)
         raise SceneError(f"{path}:{line}: a number of thousands of digits; numbers have 64 bits ({error})") from error
-    top = Place(Source(path, key_lines(text)))
+    top = FilePlace(Source(path, key_lines(text)))
     _check_depth(tables, top)
     return tables, top
 
 
-def _check_depth(tables: dict[str, Any], top: Place) -> None:
+def _check_depth(tables: dict[str, Any], top: FilePlace) -> None:
     """Refuse tables in tables without end, written with dots; without recursion, for that is what they exhaust."""
-    waiting: list[tuple[Any, Place]] = [(tables, top)]
+    waiting: list[tuple[Any, FilePlace]] = [(tables, top)]
     while waiting:
         value, place = waiting.pop()
         if len(place.keys) > DEEPEST:
-            Place(place.source, place.keys[:3]).fail(f"tables in tables, more than {DEEPEST} deep; no scene needs that")
+            FilePlace(place.source, place.keys[:3]).fail(
+                f"tables in tables, more than {DEEPEST} deep; no scene needs that"
+            )
         if isinstance(value, dict):
             waiting += [(entry, place / key) for key, entry in value.items()]
         elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):

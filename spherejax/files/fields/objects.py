@@ -12,7 +12,7 @@ from spherejax.files.fields.code import reported
 from spherejax.files.fields.dimensions import FIELDS
 from spherejax.files.fields.fields import Context
 from spherejax.files.fields.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
-from spherejax.files.fields.location import Place
+from spherejax.files.fields.location import FilePlace
 from spherejax.files.numbers.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
@@ -24,7 +24,7 @@ KIND = "kind"
 """The key that names the class."""
 
 
-def build(family: type, value: Any, place: Place, context: Context) -> Any:
+def build(family: type, value: Any, place: FilePlace, context: Context) -> Any:
     """The object that a table describes; a text alone is the kind of an object with its defaults.
 
     `kind` may be left out where the family has one member only.
@@ -45,7 +45,7 @@ def build(family: type, value: Any, place: Place, context: Context) -> Any:
     return built(cls, table, place, context)
 
 
-def built(cls: type, table: Mapping[str, Any], place: Place, context: Context) -> Any:
+def built(cls: type, table: Mapping[str, Any], place: FilePlace, context: Context) -> Any:
     """An object of a class from the arguments in a table, its values checked."""
     with reported(place, f"the arguments of {cls.__name__} are not known"):
         fields, parameters = fields_of(cls), parameters_of(cls)
@@ -78,7 +78,7 @@ def called(cls: type, arguments: Mapping[str, Any]) -> Any:
     return cls(*listed, **{name: value for name, value in arguments.items() if name not in many})
 
 
-def check(made: Any, place: Place) -> None:
+def check(made: Any, place: FilePlace) -> None:
     """Judge the values of an object; the error names the key."""
     requirements: list[Requirement] = made.requirements() if hasattr(made, "requirements") else []
     for requirement in requirements:

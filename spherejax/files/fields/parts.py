@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spherejax.files.fields.fields import Context, Field, shown, words_of
-from spherejax.files.fields.quantities import Quantity
+from spherejax.files.fields.quantities import QuantityField
 
 
 class OwnFunction:
@@ -15,7 +15,7 @@ class OwnFunction:
 
 
 @dataclass(frozen=True)
-class Part(Field):
+class PartField(Field):
     """An object of its own: a model, a law, a material, a function.
 
     Attributes:
@@ -52,7 +52,7 @@ class Part(Field):
 
 
 @dataclass(frozen=True)
-class Parts(Field):
+class PartsField(Field):
     """A list of objects of one family, with the dimensions of the function that holds them."""
 
     family: type
@@ -78,8 +78,8 @@ class Either(Field):
     """The first of several fields that fits the form of the value: numbers are written as numbers or lists, objects as
     tables with a `kind`."""
 
-    quantity: Quantity
-    part: Part
+    quantity: QuantityField
+    part: PartField
 
     @property
     def what(self) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields.fields import Field, shown
-from spherejax.files.fields.location import Place
+from spherejax.files.fields.location import FilePlace
 from spherejax.files.numbers.units import PURE, UnitError, factor_of, in_si, measured
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
@@ -16,7 +16,7 @@ _WITHOUT_BRACKETS = str.maketrans("", "", "(){}")
 
 
 @dataclass(frozen=True)
-class Quantity(Field):
+class QuantityField(Field):
     """A number, or an array of numbers of one dimension.
 
     Attributes:
@@ -78,24 +78,24 @@ class Quantity(Field):
         return f"{what}, {' or '.join(shapes)}, is" if shapes != ["one number"] else f"{what} is"
 
 
-def number(si: str | None) -> Quantity:
+def number(si: str | None) -> QuantityField:
     """One number."""
-    return Quantity(si)
+    return QuantityField(si)
 
 
-def vector(si: str | None) -> Quantity:
+def vector(si: str | None) -> QuantityField:
     """Three numbers."""
-    return Quantity(si, ((3,),))
+    return QuantityField(si, ((3,),))
 
 
-def matrix(si: str | None) -> Quantity:
+def matrix(si: str | None) -> QuantityField:
     """Three rows of three numbers."""
-    return Quantity(si, ((3, 3),))
+    return QuantityField(si, ((3, 3),))
 
 
-def listed(si: str | None) -> Quantity:
+def listed(si: str | None) -> QuantityField:
     """Any number of numbers."""
-    return Quantity(si, ((-1,),))
+    return QuantityField(si, ((-1,),))
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Points(Field):
         return {name: vector("m").write(at, context) for name, at in value.items()}
 
 
-def _numbers(value: Any, unit: str | None, place: Place, factor: float | None):
+def _numbers(value: Any, unit: str | None, place: FilePlace, factor: float | None):
     """Nested lists of SI numbers; with a factor they are plain ones in another unit."""
     if isinstance(value, list):
         return [_numbers(entry, unit, place / i, factor) for i, entry in enumerate(value)]
@@ -162,7 +162,7 @@ def _numbers(value: Any, unit: str | None, place: Place, factor: float | None):
         place.fail(f"{shown(value)} is larger than any number of 64 bits, 1.8e308")
 
 
-def _factor(given: str, unit: str | None, place: Place) -> float:
+def _factor(given: str, unit: str | None, place: FilePlace) -> float:
     try:
         return factor_of(given, unit)
     except UnitError as error:

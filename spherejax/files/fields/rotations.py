@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields.fields import Context
-from spherejax.files.fields.location import Place
+from spherejax.files.fields.location import FilePlace
 from spherejax.files.fields.quantities import listed, number, vector
 from spherejax.physics.orientations import SEQUENCE, orientation
 
@@ -16,7 +16,7 @@ UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 """The quaternion of no turn."""
 
 
-def read_rotation(value: Any, place: Place, context: Context) -> np.ndarray:
+def read_rotation(value: Any, place: FilePlace, context: Context) -> np.ndarray:
     """The quaternion, scalar first, that turns body axes into world axes.
 
     Two forms:
@@ -54,7 +54,7 @@ def turn_about(axis, angle: float) -> np.ndarray:
     return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.asarray(axis))])
 
 
-def _sequence(value: Any, place: Place, context: Context) -> np.ndarray:
+def _sequence(value: Any, place: FilePlace, context: Context) -> np.ndarray:
     letters = value["sequence"]
     if not isinstance(letters, str) or not SEQUENCE.fullmatch(letters):
         (place / "sequence").fail(

@@ -10,9 +10,9 @@ import numpy as np
 from spherejax.files.fields.rotations import UNTURNED
 from spherejax.files.robots.mjcf_joints import check_stacks, followed, loops_of, put_together
 from spherejax.files.robots.mjcf_left_out import FINDERS, check_left_out
-from spherejax.files.robots.mjcf_model import Compiled, compiled, library, robot_of, start_of
-from spherejax.files.robots.robot import Pose, Robot, poses, undotted, with_fixed, with_followers
-from spherejax.files.robots.robot_bodies import Groups, groups_of
+from spherejax.files.robots.mjcf_model import CompiledFile, compiled, library, robot_of, start_of
+from spherejax.files.robots.robot import LinkPose, Robot, poses, undotted, with_fixed, with_followers
+from spherejax.files.robots.robot_bodies import LinkGroups, groups_of
 from spherejax.files.robots.robot_joints import Ways
 from spherejax.files.robots.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
 from spherejax.model.drift import AbstractDriftControl
@@ -93,7 +93,7 @@ def load_mjcf(
     at = with_followers(_free(robot, held, given), given, "positions")
     robot = with_fixed(robot, held, at)
     rates |= with_followers(robot, _leaders(robot, rates, velocities, held), "velocities")
-    ground = Pose(UNTURNED, np.zeros(3), np.zeros(3), np.zeros(3))
+    ground = LinkPose(UNTURNED, np.zeros(3), np.zeros(3), np.zeros(3))
     poses_at_start = poses(robot, at, rates, ground)
     robot = put_together(robot, file, ways, held)
     check_stacks(robot, file, least_mass > 0 and least_moment > 0)
@@ -124,7 +124,7 @@ def _free(robot: Robot, held: Collection[str], given: Mapping[str, Any]) -> Robo
     return robot._replace(edges=edges)
 
 
-def _add_sites(file: Compiled, groups: Groups) -> None:
+def _add_sites(file: CompiledFile, groups: LinkGroups) -> None:
     mujoco = library()
     model = file.model
     for site in range(model.nsite):

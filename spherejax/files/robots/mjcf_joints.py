@@ -5,9 +5,9 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from spherejax.files.fields.rotations import UNTURNED, product, turned
-from spherejax.files.robots.mjcf_model import WORLD, Compiled, library
-from spherejax.files.robots.robot import SLIDING, TURNING, Edge, Pose, Robot, undotted
-from spherejax.files.robots.robot_bodies import Groups
+from spherejax.files.robots.mjcf_model import WORLD, CompiledFile, library
+from spherejax.files.robots.robot import SLIDING, TURNING, Edge, LinkPose, Robot, undotted
+from spherejax.files.robots.robot_bodies import LinkGroups
 from spherejax.files.robots.robot_joints import Ways
 from spherejax.foundations.errors import SceneError
 from spherejax.physics.joints.joint import AbstractJoint
@@ -24,7 +24,7 @@ _CLOSED = 1e-6
 # Joints that follow others ------------------------------------------------------------------------------------------
 
 
-def followed(file: Compiled) -> dict[str, tuple[str, float, float]]:
+def followed(file: CompiledFile) -> dict[str, tuple[str, float, float]]:
     """Leader, multiplier and offset of each joint that an equality makes follow another.
 
     Raises:
@@ -51,7 +51,7 @@ def followed(file: Compiled) -> dict[str, tuple[str, float, float]]:
     return found
 
 
-def _active(file: Compiled, kind: str) -> Iterator[tuple[str, int]]:
+def _active(file: CompiledFile, kind: str) -> Iterator[tuple[str, int]]:
     """Name and number of each equality of a kind that is switched on."""
     mujoco = library()
     if not file.has_constraints("EQUALITY"):
@@ -67,7 +67,7 @@ def _active(file: Compiled, kind: str) -> Iterator[tuple[str, int]]:
 
 
 def loops_of(
-    file: Compiled, groups: Groups, start: Mapping[str, Pose], taken: Collection[str]
+    file: CompiledFile, groups: LinkGroups, start: Mapping[str, LinkPose], taken: Collection[str]
 ) -> dict[str, AbstractJoint]:
     """The joints that close loops: `connect` a ball in a socket, `weld` a fixed one.
 
@@ -93,7 +93,7 @@ def loops_of(
     return found
 
 
-def _ends(file: Compiled, kind: str, number: int) -> tuple[list[str], list[np.ndarray], list[np.ndarray]]:
+def _ends(file: CompiledFile, kind: str, number: int) -> tuple[list[str], list[np.ndarray], list[np.ndarray]]:
     """The bodies of an equality, the place on each [m], and of a weld the quaternion of each that shall agree."""
     mujoco = library()
     model = file.model
@@ -112,7 +112,7 @@ def _ends(file: Compiled, kind: str, number: int) -> tuple[list[str], list[np.nd
     return [file.bodies[body] for body in bodies], places, turns
 
 
-def _check_weld(file: Compiled, name: str, start: list[Pose], places: list, turns: list) -> None:
+def _check_weld(file: CompiledFile, name: str, start: list[LinkPose], places: list, turns: list) -> None:
     first, second = start
     gap = first.place + turned(first.quaternion, places[0]) - second.place - turned(second.quaternion, places[1])
     inverse = product(first.quaternion, turns[0]) * np.array([1.0, -1.0, -1.0, -1.0])
@@ -127,7 +127,7 @@ def _check_weld(file: Compiled, name: str, start: list[Pose], places: list, turn
 # Several joints of one body -----------------------------------------------------------------------------------------
 
 
-def put_together(robot: Robot, file: Compiled, ways: Ways, fixed: Collection[str]) -> Robot:
+def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection[str]) -> Robot:
     """The robot with one joint for each stack of joints without inertia between them, where there is such a joint.
 
     Two hinges that meet at right angles are a universal joint, three that meet a ball in a socket, a hinge and a slide
@@ -182,7 +182,7 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
     return None
 
 
-def check_stacks(robot: Robot, file: Compiled, ways_to_mass: bool) -> None:
+def check_stacks(robot: Robot, file: CompiledFile, ways_to_mass: bool) -> None:
     """Raise `SceneError` for links without inertia between joints, unless they are given a little."""
     links = set(robot.links) - set(file.bodies) - {WORLD}
     loose = [edge for edge in robot.edges.values() if edge.child in links and edge.kind != "fixed"]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.files.robots.mjcf_model import Compiled, library
+from spherejax.files.robots.mjcf_model import CompiledFile, library
 from spherejax.files.robots.robot_joints import Ways
 from spherejax.foundations.errors import SceneError
 
@@ -13,7 +13,7 @@ _MANY = 4
 """Names that an error lists of each sort."""
 
 
-def check_left_out(file: Compiled, ways: Ways) -> None:
+def check_left_out(file: CompiledFile, ways: Ways) -> None:
     """Refuse what would be lost.
 
     Raises:
@@ -54,18 +54,18 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:_MANY]) + more
 
 
-def _has_stop(file: Compiled, name: str, ways: Ways) -> bool:
+def _has_stop(file: CompiledFile, name: str, ways: Ways) -> bool:
     kind = file.kind(file.joints.index(name))
     word = {"revolute": "turning", "prismatic": "sliding"}.get(kind)
     return word is not None and (name in ways.stops or word in ways.stops)
 
 
-def _named(file: Compiled, kind: str, number: int) -> str:
+def _named(file: CompiledFile, kind: str, number: int) -> str:
     mujoco = library()
     return mujoco.mj_id2name(file.model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), number) or f"{kind.lower()} {number}"
 
 
-def _joints_where(file: Compiled, field: str, kinds: tuple[str, ...]) -> Iterator[str]:
+def _joints_where(file: CompiledFile, field: str, kinds: tuple[str, ...]) -> Iterator[str]:
     """Joints of some kinds with a number in a field of their degrees of freedom."""
     values = np.asarray(getattr(file.model, field))
     for joint, name in enumerate(file.joints):
@@ -80,35 +80,35 @@ _ALL, _ONE_WAY, _OTHERS = (
 )
 
 
-def _actuators(file: Compiled) -> Iterator[str]:
+def _actuators(file: CompiledFile) -> Iterator[str]:
     # In MuJoCo 4 `nu` counts controls, and one actuator may have none.
     n = max(int(file.model.nu), int(getattr(file.model, "nactuator", 0)))
     return iter([_named(file, "ACTUATOR", i) for i in range(n)] if file.has("ACTUATION") else [])
 
 
-def _armature(file: Compiled) -> Iterator[str]:
+def _armature(file: CompiledFile) -> Iterator[str]:
     return _joints_where(file, "dof_armature", _ALL)
 
 
-def _friction(file: Compiled) -> Iterator[str]:
+def _friction(file: CompiledFile) -> Iterator[str]:
     return _joints_where(file, "dof_frictionloss", _ONE_WAY) if file.has_constraints("FRICTIONLOSS") else iter(())
 
 
-def _friction_of_balls(file: Compiled) -> Iterator[str]:
+def _friction_of_balls(file: CompiledFile) -> Iterator[str]:
     return _joints_where(file, "dof_frictionloss", _OTHERS) if file.has_constraints("FRICTIONLOSS") else iter(())
 
 
-def _damping_of_balls(file: Compiled) -> Iterator[str]:
+def _damping_of_balls(file: CompiledFile) -> Iterator[str]:
     return _joints_where(file, "dof_damping", _OTHERS) if file.has("DAMPER") else iter(())
 
 
-def _springs_of_balls(file: Compiled) -> Iterator[str]:
+def _springs_of_balls(file: CompiledFile) -> Iterator[str]:
     for joint, name in enumerate(file.joints):
         if file.kind(joint) in _OTHERS and np.any(file.model.jnt_stiffness[joint]) and file.has("SPRING"):
             yield name
 
 
-def _curves(file: Compiled) -> Iterator[str]:
+def _curves(file: CompiledFile) -> Iterator[str]:
     """Springs and dampers that are no straight lines, and springs that yield, which MuJoCo has since 3.5 and 4."""
     model = file.model
     for joint, name in enumerate(file.joints):
@@ -120,13 +120,13 @@ def _curves(file: Compiled) -> Iterator[str]:
         yield f"{file.joints[model.dof_jntid[dof]]} (dampingpoly)"
 
 
-def _limits(file: Compiled) -> Iterator[str]:
+def _limits(file: CompiledFile) -> Iterator[str]:
     for joint, name in enumerate(file.joints):
         if file.model.jnt_limited[joint] and file.has_constraints("LIMIT"):
             yield name
 
 
-def _tendons(file: Compiled) -> Iterator[str]:
+def _tendons(file: CompiledFile) -> Iterator[str]:
     """Tendons that pull, rub or carry mass; others measure lengths for actuators."""
     model = file.model
     fields = ("stiffness", "damping", "frictionloss", "limited", "armature", "stiffnesspoly", "dampingpoly")
@@ -135,7 +135,7 @@ def _tendons(file: Compiled) -> Iterator[str]:
             yield _named(file, "TENDON", tendon)
 
 
-def _equalities(file: Compiled, kinds: Callable[[str], bool]) -> Iterator[str]:
+def _equalities(file: CompiledFile, kinds: Callable[[str], bool]) -> Iterator[str]:
     mujoco = library()
     if not file.has_constraints("EQUALITY"):
         return
@@ -145,39 +145,39 @@ def _equalities(file: Compiled, kinds: Callable[[str], bool]) -> Iterator[str]:
             yield f"{_named(file, 'EQUALITY', number)} ({kind})"
 
 
-def _other_equalities(file: Compiled) -> Iterator[str]:
+def _other_equalities(file: CompiledFile) -> Iterator[str]:
     return _equalities(file, lambda kind: kind not in ("connect", "weld", "joint"))
 
 
-def _mimics(file: Compiled) -> Iterator[str]:
+def _mimics(file: CompiledFile) -> Iterator[str]:
     return _equalities(file, lambda kind: kind == "joint")
 
 
-def _fluid(file: Compiled) -> Iterator[str]:
+def _fluid(file: CompiledFile) -> Iterator[str]:
     options = file.model.opt
     if options.density or options.viscosity:
         yield f"density {options.density:g} kg/m^3, viscosity {options.viscosity:g} Pa s"
 
 
-def _gravity_compensation(file: Compiled) -> Iterator[str]:
+def _gravity_compensation(file: CompiledFile) -> Iterator[str]:
     for body in np.flatnonzero(file.model.body_gravcomp):
         yield file.bodies[body]
 
 
-def _mocap(file: Compiled) -> Iterator[str]:
+def _mocap(file: CompiledFile) -> Iterator[str]:
     for body in np.flatnonzero(np.asarray(file.model.body_mocapid) >= 0):
         yield file.bodies[body]
 
 
-def _plugins(file: Compiled) -> Iterator[str]:
+def _plugins(file: CompiledFile) -> Iterator[str]:
     return iter([_named(file, "PLUGIN", i) for i in range(file.model.nplugin)])
 
 
-def _flexes(file: Compiled) -> Iterator[str]:
+def _flexes(file: CompiledFile) -> Iterator[str]:
     return iter([_named(file, "FLEX", i) for i in range(file.model.nflex)])
 
 
-def _contacts(file: Compiled) -> Iterator[str]:
+def _contacts(file: CompiledFile) -> Iterator[str]:
     """Pairs of geoms that MuJoCo lets touch: by their masks, on bodies that move against each other, not excluded."""
     model: Any = file.model
     if not file.has_constraints("CONTACT"):
@@ -202,11 +202,11 @@ def _contacts(file: Compiled) -> Iterator[str]:
                 yield _pair(file, first, second)
 
 
-def _pair(file: Compiled, first: int, second: int) -> str:
+def _pair(file: CompiledFile, first: int, second: int) -> str:
     return " on ".join(_named(file, "GEOM", int(one)) for one in (first, second))
 
 
-FINDERS: dict[str, Callable[[Compiled], Iterator[str]]] = {
+FINDERS: dict[str, Callable[[CompiledFile], Iterator[str]]] = {
     "actuators": _actuators,
     "armature": _armature,
     "contacts": _contacts,

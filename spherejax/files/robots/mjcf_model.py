@@ -25,7 +25,7 @@ _SIZES = {"floating": (7, 6), "spherical": (4, 3), "prismatic": (1, 1), "revolut
 """Numbers that say where a joint is, and how it moves."""
 
 
-class Compiled(NamedTuple):
+class CompiledFile(NamedTuple):
     """A file as MuJoCo has compiled it.
 
     Attributes:
@@ -62,7 +62,7 @@ class Compiled(NamedTuple):
         return self.has("CONSTRAINT") and self.has(flag)
 
 
-class Start(NamedTuple):
+class MjcfStart(NamedTuple):
     """Where the joints are at the start.
 
     Attributes:
@@ -83,7 +83,7 @@ def library() -> Any:
     return mujoco
 
 
-def compiled(path: Path) -> Compiled:
+def compiled(path: Path) -> CompiledFile:
     """A file, compiled.
 
     Raises:
@@ -104,7 +104,7 @@ def compiled(path: Path) -> Compiled:
     objects = mujoco.mjtObj
     bodies = [mujoco.mj_id2name(model, objects.mjOBJ_BODY, i) or f"body_{i}" for i in range(model.nbody)]
     joints = [mujoco.mj_id2name(model, objects.mjOBJ_JOINT, i) or _unnamed(model, bodies, i) for i in range(model.njnt)]
-    found = Compiled(path, model, [link_name(name) for name in bodies], [undotted(name) for name in joints])
+    found = CompiledFile(path, model, [link_name(name) for name in bodies], [undotted(name) for name in joints])
     for what, names in (("bodies", found.bodies), ("joints", found.joints)):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -120,7 +120,7 @@ def _unnamed(model: Any, bodies: list[str], joint: int) -> str:
     return f"{bodies[body]}_joint" if model.body_jntnum[body] == 1 else f"{bodies[body]}_joint_{number}"
 
 
-def start_of(file: Compiled, keyframe: str | None, positions: Mapping, velocities: Mapping) -> Start:
+def start_of(file: CompiledFile, keyframe: str | None, positions: Mapping, velocities: Mapping) -> MjcfStart:
     """Where the joints are: as drawn, or as a keyframe has them, but for what is given.
 
     Raises:
@@ -135,7 +135,7 @@ def start_of(file: Compiled, keyframe: str | None, positions: Mapping, velocitie
         for name in given:
             if name not in file.joints:
                 raise SceneError(f"{file.path}: {what}: there is no joint {name!r}; {one_of(file.joints, name)}")
-    found = Start({}, {}, {})
+    found = MjcfStart({}, {}, {})
     for joint, name in enumerate(file.joints):
         kind = file.kind(joint)
         place = _given(file, "positions", positions, name, kind, file.of_joint(joint, q, rates=False))
@@ -155,7 +155,7 @@ def start_of(file: Compiled, keyframe: str | None, positions: Mapping, velocitie
     return found
 
 
-def _keyframe(file: Compiled, name: str) -> int:
+def _keyframe(file: CompiledFile, name: str) -> int:
     mujoco = library()
     names = [mujoco.mj_id2name(file.model, mujoco.mjtObj.mjOBJ_KEY, i) or str(i) for i in range(file.model.nkey)]
     if name not in names:
@@ -163,7 +163,7 @@ def _keyframe(file: Compiled, name: str) -> int:
     return names.index(name)
 
 
-def _given(file: Compiled, what: str, given: Mapping, name: str, kind: str, otherwise: np.ndarray) -> np.ndarray:
+def _given(file: CompiledFile, what: str, given: Mapping, name: str, kind: str, otherwise: np.ndarray) -> np.ndarray:
     if name not in given:
         return otherwise
     size = _SIZES[kind][what == "velocities"]
@@ -177,7 +177,7 @@ def _given(file: Compiled, what: str, given: Mapping, name: str, kind: str, othe
     return value
 
 
-def robot_of(file: Compiled, start: Start, followed: Mapping[str, tuple[str, float, float]]) -> Robot:
+def robot_of(file: CompiledFile, start: MjcfStart, followed: Mapping[str, tuple[str, float, float]]) -> Robot:
     """The links and joints.
 
     Args:
@@ -210,7 +210,7 @@ def robot_of(file: Compiled, start: Start, followed: Mapping[str, tuple[str, flo
     return Robot(file.path, links, edges, WORLD, "load_mjcf")
 
 
-def _free_name(edges: Mapping, name: str, file: Compiled) -> str:
+def _free_name(edges: Mapping, name: str, file: CompiledFile) -> str:
     while name in edges or name in file.joints:
         name += "_"
     return name
@@ -222,7 +222,7 @@ def _link(model: Any, body: int) -> Link:
     return Link(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia)
 
 
-def _edge(file: Compiled, joint: int, parent: str, child: str, quaternion: np.ndarray, place: np.ndarray) -> Edge:
+def _edge(file: CompiledFile, joint: int, parent: str, child: str, quaternion: np.ndarray, place: np.ndarray) -> Edge:
     model, kind = file.model, file.kind(joint)
     free = kind == "floating"
     edge = Edge(kind, parent, child, quaternion, place, np.array(model.jnt_axis[joint], np.float64))

@@ -98,7 +98,7 @@ class Robot(NamedTuple):
     loader: str = "load_urdf"
 
 
-class Pose(NamedTuple):
+class LinkPose(NamedTuple):
     """Where a link is and how it moves.
 
     Attributes:
@@ -172,7 +172,9 @@ def with_followers(robot: Robot, given: Mapping[str, float], what: str) -> dict[
     return found
 
 
-def poses(robot: Robot, positions: Mapping[str, Any], velocities: Mapping[str, Any], base: Pose) -> dict[str, Pose]:
+def poses(
+    robot: Robot, positions: Mapping[str, Any], velocities: Mapping[str, Any], base: LinkPose
+) -> dict[str, LinkPose]:
     """Pose of each link, from that of the base and positions [rad or m] and velocities of joints by name.
 
     Balls and floating links are where their edges put them; their velocities are three numbers, of the turn in the
@@ -197,7 +199,7 @@ def poses(robot: Robot, positions: Mapping[str, Any], velocities: Mapping[str, A
             slip, spin = turned(parent.quaternion, rate[:3]), spin + turned(quaternion, rate[3:])
         back = -turned(quaternion, edge.anchor)
         velocity = parent.velocity + np.cross(parent.angular_velocity, arm) + slip + np.cross(spin, back)
-        found[edge.child] = Pose(quaternion, parent.place + arm + back, velocity, spin)
+        found[edge.child] = LinkPose(quaternion, parent.place + arm + back, velocity, spin)
     return found
 
 

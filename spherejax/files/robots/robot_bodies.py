@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spherejax.files.fields.rotations import UNTURNED, product, turn_about, turned
-from spherejax.files.robots.robot import Pose, Robot, in_other_axes
+from spherejax.files.robots.robot import LinkPose, Robot, in_other_axes
 from spherejax.foundations.errors import SceneError
 from spherejax.physics.bodies import GROUND, TRIANGLE_TOLERANCE, Body
 
@@ -21,7 +21,7 @@ _FOOT = 0.1
 """Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""
 
 
-class Groups(NamedTuple):
+class LinkGroups(NamedTuple):
     """Which links are one body.
 
     Attributes:
@@ -49,13 +49,15 @@ class Groups(NamedTuple):
         return f"{head}.{name}"
 
 
-def groups_of(robot: Robot, base: str, first_pose: Pose) -> Groups:
+def groups_of(robot: Robot, base: str, first_pose: LinkPose) -> LinkGroups:
     """Links that fixed joints hold together, and the points on them; the ground's axes are those of the world."""
     zero = np.zeros(3)
     first, turn, place = robot.base, UNTURNED, zero
     if base == GROUND:
         first, turn, place = GROUND, first_pose.quaternion, first_pose.place
-    found = Groups({robot.base: first}, {robot.base: turn}, {robot.base: place}, {first: {robot.base: place}}, {}, {})
+    found = LinkGroups(
+        {robot.base: first}, {robot.base: turn}, {robot.base: place}, {first: {robot.base: place}}, {}, {}
+    )
     for name, edge in robot.edges.items():
         head, turn = found.heads[edge.parent], found.quaternions[edge.parent]
         place = found.origins[edge.parent] + turned(turn, edge.place)
@@ -101,7 +103,7 @@ class Least(NamedTuple):
     balanced: bool
 
 
-class Solid(NamedTuple):
+class LinkInertia(NamedTuple):
     """Inertia of a body.
 
     Attributes:
@@ -114,7 +116,7 @@ class Solid(NamedTuple):
     center: np.ndarray
     inertia: np.ndarray
 
-    def with_least(self, least: Least) -> "Solid":
+    def with_least(self, least: Least) -> "LinkInertia":
         """With no less than that: mass at the center, and the same moment about all axes added, as of a ball."""
         mass, inertia = max(self.mass, least.mass), self.inertia
         low, middle, high = np.linalg.eigvalsh(inertia)
@@ -124,15 +126,15 @@ class Solid(NamedTuple):
             low, middle, high = low + added, middle + added, high + added
         if least.balanced and high - low - middle > TRIANGLE_TOLERANCE * high:
             inertia = np.trace(inertia) / 3 * np.eye(3)
-        return Solid(mass, self.center, inertia)
+        return LinkInertia(mass, self.center, inertia)
 
 
-def solid_of(robot: Robot, groups: Groups, head: str) -> Solid:
+def solid_of(robot: Robot, groups: LinkGroups, head: str) -> LinkInertia:
     """Mass, center and inertia of a group, by the parallel axes theorem."""
     links = {name: robot.links[name] for name, one in groups.heads.items() if one == head}
     mass = sum(link.mass for link in links.values())
     if not mass > 0:
-        return Solid(0.0, np.zeros(3), np.zeros((3, 3)))
+        return LinkInertia(0.0, np.zeros(3), np.zeros((3, 3)))
     centers = {
         name: groups.origins[name] + turned(groups.quaternions[name], link.center) for name, link in links.items()
     }
@@ -142,10 +144,10 @@ def solid_of(robot: Robot, groups: Groups, head: str) -> Solid:
         arm = centers[name] - center
         inertia += in_other_axes(groups.quaternions[name], link.inertia)
         inertia += link.mass * ((arm @ arm) * np.eye(3) - np.outer(arm, arm))
-    return Solid(mass, center, inertia)
+    return LinkInertia(mass, center, inertia)
 
 
-def body_of(solid: Solid, places: Mapping[str, np.ndarray], start: Pose) -> Body:
+def body_of(solid: LinkInertia, places: Mapping[str, np.ndarray], start: LinkPose) -> Body:
     """The body where its head is."""
     arm = turned(start.quaternion, solid.center)
     return Body(
@@ -165,7 +167,7 @@ def _principal_where_it_is(inertia: np.ndarray) -> np.ndarray:
     return np.diag(inertia) if np.abs(products).max() <= _ROUNDING * np.abs(inertia).max() else inertia
 
 
-def check_all_have_mass(robot: Robot, groups: Groups, solids: Mapping[str, Solid]) -> None:
+def check_all_have_mass(robot: Robot, groups: LinkGroups, solids: Mapping[str, LinkInertia]) -> None:
     """Every body that moves has mass and moments.
 
     Raises:

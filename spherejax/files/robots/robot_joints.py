@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spherejax.files.robots.robot import SLIDING, TURNING, Edge, Robot
-from spherejax.files.robots.robot_bodies import Groups
+from spherejax.files.robots.robot_bodies import LinkGroups
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.bump_stop import BumpStop
@@ -75,7 +75,7 @@ class Ways(NamedTuple):
 
 
 def joints_of(
-    name: str, edge: Edge, groups: Groups, axis: np.ndarray, ways: Ways, second: np.ndarray | None = None
+    name: str, edge: Edge, groups: LinkGroups, axis: np.ndarray, ways: Ways, second: np.ndarray | None = None
 ) -> dict[str, AbstractJoint]:
     """The joints that a joint of the description becomes; friction of constant size is a preload.
 
@@ -114,7 +114,7 @@ def joints_of(
 def forces_of(
     name: str,
     robot: Robot,
-    groups: Groups,
+    groups: LinkGroups,
     axes: Mapping[str, np.ndarray],
     ways: Ways,
     positions: Mapping[str, float],
@@ -147,11 +147,11 @@ def forces_of(
     return found
 
 
-def _ends(name: str, groups: Groups) -> tuple[str, str]:
+def _ends(name: str, groups: LinkGroups) -> tuple[str, str]:
     return groups.feet[name], groups.hands[name]
 
 
-def _stop(name: str, robot: Robot, groups: Groups, axis: np.ndarray, stiffness, position: float) -> AbstractForce:
+def _stop(name: str, robot: Robot, groups: LinkGroups, axis: np.ndarray, stiffness, position: float) -> AbstractForce:
     """An elastic stop at each limit, in a coordinate that is counted from the start (an angle) or from 0 (a length)."""
     edge = robot.edges[name]
     if not edge.lower < edge.upper:
@@ -180,7 +180,9 @@ def _stop(name: str, robot: Robot, groups: Groups, axis: np.ndarray, stiffness, 
     return TorsionalSpring((groups.heads[edge.parent], edge.child), axis, spring=spring)
 
 
-def _coupler(name: str, robot: Robot, groups: Groups, axes: Mapping[str, np.ndarray], how: Mapping) -> AbstractForce:
+def _coupler(
+    name: str, robot: Robot, groups: LinkGroups, axes: Mapping[str, np.ndarray], how: Mapping
+) -> AbstractForce:
     follower = robot.edges[name]
     assert follower.follows is not None
     coordinates = []

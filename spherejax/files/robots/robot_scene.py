@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields.rotations import product, turned
-from spherejax.files.robots.robot import Pose, Robot, undotted
-from spherejax.files.robots.robot_bodies import Groups, Least, body_of, check_all_have_mass, solid_of
+from spherejax.files.robots.robot import LinkPose, Robot, undotted
+from spherejax.files.robots.robot_bodies import Least, LinkGroups, body_of, check_all_have_mass, solid_of
 from spherejax.files.robots.robot_joints import Ways, forces_of, joints_of
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
@@ -19,8 +19,8 @@ from spherejax.physics.joints.joint import AbstractJoint
 
 def scene_of(
     robot: Robot,
-    groups: Groups,
-    start: Mapping[str, Pose],
+    groups: LinkGroups,
+    start: Mapping[str, LinkPose],
     positions: Mapping[str, Any],
     ways: Ways,
     least: Least,

@@ -12,7 +12,7 @@ from spherejax.files.robots.robot import (
     SLIDING,
     TURNING,
     Edge,
-    Pose,
+    LinkPose,
     Robot,
     poses,
     undotted,
@@ -132,7 +132,7 @@ def load_urdf(
     return scene_of(robot, groups, start, positions, ways, least, gravity=gravity, drift=drift)
 
 
-def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> Pose:
+def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> LinkPose:
     """Where the base link is.
 
     Raises:
@@ -150,7 +150,7 @@ def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> P
     norm = np.linalg.norm(found[3])
     if not abs(norm - 1.0) < UNIT_NORM_TOLERANCE:
         raise SceneError(f"base_quaternion = {quaternion!r} must have unit norm; divide it by its norm")
-    return Pose(found[3] / norm, *found[:3])
+    return LinkPose(found[3] / norm, *found[:3])
 
 
 def _check(robot: Robot, base, positions: Mapping, velocities: Mapping, ignore, fixed: Collection[str]) -> None:

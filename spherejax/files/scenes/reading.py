@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spherejax.files.fields.fields import Context
-from spherejax.files.fields.location import Place, read_toml
+from spherejax.files.fields.location import FilePlace, read_toml
 from spherejax.files.fields.objects import build, built, describe
 from spherejax.files.fields.quantities import Points, vector
 from spherejax.files.fields.rotations import read_rotation
@@ -101,7 +101,7 @@ def read_scene_file(path: str | PathLike[str], *, allow_code: bool = False) -> S
     return SceneFile(scene, title, studied, settings)
 
 
-def _body(table: Any, place: Place, context: Context) -> Body:
+def _body(table: Any, place: FilePlace, context: Context) -> Body:
     if "rotation" not in table:
         return built(Body, table, place, context)
     if "quaternion" in table:
@@ -111,12 +111,12 @@ def _body(table: Any, place: Place, context: Context) -> Body:
     return built(Body, {**plain, "quaternion": quaternion.tolist()}, place, context)
 
 
-def _joint(table: Any, place: Place, context: Context) -> AbstractJoint:
+def _joint(table: Any, place: FilePlace, context: Context) -> AbstractJoint:
     plain = {key: value for key, value in table.items() if key != STUDIED}
     return build(AbstractJoint, plain, place, context)
 
 
-def _studied(tables: Mapping[str, Any], top: Place) -> str | None:
+def _studied(tables: Mapping[str, Any], top: FilePlace) -> str | None:
     """The one joint that is marked."""
     marked = []
     joints = tables.get("joints", {})
@@ -132,7 +132,7 @@ def _studied(tables: Mapping[str, Any], top: Place) -> str | None:
     return marked[0] if marked else None
 
 
-def _each(tables: Mapping[str, Any], key: str, top: Place, read) -> dict[str, Any]:
+def _each(tables: Mapping[str, Any], key: str, top: FilePlace, read) -> dict[str, Any]:
     """The objects of a table of tables, by name."""
     value, place = tables.get(key, {}), top / key
     if not isinstance(value, dict):
@@ -145,7 +145,7 @@ def _each(tables: Mapping[str, Any], key: str, top: Place, read) -> dict[str, An
     return found
 
 
-def _point_names(tables: Mapping[str, Any], top: Place) -> dict[str, tuple[str, ...]]:
+def _point_names(tables: Mapping[str, Any], top: FilePlace) -> dict[str, tuple[str, ...]]:
     """Names of the points of each body, so that names in joints and forces can be checked where they stand."""
     bodies = tables.get("bodies", {})
     if not isinstance(bodies, dict) or not bodies:
@@ -160,7 +160,7 @@ def _point_names(tables: Mapping[str, Any], top: Place) -> dict[str, tuple[str, 
     return {name: tuple(points) if isinstance(points, dict) else () for name, points in places.items()}
 
 
-def _named_in(message: str, tables: Mapping[str, Any], top: Place) -> Place:
+def _named_in(message: str, tables: Mapping[str, Any], top: FilePlace) -> FilePlace:
     """The table of the first joint, force or body that a message names in quotes."""
     for key in ("joints", "forces", "bodies"):
         for name in tables.get(key, {}):

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from spherejax.files.fields.fields import Choice, Context, Field, Plain
-from spherejax.files.fields.location import Place
+from spherejax.files.fields.fields import ChoiceField, Context, Field, Plain
+from spherejax.files.fields.location import FilePlace
 from spherejax.files.fields.quantities import number
 from spherejax.files.scenes.solvers import SOLVERS
 from spherejax.foundations.errors import one_of
@@ -39,11 +39,11 @@ FIELDS: Mapping[str, Field] = {
     "rtol": number("1"),
     "atol": number(None),
     "max_steps": Plain(int),
-    "solver": Choice(tuple(SOLVERS)),
+    "solver": ChoiceField(tuple(SOLVERS)),
 }
 
 
-def read_settings(value: Any, place: Place, context: Context) -> SimulationSettings:
+def read_settings(value: Any, place: FilePlace, context: Context) -> SimulationSettings:
     """The settings in a table; `place.fail` for a wrong one."""
     if not isinstance(value, dict):
         place.fail("is no table; write [simulation]")

@@ -27,7 +27,7 @@ import jax.ffi
 
 from spherejax import runtime
 from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.machine.text import FUNCTION, Text
+from spherejax.foundations.machine.text import FUNCTION, FunctionText
 
 KNOWN_JAXLIB = ((0, 10),)
 """Versions (major, minor) of jaxlib with which this has been tested. With another one XLA compiles all."""
@@ -105,7 +105,7 @@ _listening = threading.local()
 
 def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]) -> str:
     """The target of a custom call that evaluates a line: compiled, or found where another process has left it."""
-    return called_text((lanes, axes), line, lambda: Text(line, lanes, axes).written(), is_wide=bool(lanes))
+    return called_text((lanes, axes), line, lambda: FunctionText(line, lanes, axes).written(), is_wide=bool(lanes))
 
 
 def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: bool) -> str:

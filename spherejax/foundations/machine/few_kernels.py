@@ -132,7 +132,7 @@ def _is_ready(equation: Any, known: Any) -> bool:
     return all(isinstance(atom, jex.Literal) or atom in known for atom in equation.invars)
 
 
-class _Part(NamedTuple):
+class _VectorPart(NamedTuple):
     """A small array as a part of a vector.
 
     Every argument of a kernel costs time, and so does every array that a loop carries, which XLA copies.
@@ -210,7 +210,7 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
         return
     # What is empty has no place in memory, and is made anew.
     given = [known[a] if aval.size else aval for a, aval in zip(inputs, read_at_all, strict=True)]
-    passed = (x.vector if isinstance(x, _Part) else x for x in given if not isinstance(x, ShapedArray))
+    passed = (x.vector if isinstance(x, _VectorPart) else x for x in given if not isinstance(x, ShapedArray))
     sources = [*{id(each): each for each in passed}.values()]
     place = {id(each): at for at, each in enumerate(sources)}
     groups = _parts([(at, out.aval) for at, out in enumerate(outputs) if out not in whole])
@@ -220,7 +220,7 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
         def array(x: Any) -> Any:
             if isinstance(x, ShapedArray):
                 return jnp.zeros(x.shape, x.dtype)
-            return x.taken(values[place[id(x.vector)]]) if isinstance(x, _Part) else values[place[id(x)]]
+            return x.taken(values[place[id(x.vector)]]) if isinstance(x, _VectorPart) else values[place[id(x)]]
 
         taken = map(array, given)
         found = function(*taken)
@@ -234,7 +234,7 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
     found = _kernel.bind(*sources, function=with_vectors, avals=tuple(avals))
     known.update((outputs[at], x) for at, x in zip(apart, found, strict=False))
     for vector, group in zip(found[len(apart) :], groups, strict=True):
-        known.update((outputs[at], _Part(vector, begin, shape)) for at, begin, shape in group)
+        known.update((outputs[at], _VectorPart(vector, begin, shape)) for at, begin, shape in group)
 
 
 def _call(equation: Any, known: dict, is_loop: bool) -> None:
@@ -275,7 +275,7 @@ def _while(parameters: Any, values: Sequence) -> list:
     of_condition, fixed, start = np.split(np.arange(len(values)), [n_conditions, n_conditions + n_fixed])
     condition, body = (jex.jaxpr_as_fun(parameters[name]) for name in ("cond_jaxpr", "body_jaxpr"))
     # XLA must not know a number that enters: it would write it into the kernels, and leave an argument unread.
-    values = [x if isinstance(x, _Part) else jax.lax.optimization_barrier(jnp.asarray(x)) for x in values]
+    values = [x if isinstance(x, _VectorPart) else jax.lax.optimization_barrier(jnp.asarray(x)) for x in values]
     given, kept = ([_whole(values[i]) for i in each] for each in (of_condition, fixed))
     begin = [values[i] for i in start]
     avals = [each.aval for each in parameters["body_jaxpr"].jaxpr.outvars]
@@ -291,7 +291,7 @@ def _while(parameters: Any, values: Sequence) -> list:
             found[at] = x
         for vector, group in zip(state[len(apart) :], groups, strict=True):
             for name, at, shape in group:
-                found[name] = _Part(vector, at, shape)
+                found[name] = _VectorPart(vector, at, shape)
         return found
 
     def arrays(state: Sequence) -> list:
@@ -305,18 +305,20 @@ def _while(parameters: Any, values: Sequence) -> list:
     def turn(state: list) -> list:
         return _evaluated(whole.jaxpr, constants, [*kept, *parts(state)], is_loop=True)
 
-    typed = (x if isinstance(x, _Part) else jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True))
+    typed = (
+        x if isinstance(x, _VectorPart) else jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True)
+    )
     return parts(jax.lax.while_loop(lambda state: condition(*given, *arrays(state))[0], turn, packed([*typed])))
 
 
 def _whole(value: Any) -> Any:
     """An array, also where it is a part of a vector."""
-    return value.taken(value.vector) if isinstance(value, _Part) else value
+    return value.taken(value.vector) if isinstance(value, _VectorPart) else value
 
 
 def _vector_of(arrays: Sequence, group: Sequence[tuple[Any, int, tuple[int, ...]]]) -> Any:
     """The arrays of a group as one vector: that which they are parts of, if they are all of it."""
-    parts = [each for each in arrays if isinstance(each, _Part)]
+    parts = [each for each in arrays if isinstance(each, _VectorPart)]
     if len(parts) == len(arrays):
         (vector, *others), (_, last, shape) = {id(each.vector): each.vector for each in parts}.values(), group[-1]
         begins = [each.begin for each in parts]

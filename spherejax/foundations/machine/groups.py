@@ -12,7 +12,7 @@ from spherejax.foundations.machine.lines import call_of, room_for
 from spherejax.foundations.machine.text import LANES_AT_A_TIME, head
 
 
-class Groups(NamedTuple):
+class RunGroups(NamedTuple):
     """How a call evaluates its runs.
 
     Attributes:
@@ -24,7 +24,7 @@ class Groups(NamedTuple):
     width: int = 1
 
     @classmethod
-    def of(cls, n_runs: int | None, widest: int) -> "Groups":
+    def of(cls, n_runs: int | None, widest: int) -> "RunGroups":
         """The widest groups that so many runs, and vectors of so many numbers, allow."""
         widest = min(widest, n_runs or 1)
         return cls(n_runs, 1 << (widest.bit_length() - 1))
@@ -70,20 +70,20 @@ class Operand(NamedTuple):
     is_shared: bool = False
     n: int = 1
 
-    def room(self, groups: Groups) -> int:
+    def room(self, groups: RunGroups) -> int:
         """Numbers of a group's."""
         return self.n * self._numbers(groups.lanes_for(self.n_rows)) * groups.width
 
     def _numbers(self, n_lanes: int) -> int:
         return self.before + self.size * n_lanes
 
-    def is_as_inside(self, groups: Groups) -> bool:
+    def is_as_inside(self, groups: RunGroups) -> bool:
         """Whether the function inside can be given it as it is."""
         is_turned = self.n_rows > 0 and groups.lanes_for(self.n_rows) > 1
         has_runs = groups.n_runs is not None and not self.is_shared
         return not is_turned and not has_runs and groups.width == 1
 
-    def turned(self, way: str, outside: str, inside: str, groups: Groups) -> list[str]:
+    def turned(self, way: str, outside: str, inside: str, groups: RunGroups) -> list[str]:
         """Its numbers into a group's array (`in`), or out of it."""
         has_runs = groups.n_runs is not None and not self.is_shared
         stride, lanes = (groups.n_runs or 1) if has_runs else 1, groups.lanes_for(self.n_rows)
@@ -102,12 +102,12 @@ class Operand(NamedTuple):
             lines.append(f"  call void @{_turn_name(way, self.kind, has_runs)}(ptr {far}, ptr {near}, {numbers})")
         return lines
 
-    def functions(self, way: str, groups: Groups) -> str:
+    def functions(self, way: str, groups: RunGroups) -> str:
         """The function that `turned` calls."""
         return _turn(way, self.kind, groups.n_runs is not None and not self.is_shared, groups.width)
 
 
-def function_of(given: Sequence[Operand], results: Sequence[Operand], groups: Groups, inside: str) -> str:
+def function_of(given: Sequence[Operand], results: Sequence[Operand], groups: RunGroups, inside: str) -> str:
     """The function that XLA calls.
 
     Args:

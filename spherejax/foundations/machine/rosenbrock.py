@@ -25,7 +25,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
 from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.groups import Groups, Operand, function_of
+from spherejax.foundations.machine.groups import Operand, RunGroups, function_of
 from spherejax.foundations.machine.lines import (
     add_scaled,
     call_of,
@@ -37,7 +37,7 @@ from spherejax.foundations.machine.lines import (
     stored,
     summing,
 )
-from spherejax.foundations.machine.text import Text, widest_for
+from spherejax.foundations.machine.text import FunctionText, widest_for
 from spherejax.foundations.scalar.graph import BOOL, FLOAT
 from spherejax.foundations.scalar.straight_line import StraightLine
 
@@ -65,7 +65,7 @@ class RosenbrockMethod(NamedTuple):
         return cls(A, C, c, d, float(tableau.gamma))
 
 
-class Part(NamedTuple):
+class LinePart(NamedTuple):
     """A straight line that is evaluated in the call.
 
     Attributes:
@@ -105,11 +105,11 @@ def rows_of(argument: int) -> str:
     return f"rows{argument}"
 
 
-def over_lanes(line: StraightLine, sources: Sequence[int | str], wide: Sequence[bool], n_rows: int) -> "Part":
+def over_lanes(line: StraightLine, sources: Sequence[int | str], wide: Sequence[bool], n_rows: int) -> "LinePart":
     """A part some of whose arguments are over lanes, one for each row."""
     if n_rows == 1:
-        return Part(line, tuple(sources))
-    return Part(line, tuple(sources), axes=tuple(map(int, wide)), n_rows=n_rows)
+        return LinePart(line, tuple(sources))
+    return LinePart(line, tuple(sources), axes=tuple(map(int, wide)), n_rows=n_rows)
 
 
 class Rows(NamedTuple):
@@ -126,13 +126,13 @@ class Rows(NamedTuple):
 
     n: int
     given: tuple[tuple[int, int], ...]
-    along: Part
-    bends: tuple[Part, ...]
-    solve: Part
+    along: LinePart
+    bends: tuple[LinePart, ...]
+    solve: LinePart
     gamma_h: int
 
 
-class Steps(NamedTuple):
+class RosenbrockSteps(NamedTuple):
     """What is done in a step.
 
     Attributes:
@@ -143,23 +143,23 @@ class Steps(NamedTuple):
         rows: tangents; None without.
     """
 
-    ahead: tuple[Part, ...]
-    rate: Part
-    solve: Part
+    ahead: tuple[LinePart, ...]
+    rate: LinePart
+    solve: LinePart
     method: RosenbrockMethod | None = None
     rows: Rows | None = None
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[LinePart, ...]:
         """All of them."""
         of_rows = () if self.rows is None else (self.rows.along, *self.rows.bends, self.rows.solve)
         return *self.ahead, self.rate, self.solve, *of_rows
 
 
-def can_be_called(steps: Steps, size: int) -> bool:
+def can_be_called(steps: RosenbrockSteps, size: int) -> bool:
     """Whether the stages of a step of a state of so many entries can be one call."""
-    n = _size_of(steps, size, Groups())
-    if not machine_code.is_on() or not 0 < n <= LARGEST_STATE * Groups().at_a_time:
+    n = _size_of(steps, size, RunGroups())
+    if not machine_code.is_on() or not 0 < n <= LARGEST_STATE * RunGroups().at_a_time:
         return False
     if not all(part.line.in_machine_code and part.line.can_be_called for part in steps.parts):
         return False
@@ -169,12 +169,12 @@ def can_be_called(steps: Steps, size: int) -> bool:
     )
 
 
-def _size_of(steps: Steps, size: int, groups: Groups) -> int:
+def _size_of(steps: RosenbrockSteps, size: int, groups: RunGroups) -> int:
     """Entries of a state with its rows."""
     return size * (1 + (0 if steps.rows is None else groups.lanes_for(steps.rows.n)))
 
 
-def rosenbrock_stages(steps: Steps, t: Array, h: Array, y: Array, slope: Array, *others: Array) -> Array:
+def rosenbrock_stages(steps: RosenbrockSteps, t: Array, h: Array, y: Array, slope: Array, *others: Array) -> Array:
     """The increments k, shape (s, size), or (s, 1 + rows, size).
 
     Args:
@@ -193,7 +193,7 @@ _rosenbrock_stages.multiple_results = True
 
 
 @_rosenbrock_stages.def_abstract_eval
-def _shapes(t: Any, h: Any, y: Any, slope: Any, *others: Any, steps: Steps, **how: Any) -> list:
+def _shapes(t: Any, h: Any, y: Any, slope: Any, *others: Any, steps: RosenbrockSteps, **how: Any) -> list:
     del t, h, slope, others, how
     assert steps.method is not None
     return [ShapedArray((len(steps.method.c), *y.shape), y.dtype)]
@@ -228,7 +228,9 @@ _N_OF_STEP = 4
 batching.primitive_batchers[_rosenbrock_stages] = _batched
 
 
-def _lowered(context: Any, *arguments: Any, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> Sequence:
+def _lowered(
+    context: Any, *arguments: Any, steps: RosenbrockSteps, n_runs: int | None, shared: tuple[bool, ...]
+) -> Sequence:
     given = _given(context.avals_in, steps, n_runs, shared)
     key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
     name = machine_code.called_text(
@@ -240,7 +242,9 @@ def _lowered(context: Any, *arguments: Any, steps: Steps, n_runs: int | None, sh
 mlir.register_lowering(_rosenbrock_stages, _lowered, platform="cpu")
 
 
-def _given(avals: Sequence, steps: Steps, n_runs: int | None, shared: tuple[bool, ...]) -> tuple[Operand, ...]:
+def _given(
+    avals: Sequence, steps: RosenbrockSteps, n_runs: int | None, shared: tuple[bool, ...]
+) -> tuple[Operand, ...]:
     """The arguments of the call."""
     rows, (size,) = steps.rows, steps.rate.line.outputs[0].shape
     below: Any = () if rows is None else (size, rows.n)
@@ -273,10 +277,10 @@ class _Written(NamedTuple):
     call: str
 
 
-def _part(part: Part, name: str, results: list[str], groups: Groups) -> _Written:
+def _part(part: LinePart, name: str, results: list[str], groups: RunGroups) -> _Written:
     line = part.line
     lanes = (groups.lanes_for(part.n_rows),) if part.n_rows else part.lanes
-    text = Text(line, lanes, part.axes or (0,) * len(part.sources), groups.width)
+    text = FunctionText(line, lanes, part.axes or (0,) * len(part.sources), groups.width)
     declared, function = text.written_inside(name)
     sizes = (
         output.size * (text.n_lanes if over else 1) * groups.width
@@ -290,20 +294,20 @@ def _part(part: Part, name: str, results: list[str], groups: Groups) -> _Written
     return _Written(declared, function, room, call_of(name, [*pointers, *(f"%{result}" for result in results)]))
 
 
-def _groups(steps: Steps, n_runs: int | None) -> Groups:
+def _groups(steps: RosenbrockSteps, n_runs: int | None) -> RunGroups:
     """As wide as the values of the parts, and what is made in a step, allow."""
     (size,), parts = steps.rate.line.outputs[0].shape, steps.parts
     n_rows = 0 if steps.rows is None else steps.rows.n
     assert steps.method is not None
     if n_runs is None or size * (1 + n_rows) > LARGEST_STATE:
-        return Groups(n_runs)
+        return RunGroups(n_runs)
     made = sum(output.size for part in parts for output in part.line.outputs) * max(1, n_rows)
     made += size * (1 + n_rows) * (len(steps.method.c) + 5)
     room = max(1, LARGEST_ROOM // (8 * made))
-    return Groups.of(n_runs, min(room, widest_for(*(part.line for part in parts))))
+    return RunGroups.of(n_runs, min(room, widest_for(*(part.line for part in parts))))
 
 
-def _text(steps: Steps, given: Sequence[Operand], n_runs: int | None) -> str:
+def _text(steps: RosenbrockSteps, given: Sequence[Operand], n_runs: int | None) -> str:
     """The function that XLA calls."""
     groups, (size,) = _groups(steps, n_runs), steps.rate.line.outputs[0].shape
     assert steps.method is not None
@@ -313,7 +317,7 @@ def _text(steps: Steps, given: Sequence[Operand], n_runs: int | None) -> str:
     return "\n".join([*sorted(declared), inner, function_of(given, [result], groups, "step")])
 
 
-def _step(steps: Steps, n_arguments: int, groups: Groups) -> tuple[set[str], str]:
+def _step(steps: RosenbrockSteps, n_arguments: int, groups: RunGroups) -> tuple[set[str], str]:
     """What is to be declared, and functions: `step` has pointers to all arguments, and to k, of a group of runs."""
     method, rows, one = steps.method, steps.rows, groups.one
     assert method is not None
@@ -405,7 +409,7 @@ end:
     return set().union(*(each.declared for each in every)), text
 
 
-def _solved_rows(rows: Rows, behind: list[_Written], again: _Written, size: int, groups: Groups) -> str:
+def _solved_rows(rows: Rows, behind: list[_Written], again: _Written, size: int, groups: RunGroups) -> str:
     """The tangents of what S has found; `size` numbers of them."""
     lines = [each.call.rstrip("\n") for each in behind]
     if behind:

@@ -21,7 +21,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.groups import Groups, Operand, function_of
+from spherejax.foundations.machine.groups import Operand, RunGroups, function_of
 from spherejax.foundations.machine.lines import (
     call_of,
     entry_at,
@@ -32,7 +32,7 @@ from spherejax.foundations.machine.lines import (
     stored,
     summing,
 )
-from spherejax.foundations.machine.text import Text, widest_for
+from spherejax.foundations.machine.text import FunctionText, widest_for
 from spherejax.foundations.scalar.graph import BOOL, FLOAT
 from spherejax.foundations.scalar.straight_line import StraightLine
 
@@ -50,8 +50,8 @@ def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
     (output, *others) = line.outputs
     is_state = not others and output.shape == shape[-1:] and line.dtype(output) == FLOAT
     # As one run, in vectors of several entries; of a group of runs each entry is a vector.
-    size = output.size if len(shape) == 1 else output.size * (1 + Groups().lanes_for(shape[0] - 1))
-    fits = 0 < size <= LARGEST_STATE * Groups().at_a_time
+    size = output.size if len(shape) == 1 else output.size * (1 + RunGroups().lanes_for(shape[0] - 1))
+    fits = 0 < size <= LARGEST_STATE * RunGroups().at_a_time
     return is_state and fits and line.in_machine_code and machine_code.is_available() and line.can_be_called
 
 
@@ -150,10 +150,10 @@ def _lowered(
 mlir.register_lowering(_stages, _lowered, platform="cpu")
 
 
-def _groups(line: StraightLine, rows: _Rows | None, n_runs: int | None) -> Groups:
+def _groups(line: StraightLine, rows: _Rows | None, n_runs: int | None) -> RunGroups:
     size, lines = int(line.outputs[0].size), (line,) if rows is None else (line, rows.line)
     widest = widest_for(*lines) if size * (1 + (rows.n if rows else 0)) <= LARGEST_STATE else 1
-    return Groups.of(n_runs, widest)
+    return RunGroups.of(n_runs, widest)
 
 
 def _text(line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs: int | None) -> str:
@@ -196,7 +196,7 @@ _STATE = 4
 
 
 def _stages_text(
-    line: StraightLine, rows: _Rows | None, method: ExplicitMethod, groups: Groups
+    line: StraightLine, rows: _Rows | None, method: ExplicitMethod, groups: RunGroups
 ) -> tuple[set[str], str]:
     """What is to be declared, and functions: `stages` has pointers to all arguments, to k, and to sums, of a group."""
     coefficients, instants, sums, at = method
@@ -204,7 +204,7 @@ def _stages_text(
     width, n_lanes = groups.width, groups.lanes_for(rows.n) if rows else 0
     n_values = int(line.outputs[0].size) * width
     size = n_values * (1 + n_lanes)
-    rate = Text(line, (), (0,) * (len(line.shapes) + len(line.given)), width)
+    rate = FunctionText(line, (), (0,) * (len(line.shapes) + len(line.given)), width)
     declared, inner = rate.written_inside("rate")
     numbers = (f"%a{i}" for i in itertools.count(_STATE + 1))
     pointers = ["%time" if i == at else "%moved" if i == at + 1 else next(numbers) for i in range(rate.n_arguments)]
@@ -216,7 +216,7 @@ def _stages_text(
     ]
     if rows is not None:
         over = (int(n_lanes > 1),) * len(rows.line.shapes) + (0,) * len(made)
-        more, along = Text(rows.line, (n_lanes,) * (n_lanes > 1), over, width).written_inside("along")
+        more, along = FunctionText(rows.line, (n_lanes,) * (n_lanes > 1), over, width).written_inside("along")
         declared, inner = declared | more, inner + along
         state = _place_of_state(rows, method)
         moving = ["%moved.rows" if i == state else next(numbers) for i in range(len(rows.line.shapes))]

@@ -128,7 +128,7 @@ def _element(dtype: np.dtype, in_memory: bool) -> str:
     return {FLOAT: "double", INT: "i64", BOOL: "i8" if in_memory else "i1"}[dtype]
 
 
-class Text:
+class FunctionText:
     """The text of a function of LLVM for a line.
 
     Values over lanes are vectors of `width` lanes; a loop goes over all of them. Where the width does not divide the

@@ -216,7 +216,7 @@ _TIME = 1
 # Which path -----------------------------------------------------------------------------------------------------------
 
 
-class Path(NamedTuple):
+class ChosenPath(NamedTuple):
     """A path and the reason for it.
 
     Attributes:
@@ -229,13 +229,13 @@ class Path(NamedTuple):
     reason: str
 
 
-def path_of(structure: Structure, asked: bool | None = None) -> Path:
+def path_of(structure: Structure, asked: bool | None = None) -> ChosenPath:
     """The path of a system, as asked for, or array code where its right-hand side is too large a scalar program."""
     if asked is not None:
-        return Path(asked, "scalar program: as asked for" if asked else "array code: as asked for")
+        return ChosenPath(asked, "scalar program: as asked for" if asked else "array code: as asked for")
     if not program_for(state_rate, structure).too_large:
-        return Path(None, "")
-    return Path(
+        return ChosenPath(None, "")
+    return ChosenPath(
         False,
         f"array code over bodies and joints of a kind: more than {LARGEST_SCALAR_PROGRAM} scalar operations would take "
         "long to compile (scalar=True makes the scalar program)",

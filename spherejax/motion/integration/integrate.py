@@ -28,14 +28,14 @@ from spherejax.motion.integration.auditing import AuditingSolver, of_audited, wa
 from spherejax.motion.integration.compiling import in_machine_code, options_for_stiff
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
-from spherejax.motion.integration.sampling import Samples, SamplingSolver, samples_of
+from spherejax.motion.integration.sampling import SampledElements, SamplingSolver, samples_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, status_of
 from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.landing import (
-    Contacts,
+    ContactFunctions,
     LandingController,
     MemorySolver,
     count_of,
@@ -206,8 +206,8 @@ def with_loop_of(adjoint: diffrax.AbstractAdjoint, solver: Any) -> Any:
 def landing_controller(
     options: Options,
     solver: diffrax.AbstractSolver,
-    contacts: Contacts | None,
-    taken: Samples | None,
+    contacts: ContactFunctions | None,
+    taken: SampledElements | None,
     plan: Plan,
     ts: Float[Array, " n"],
     room: Callable | None,
@@ -250,8 +250,8 @@ def correction_for(plan: Plan) -> Callable | None:
 def wrapped(
     solver: diffrax.AbstractSolver,
     correct: Callable | None,
-    contacts: Contacts | None,
-    taken: Samples | None,
+    contacts: ContactFunctions | None,
+    taken: SampledElements | None,
     audit: Audit,
 ) -> AuditingSolver:
     """The solver with what happens at the end of each step: correction of drift, contact events, samples, the audit."""
@@ -261,7 +261,7 @@ def wrapped(
     return AuditingSolver(solver, audit)
 
 
-def samples(ts: Float[Array, " n"], correct: Callable | None, taken: Samples | None) -> diffrax.SubSaveAt:
+def samples(ts: Float[Array, " n"], correct: Callable | None, taken: SampledElements | None) -> diffrax.SubSaveAt:
     """The states at the sample times; they lie within steps, and are corrected, and sampled, like their ends."""
     if correct is None and taken is None:
         return diffrax.SubSaveAt(ts=ts)
@@ -283,7 +283,7 @@ def beginning(
 
 
 @lru_cache(maxsize=64)
-def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
+def contacts_of(structure: Structure, scalar: bool | None) -> ContactFunctions | None:
     """The contacts and touches of a system as programs, for the integrator; None for a system without."""
     example = example_of(structure)
     if not example.contact_joints and not example.touching_forces:
@@ -322,7 +322,7 @@ def contacts_of(structure: Structure, scalar: bool | None) -> Contacts | None:
 
     slots = {slot.joint: slot for slot in example.memory_slots}
     entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
-    return Contacts(crossing_at, updated, updated_lanes, entries)
+    return ContactFunctions(crossing_at, updated, updated_lanes, entries)
 
 
 def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[Array, " size"]:
@@ -340,7 +340,7 @@ def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[
     return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])
 
 
-def _statistics(solution: diffrax.Solution, solver, contacts: Contacts | None) -> Statistics:
+def _statistics(solution: diffrax.Solution, solver, contacts: ContactFunctions | None) -> Statistics:
     n_steps = solution.stats["num_steps"]
     inner: Any = of_audited(solution.solver_state)
     n_onsets = jnp.zeros(0, jnp.int64) if contacts is None else count_of(inner)

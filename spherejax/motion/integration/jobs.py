@@ -62,7 +62,7 @@ from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.start.tolerances import controller_for
 
 
-class Numbers(NamedTuple):
+class RunNumbers(NamedTuple):
     """What the right-hand side of one run is given.
 
     Attributes:
@@ -101,7 +101,7 @@ class Job(NamedTuple):
         assembly: how the start was made consistent.
     """
 
-    numbers: Numbers
+    numbers: RunNumbers
     y0: Float[Array, " ..."]
     may_run: Flag
     status: Int[Array, ""]
@@ -142,7 +142,7 @@ class JobKind:
         plan = Plan(self.structure, (), self.scalar)
         rate = program_for(state_rate, self.structure, self.scalar)
 
-        def controller_of(numbers: Numbers):
+        def controller_of(numbers: RunNumbers):
             return controller_for(self.structure, *(tolerances if numbers.tolerances is None else numbers.tolerances))
 
         solver = eqx.combine(arrays, self.solver)
@@ -225,7 +225,7 @@ def job_of(
     rate = program_for(state_rate, plan.structure, plan.scalar)
     with machine_code.wanted(in_machine_code(plan, solver)):  # in vectors, if it is read by machine code
         ahead = rate.ahead(theta)
-    numbers = Numbers(Parameters(theta, ahead), None, tolerances, limits)
+    numbers = RunNumbers(Parameters(theta, ahead), None, tolerances, limits)
     return Job(numbers, y0, may_run, status, assembly)
 
 

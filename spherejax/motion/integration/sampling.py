@@ -28,7 +28,7 @@ from spherejax.motion.integration.sensitivity_rows import rows_of
 from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 
 
-class Samples(NamedTuple):
+class SampledElements(NamedTuple):
     """What the integrator must know of force elements that sample; functions take (parameters, t, y).
 
     Attributes:
@@ -54,7 +54,7 @@ class Samples(NamedTuple):
         is_due = jnp.any(in_lanes(self.is_due)(parameters, t, y))
         return jax.lax.cond(is_due, in_lanes(self.update), lambda parameters, t, y: y, parameters, t, y)
 
-    def of_rows(self) -> "Samples":
+    def of_rows(self) -> "SampledElements":
         """The same for a state and its sensitivities as rows, with `Linearized` parameters."""
 
         def update(parameters, t, rows):
@@ -66,11 +66,11 @@ class Samples(NamedTuple):
         def is_due(parameters, t, rows):
             return self.is_due(parameters.value, t, rows[0])
 
-        return Samples(update, is_due, self.counts, 2)
+        return SampledElements(update, is_due, self.counts, 2)
 
 
 @lru_cache(maxsize=64)
-def samples_of(structure: Structure, scalar: bool | None) -> Samples | None:
+def samples_of(structure: Structure, scalar: bool | None) -> SampledElements | None:
     """The samples of a system as programs, for the integrator; None for a system without."""
     system = example_of(structure)
     if not system.sampled_forces:
@@ -100,7 +100,7 @@ def samples_of(structure: Structure, scalar: bool | None) -> Samples | None:
         slope = jax.lax.cond(jnp.any(is_due), jumping, lambda primals, tangents: tangents[2], primals, still)
         return sampled(*primals), slope
 
-    return Samples(
+    return SampledElements(
         lambda parameters, t, y: update(parameters.theta, jnp.asarray(t, jnp.float64), y),
         lambda parameters, t, y: jnp.any(due(parameters.theta, t, y) > 0),
         tuple(block.start for block in blocks),
@@ -142,7 +142,7 @@ class SamplingSolver(AbstractForwardingSolver):
     """
 
     solver: diffrax.AbstractSolver
-    samples: Samples = eqx.field(static=True)
+    samples: SampledElements = eqx.field(static=True)
 
     def init(self, terms, t0, t1, y0, args):
         """As the wrapped solver's."""

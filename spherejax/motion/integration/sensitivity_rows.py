@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.equations.contacts import GRAZING_RATE
 from spherejax.motion.equations.programs import Program
-from spherejax.motion.solvers.landing import Contacts
+from spherejax.motion.solvers.landing import ContactFunctions
 
 
 def scales_of(values: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -109,7 +109,7 @@ def correcting_rows(correct: Callable | None) -> Callable | None:
     return correct_rows
 
 
-def with_rows(contacts: Contacts, rate: Program) -> Contacts:
+def with_rows(contacts: ContactFunctions, rate: Program) -> ContactFunctions:
     """Contacts of the state in the first row; at an onset the sensitivities below it jump."""
 
     def crossings_of_state(parameters, t, y):
@@ -156,10 +156,10 @@ def with_rows(contacts: Contacts, rate: Program) -> Contacts:
         return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
 
     entries = tuple((0, entry) for entry in contacts.onset_entries)
-    return Contacts(crossings, update, update_lanes, entries, first_row)
+    return ContactFunctions(crossings, update, update_lanes, entries, first_row)
 
 
-def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:
+def delay_weights(contacts: ContactFunctions, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:
     """By how much an onset comes later [s] for a unit of change of each crossing function there; 0 without an onset.
 
     Args:
@@ -179,7 +179,7 @@ def delay_weights(contacts: Contacts, parameters: Any, t, start, end, updated) -
     return -jnp.where(counts, 1 / rates, 0.0) / jnp.maximum(jnp.sum(counts), 1)
 
 
-def _crossing_slopes(contacts: Contacts, parameters: Linearized, t, rows) -> Float[Array, "k n_contacts"]:
+def _crossing_slopes(contacts: ContactFunctions, parameters: Linearized, t, rows) -> Float[Array, "k n_contacts"]:
     """Derivatives of the crossing functions at the end of a step."""
 
     def value(numbers, y):

@@ -20,13 +20,13 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.audit import Audit
 from spherejax.motion.integration.integrate import Parameters
-from spherejax.motion.integration.jobs import JobKind, Numbers, audit_limits
+from spherejax.motion.integration.jobs import JobKind, RunNumbers, audit_limits
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.integration.longest_step import STEPS_AT_LEAST
 from spherejax.motion.integration.sensitivity_rows import linearized
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.solvers.landing import Contacts
+from spherejax.motion.solvers.landing import ContactFunctions
 from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 from spherejax.physics.joints.base import Crossing
@@ -41,7 +41,7 @@ class Span(NamedTuple):
         length: how long it is [s].
     """
 
-    numbers: Numbers
+    numbers: RunNumbers
     begin: Scalar
     length: Scalar
 
@@ -127,7 +127,7 @@ def _audit(audit: Audit) -> Audit:
     return Audit(look, lambda span: audit.limits(span.numbers))
 
 
-def _contacts(contacts: Contacts) -> Contacts:
+def _contacts(contacts: ContactFunctions) -> ContactFunctions:
     def by_share(crossings):
         def crossed(span: Span, x, y) -> Crossing:
             found = crossings(span.numbers, span.time(x), y)
@@ -197,15 +197,15 @@ def over_spans(
     job = kind.kind
     rate = program_for(state_rate, job.structure, job.scalar)
 
-    def numbers_of(theta, directions) -> Numbers:
+    def numbers_of(theta, directions) -> RunNumbers:
         def of_theta(theta):
             return Parameters(theta, rate.ahead(theta))
 
         limits = audit_limits(job.structure.system(theta), tolerances[0], job.solver)
         if not job.with_rows:
-            return Numbers(of_theta(theta), None, None, limits)
+            return RunNumbers(of_theta(theta), None, None, limits)
         found = linearized(of_theta, theta, directions)
-        return Numbers(found.value, found.slopes, None, limits)
+        return RunNumbers(found.value, found.slopes, None, limits)
 
     problem = by_shares(job.problem(shares, (arrays, tolerances, budget)), kind.cycles)
     spans = Span(jax.vmap(numbers_of)(jobs.theta, jobs.directions), jobs.begin, jobs.length)

@@ -21,7 +21,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.integrate import Parameters
-from spherejax.motion.integration.jobs import JobKind, Numbers, audit_limits
+from spherejax.motion.integration.jobs import JobKind, RunNumbers, audit_limits
 from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
@@ -125,7 +125,7 @@ def _repeated(
     kind: JobKind, capacity: int, arrays, tolerances, budget, theta, limits, y0, ts
 ) -> tuple[LaneOutcome, StepLog]:
     rate = program_for(state_rate, kind.structure, kind.scalar)
-    numbers = Numbers(Parameters(theta, rate.ahead(theta)), None, None, limits)
+    numbers = RunNumbers(Parameters(theta, rate.ahead(theta)), None, None, limits)
     problem = kind.problem(ts, (arrays, tolerances, budget))
     own, first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (numbers, y0))
     may_run, status = jnp.ones(1, bool), jnp.full(1, Status.SUCCEEDED, jnp.int64)

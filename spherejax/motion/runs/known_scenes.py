@@ -23,7 +23,7 @@ from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.solvers.automatic import Choice, choose_solver
+from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
 
@@ -80,7 +80,7 @@ class PreparedScene:
         """The system of its leaves."""
         return jax.tree.unflatten(self._tree, leaves)
 
-    def choice(self, rtol: Any) -> Choice:
+    def choice(self, rtol: Any) -> SolverChoice:
         """The method that it calls for."""
         return self._once(
             "choice", (rtol,), lambda: choose_solver(self._system, rtol, explicit_only=self._explicit_only)

@@ -21,7 +21,7 @@ from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.simulate import tolerances_of
-from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.start.start_now import known_start
 
 
@@ -39,7 +39,7 @@ class LaneMethod(NamedTuple):
         by: names of the parameters whose sensitivities are integrated as well.
     """
 
-    choice: Choice
+    choice: SolverChoice
     rtol: float
     atol: float | None
     max_steps: int

@@ -23,7 +23,7 @@ from spherejax.motion.start.start_now import known_start
 from spherejax.motion.start.tolerances import controller_for
 
 
-class Piece(NamedTuple):
+class PieceOutcome(NamedTuple):
     """What comes of a piece.
 
     Attributes:
@@ -99,7 +99,9 @@ class Pieces:
         assert start is not None
         return np.asarray(initial_state(system, start.assembly))
 
-    def go_on(self, t: float, y: Float[np.ndarray, " size"], t_end: float, values: Float[np.ndarray, " k"]) -> Piece:
+    def go_on(
+        self, t: float, y: Float[np.ndarray, " size"], t_end: float, values: Float[np.ndarray, " k"]
+    ) -> PieceOutcome:
         """The motion from a time and a state to another time, with these numbers all the while."""
         if not t_end > t:
             raise SceneError(f"a piece from t = {t:.9g} s to t = {t_end:.9g} s does not go on")
@@ -120,7 +122,7 @@ class Pieces:
             scalar=self.plan.scalar,
             asked=None,
         )
-        return Piece(float(outcome.t_reached), np.asarray(outcome.y_reached), run.diagnosis)
+        return PieceOutcome(float(outcome.t_reached), np.asarray(outcome.y_reached), run.diagnosis)
 
     def theta_at(self, values: Float[np.ndarray, " k"]) -> tuple[Any, Any]:
         """All numbers of the system, and whether they are legal."""

@@ -28,7 +28,7 @@ from spherejax.motion.integration.status import OutOfRangeWarning, SimulationErr
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
-from spherejax.motion.solvers.automatic import Choice, choose_solver
+from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
@@ -227,12 +227,12 @@ def _asked(solver: diffrax.AbstractSolver, rtol, atol, max_steps: int) -> Asked 
 
 def choice_for(
     system: System | None, rtol, solver: diffrax.AbstractSolver | None, *, explicit_only: bool = False
-) -> Choice:
+) -> SolverChoice:
     """The solver asked for, or the one that the system calls for."""
     if solver is not None:
         if not isinstance(solver, diffrax.AbstractSolver):
             raise SceneError(f"solver = {shown(solver)} is no solver; give an object, e.g. diffrax.Dopri8()")
-        return Choice(solver, f"{type(solver).__name__}: as asked for")
+        return SolverChoice(solver, f"{type(solver).__name__}: as asked for")
     assert system is not None
     return choose_solver(system, rtol, explicit_only=explicit_only)
 

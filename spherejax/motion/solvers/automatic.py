@@ -74,7 +74,7 @@ class AtStart(NamedTuple):
     limit: float
 
 
-class Choice(NamedTuple):
+class SolverChoice(NamedTuple):
     """A solver and the reason for it.
 
     Attributes:
@@ -88,7 +88,7 @@ class Choice(NamedTuple):
     at_start: AtStart | None = None
 
 
-def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> Choice:
+def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> SolverChoice:
     """Choose between an explicit method (Dopri8) and a stiff one (Ros34PW2, Rodas5P) by what they would cost.
 
     An explicit method needs at least `rate / STABILITY_BOUND` steps a second, `rate` being the fastest with which a
@@ -110,19 +110,21 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
         explicit_only: the system is too large for a stiff method: on the array path its linear systems are dense.
     """
     if explicit_only:
-        return Choice(diffrax.Dopri8(), "Dopri8: the linear systems of a stiff method would be dense and too large")
+        return SolverChoice(
+            diffrax.Dopri8(), "Dopri8: the linear systems of a stiff method would be dense and too large"
+        )
     known_rtol = max(map(float, known_behind(rtol)), default=1e-8)
     choices = [_choice(known, known_rtol) for known in known_behind(system) or [system]]
     return stiffest(choices)
 
 
-def stiffest(choices: Sequence[Choice]) -> Choice:
+def stiffest(choices: Sequence[SolverChoice]) -> SolverChoice:
     """The choice for several runs that are to be made by one method: a stiff one if any of them asks for it."""
     stiff = [choice for choice in choices if not isinstance(choice.solver, diffrax.AbstractERK)]
     return (stiff or choices)[0]
 
 
-def _choice(system: System, known_rtol: float) -> Choice:
+def _choice(system: System, known_rtol: float) -> SolverChoice:
     by_joints = _choice_by_joints(system, known_rtol)
     if system.friction_joints and isinstance(by_joints.solver, diffrax.Dopri8):
         by_friction = _choice_by_friction(system)
@@ -140,14 +142,14 @@ def _choice(system: System, known_rtol: float) -> Choice:
         by_memory = _choice_by_memory(system, known_rtol)
         if not isinstance(by_memory.solver, diffrax.Dopri8):
             return by_memory
-        by_forces = Choice(by_forces.solver, f"{by_forces.reason}; {by_memory.reason}")
+        by_forces = SolverChoice(by_forces.solver, f"{by_forces.reason}; {by_memory.reason}")
     return by_joints._replace(reason=f"{by_joints.reason}; {by_forces.reason}")
 
 
-def _choice_by_joints(system: System, known_rtol: float) -> Choice:
+def _choice_by_joints(system: System, known_rtol: float) -> SolverChoice:
     looked_at = [name for name in system.force_joints if _may_be_stiff(system.spherical(name).model)]
     if not looked_at:
-        return Choice(diffrax.Dopri8(), "Dopri8: no joint has a film, an elastomer or friction")
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: no joint has a film, an elastomer or friction")
     stiff = stiff_method(known_rtol).solver
     name_of_stiff = type(stiff).__name__
     structure, theta = flatten_system(system)
@@ -156,13 +158,15 @@ def _choice_by_joints(system: System, known_rtol: float) -> Choice:
         return _choice_by_models(resistance, known_rtol, may_have_both=_is_small(structure))
     fastest = _fastest(system, structure, theta, known_rtol)
     if fastest.per_second == 0:
-        return Choice(diffrax.Dopri8(), "Dopri8: no friction acts faster than its contact vibrates under load")
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: no friction acts faster than its contact vibrates under load")
     limit = fastest.limit(known_rtol)
     what = f"joint {fastest.joint!r} {fastest.how} at about {fastest.per_second:.1e} per second"
     if fastest.per_second > limit:
         reason = f"{name_of_stiff}: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
-        return Choice(stiff, reason)
-    return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol")
+        return SolverChoice(stiff, reason)
+    return SolverChoice(
+        diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol"
+    )
 
 
 def _is_small(structure: Structure) -> bool:
@@ -170,7 +174,7 @@ def _is_small(structure: Structure) -> bool:
     return scalar is not None and scalar.n_operations <= MOST_FOR_BOTH
 
 
-def _choice_by_models(resistance: dict[str, Any], rtol: float, *, may_have_both: bool) -> Choice:
+def _choice_by_models(resistance: dict[str, Any], rtol: float, *, may_have_both: bool) -> SolverChoice:
     """The choice for numbers that nobody sees before the run; what resists in each joint, None for friction alone."""
     fast = [name for name, by in resistance.items() if by is not None and by.is_usually_fast]
     filled = [name for name, by in resistance.items() if by is not None]
@@ -179,21 +183,21 @@ def _choice_by_models(resistance: dict[str, Any], rtol: float, *, may_have_both:
     said = f"joint {name!r} has {'friction' if by is None else by.value}; its numbers are traced"
     if fast:
         stiff = stiff_method(rtol).solver
-        return Choice(stiff, f"{type(stiff).__name__}: {said}")
+        return SolverChoice(stiff, f"{type(stiff).__name__}: {said}")
     if not (filled and may_have_both):
-        return Choice(diffrax.Dopri8(), f"Dopri8: {said}")
+        return SolverChoice(diffrax.Dopri8(), f"Dopri8: {said}")
     # The W-method at all tolerances: it compiles in twice the time of the explicit method, Rodas5P in four times.
     limit = float(STABILITY_BOUND * LOOSE.cost(rtol))
     stiff = type(LOOSE.solver).__name__
     said = f"{said}, and decide when the run starts: {stiff} where it acts faster than {limit:.1e} per second"
-    return Choice(diffrax.Dopri8(), f"Dopri8 or {stiff}: {said}", AtStart(LOOSE.solver, limit))
+    return SolverChoice(diffrax.Dopri8(), f"Dopri8 or {stiff}: {said}", AtStart(LOOSE.solver, limit))
 
 
-def _choice_by_forces(system: System, rtol: float) -> Choice:
+def _choice_by_forces(system: System, rtol: float) -> SolverChoice:
     """Rodas5P where force elements are too fast for Dopri8: the W-method leaves them out of its Jacobian."""
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
-        return Choice(diffrax.Dopri8(), "numbers of the scene are traced, and force elements not looked at")
+        return SolverChoice(diffrax.Dopri8(), "numbers of the scene are traced, and force elements not looked at")
     limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
     # Constraints only slow things down: with them only what is too fast without them is looked at.
     rate = force_rates(system, structure, np.asarray(theta), constrained=False).fastest
@@ -201,34 +205,38 @@ def _choice_by_forces(system: System, rtol: float) -> Choice:
         rate = force_rates(system, structure, np.asarray(theta)).fastest
     what = f"force elements act at about {rate:.1e} per second or slower"
     if rate > limit:
-        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
-    return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
+        return SolverChoice(
+            TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
+        )
+    return SolverChoice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
 
 
-def _choice_by_memory(system: System, rtol: float) -> Choice:
+def _choice_by_memory(system: System, rtol: float) -> SolverChoice:
     """Rodas5P where states of force elements are too fast for Dopri8, such as a controller's filter."""
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
-        return Choice(diffrax.Dopri8(), "nor what they remember")
+        return SolverChoice(diffrax.Dopri8(), "nor what they remember")
     limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
     rate = friction_rates(system, structure, np.asarray(theta)).fastest
     what = f"what force elements remember changes at about {rate:.1e} per second"
     if rate > limit:
-        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol")
-    return Choice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
+        return SolverChoice(
+            TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
+        )
+    return SolverChoice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
 
 
-def _choice_by_friction(system: System) -> Choice:
+def _choice_by_friction(system: System) -> SolverChoice:
     """Rodas5P where friction in ideal joints is too fast for Dopri8: the W-method leaves it out of its Jacobian."""
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
-        return Choice(diffrax.Dopri8(), "Dopri8: friction in ideal joints; numbers are traced")
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: friction in ideal joints; numbers are traced")
     limit = STABILITY_BOUND * TIGHT.price * STEPS_WITH_FRICTION / float(time_scale(system))
     rate = friction_rates(system, structure, np.asarray(theta)).fastest
     what = f"friction in ideal joints acts at about {rate:.1e} per second"
     if rate > limit:
-        return Choice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more")
-    return Choice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more")
+        return SolverChoice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more")
+    return SolverChoice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more")
 
 
 class _Rate(NamedTuple):

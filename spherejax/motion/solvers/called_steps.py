@@ -27,10 +27,10 @@ from spherejax.foundations.machine.rosenbrock import (
     MOVED_ROWS,
     RIGHT,
     TIME,
-    Part,
+    LinePart,
     RosenbrockMethod,
+    RosenbrockSteps,
     Rows,
-    Steps,
     can_be_called,
     made,
     made_by_rate,
@@ -62,7 +62,7 @@ class CalledStep(NamedTuple):
         others: given.
     """
 
-    steps: Steps
+    steps: RosenbrockSteps
     rate: Program
     others: tuple[Float[np.ndarray, " n"], ...]
 
@@ -129,7 +129,7 @@ class Called:
         assert self.stage.scalar is not None
         line, ahead = rate.scalar.line_inside(ahead)
         parts = [
-            Part(
+            LinePart(
                 called_whole(program),
                 sources,
                 (wide,) if wide else (),
@@ -142,11 +142,11 @@ class Called:
         factors = []
         if first is not None:
             factors = [made(len(parts), i) for i in range(len(first.outputs))]
-            parts.append(Part(first, leading))
+            parts.append(LinePart(first, leading))
         begin = OTHER + len(self.others)
         of_rate = tuple(range(begin, begin + len(ahead)))
-        solve = Part(rest, (*leading, RIGHT, *factors))
-        steps = Steps(tuple(parts), Part(line, (THETA, TIME, MOVED, *of_rate)), solve)
+        solve = LinePart(rest, (*leading, RIGHT, *factors))
+        steps = RosenbrockSteps(tuple(parts), LinePart(line, (THETA, TIME, MOVED, *of_rate)), solve)
         if slopes is not None:
             sizes = {THETA: slopes.theta.shape[1]}
             sizes |= {place: x.size for place, x in zip(of_rate, ahead, strict=True) if x.dtype == FLOAT}
@@ -175,7 +175,9 @@ class _Tangents:
         self.places = {argument: begin + i for i, argument in enumerate(sizes)}
         self.given = tuple((self.places[argument], size) for argument, size in sizes.items())
 
-    def beside(self, steps: Steps, product: StraightLine, sources: tuple[int, ...], place: int) -> Steps:
+    def beside(
+        self, steps: RosenbrockSteps, product: StraightLine, sources: tuple[int, ...], place: int
+    ) -> RosenbrockSteps:
         """What is done in a step with sensitivities.
 
         Args:
@@ -193,11 +195,13 @@ class _Tangents:
         wide = [source == RIGHT for source in steps.solve.sources]
         solve = over_lanes(steps.solve.line, again, wide, self.n)
         rows = Rows(self.n, self.given, along, bends, solve, GAMMA_H)
-        return Steps((*steps.ahead, *ahead), Part(rate.values, steps.rate.sources), steps.solve, None, rows)
+        return RosenbrockSteps(
+            (*steps.ahead, *ahead), LinePart(rate.values, steps.rate.sources), steps.solve, None, rows
+        )
 
     def _change_of_product(
         self, line: StraightLine, sources: tuple[int, ...], place: int, at: int
-    ) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
+    ) -> tuple[tuple[LinePart, ...], tuple[LinePart, ...]]:
         """What is evaluated ahead, as parts from `at` on, and in each stage, of the derivative of J k at fixed k."""
         # J k is linear in k with coefficients that follow from the numbers and the state: these and their tangents...
         linear = line.derivative(tuple(i == place for i in range(len(sources))))
@@ -217,10 +221,10 @@ class _Tangents:
         found = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
         wide = [*(True for _ in given), *(False for _ in found)]
         change = over_lanes(product.slopes, [*given, *found], wide, self.n)
-        values = Part(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
-        return (Part(bent.values, sources), tangents), (values, change)
+        values = LinePart(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
+        return (LinePart(bent.values, sources), tangents), (values, change)
 
-    def _part(self, line: StraightLine, moving: Iterable[int | str], found: Sequence[str]) -> Part:
+    def _part(self, line: StraightLine, moving: Iterable[int | str], found: Sequence[str]) -> LinePart:
         """The tangents that a line makes of those of the arguments that move, with coefficients that were found."""
         names: dict[int | str, str] = {argument: rows_of(place) for argument, place in self.places.items()}
         names |= {Y: BEGIN_ROWS, MOVED: MOVED_ROWS}

@@ -49,7 +49,7 @@ _FROM_ENDS = 0.05
 """A cut in the middle of a piece stays this far from its ends."""
 
 
-class Found(NamedTuple):
+class FoundCrossings(NamedTuple):
     """What a step holds.
 
     Attributes:
@@ -95,7 +95,7 @@ def first_event(
     window: float,
     n_round: int,
     bend_before: Float[Array, "n_contacts *lanes"],
-) -> Found:
+) -> FoundCrossings:
     """The first contact event inside a step.
 
     Args:
@@ -160,7 +160,7 @@ def first_event(
     search = jax.lax.while_loop(goes_on, look, begun)
     x = jnp.where(search.found, search.x, jnp.maximum(search.low.x, LEAST_PROGRESS))
     x = jnp.where(passes, jnp.where(is_open, x, 1.0), by_ends)
-    return Found(x < 1, passes & search.found & (x < 1), x, search.bend)
+    return FoundCrossings(x < 1, passes & search.found & (x < 1), x, search.bend)
 
 
 def _where(condition, new, old):

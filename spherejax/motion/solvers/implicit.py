@@ -25,7 +25,7 @@ from spherejax.motion.solvers.rosenbrock import SolveOfStages, factorize_dense, 
 from spherejax.motion.solvers.traits import is_linearly_implicit
 
 
-class Linearization(NamedTuple):
+class StepLinearization(NamedTuple):
     """Where a step's linear systems are those of.
 
     Attributes:
@@ -75,15 +75,15 @@ class LinearSystems:
     stage: Program
     by_time: Callable[..., Float[Array, " size"]] | None
     known_at: Callable[..., tuple[Array, ...]]
-    product_at: Callable[[Linearization], tuple[StraightLine, int, tuple[Array, ...]]]
+    product_at: Callable[[StepLinearization], tuple[StraightLine, int, tuple[Array, ...]]]
     called: Called
 
-    def jacobian(self, t, y, args) -> tuple[Linearization, Float[Array, " size"]]:
+    def jacobian(self, t, y, args) -> tuple[StepLinearization, Float[Array, " size"]]:
         """Where the systems are those of, and df/dt there."""
         slope = jnp.zeros_like(y) if self.by_time is None else self.by_time(args.theta, t, y)
-        return Linearization(args.theta, t, y, args.ahead), slope
+        return StepLinearization(args.theta, t, y, args.ahead), slope
 
-    def factorize(self, at: Linearization, gamma_h: Scalar):
+    def factorize(self, at: StepLinearization, gamma_h: Scalar):
         """The solver of the systems, and that they can be solved."""
         step = self.called.step(self.rate, at.ahead, at.y.shape[0])
         if step is None:
@@ -91,23 +91,23 @@ class LinearSystems:
         at_once = partial(self._all_stages, step, at, gamma_h)
         return SolveOfStages(lambda: self._solver(at, gamma_h, None), at_once), jnp.array(True)
 
-    def factorize_differentiated(self, at: Linearization, gamma_h: Scalar):
+    def factorize_differentiated(self, at: StepLinearization, gamma_h: Scalar):
         """As `factorize`, for steps that are differentiated and not evaluated alone.
 
         What the derivatives of all stages share is evaluated once: half of the time.
         """
         return self._solver(at, gamma_h, self._coefficients(at)), jnp.array(True)
 
-    def _product(self, at: Linearization) -> tuple[StraightLine, Derivative, tuple[Array, ...]]:
+    def _product(self, at: StepLinearization) -> tuple[StraightLine, Derivative, tuple[Array, ...]]:
         line, place, arguments = self.product_at(at)
         return line, line.derivative(tuple(i == place for i in range(len(arguments)))), arguments
 
-    def _coefficients(self, at: Linearization) -> list[Array]:
+    def _coefficients(self, at: StepLinearization) -> list[Array]:
         """What J k is linear in k with."""
         line, derivative, arguments = self._product(at)
         return derivative.values(*arguments)[len(line.outputs) :]
 
-    def _solver(self, at: Linearization, gamma_h: Scalar, coefficients: list[Array] | None):
+    def _solver(self, at: StepLinearization, gamma_h: Scalar, coefficients: list[Array] | None):
         """The solver rhs -> k, with a derivative rule that never enters the elimination.
 
         dk = (I - gamma h J)^-1 (d rhs + d(gamma h) J k + gamma h dJ k).
@@ -121,12 +121,12 @@ class LinearSystems:
             theta, factors, t, known = given
             return self.stage.inside(theta, factors, t, (*known, rhs))
 
-        def multiply(coefficients, at: Linearization, k):
+        def multiply(coefficients, at: StepLinearization, k):
             given = self._coefficients(at) if coefficients is None else coefficients
             return self._product(at)[1].slopes(k, *given)[0]
 
         @jax.custom_jvp
-        def solution(given, coefficients, at: Linearization, gamma_h, rhs):
+        def solution(given, coefficients, at: StepLinearization, gamma_h, rhs):
             del coefficients, at, gamma_h
             return eliminate(given, rhs)
 
@@ -141,14 +141,14 @@ class LinearSystems:
 
         return lambda rhs: solution((theta, factors, t, known), coefficients, at, gamma_h, rhs)
 
-    def _all_stages(self, step: CalledStep, at: Linearization, gamma_h, tableau, *start):
+    def _all_stages(self, step: CalledStep, at: StepLinearization, gamma_h, tableau, *start):
         """What `stages_in_turn` returns by one call of machine code; its derivative is that of the loop."""
 
         @jax.custom_jvp
-        def at_once(at: Linearization, gamma_h, start):
+        def at_once(at: StepLinearization, gamma_h, start):
             return step(tableau, at.theta, at.ahead, gamma_h, start)
 
-        def in_turn(at: Linearization, gamma_h, start):
+        def in_turn(at: StepLinearization, gamma_h, start):
             def of_state(t, y):
                 return self.rate.inside(at.theta, at.ahead, t, y)
 
@@ -219,7 +219,7 @@ def systems_of(structure: Structure) -> LinearSystems | None:
 
         return (jax.vmap(along, out_axes=-1)(jnp.asarray(pattern.seeds)).reshape(-1),)
 
-    def product_at(at: Linearization):
+    def product_at(at: StepLinearization):
         line, ahead = scalar.line_inside(at.ahead)
         return line, _STATE, (at.theta, at.t, at.y, *ahead)
 
@@ -242,7 +242,7 @@ def inexact_systems_of(structure: Structure) -> LinearSystems | None:
     if np.any(rate.scalar.dependence(_STATE)[layout.memory_start : layout.work_start]):
         return systems_of(structure)
 
-    def product_at(at: Linearization):
+    def product_at(at: StepLinearization):
         return called_whole(product), _VECTOR, (at.theta, at.t, at.y, jnp.zeros_like(at.y))
 
     called = Called.inexact(stage, product)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.motion.solvers.crossing_search import Found, first_event
+from spherejax.motion.solvers.crossing_search import FoundCrossings, first_event
 from spherejax.motion.solvers.wrapping import AbstractForwardingController, AbstractForwardingSolver
 from spherejax.physics.joints.base import Crossing
 
@@ -37,7 +37,7 @@ DEEPER = 3.0
 """Balls that are deeper than that already, in soft walls or tight sockets, get so many times deeper in a step."""
 
 
-class Contacts(NamedTuple):
+class ContactFunctions(NamedTuple):
     """What the integrator must know of a system's contacts, and of what presses from one side without a memory (stops,
     tyres: "touches"); functions take (parameters, t, y).
 
@@ -85,14 +85,14 @@ class Contacts(NamedTuple):
         return 1 if self.first_row is None else 2
 
 
-def without_memory(crossings: Callable) -> Contacts:
+def without_memory(crossings: Callable) -> ContactFunctions:
     """Touches of one-sided forces alone: nothing happens to the state where they begin or end."""
 
     def unchanged(parameters, t, start, end):
         del parameters, t, start
         return end
 
-    return Contacts(crossings, unchanged, unchanged, ())
+    return ContactFunctions(crossings, unchanged, unchanged, ())
 
 
 class ErrorAndInside(NamedTuple):
@@ -111,7 +111,7 @@ class MemorySolver(AbstractForwardingSolver):
     """
 
     solver: diffrax.AbstractSolver
-    contacts: Contacts = eqx.field(static=True)
+    contacts: ContactFunctions = eqx.field(static=True)
 
     def init(self, terms, t0, t1, y0, args):
         """The wrapped solver's state, and no onset yet."""
@@ -165,7 +165,7 @@ class LandingController(AbstractForwardingController):
     """
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
-    contacts: Contacts | None = eqx.field(static=True)
+    contacts: ContactFunctions | None = eqx.field(static=True)
     interpolation: Callable = eqx.field(static=True)
     longest: Float[Array, ""] | None = None
     room: Callable | None = eqx.field(static=True, default=None)
@@ -248,7 +248,9 @@ class LandingController(AbstractForwardingController):
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
 
-    def _event(self, t0, t1, start: Crossing, end: Crossing, dense_info, args, was_pressing, keep, before) -> Found:
+    def _event(
+        self, t0, t1, start: Crossing, end: Crossing, dense_info, args, was_pressing, keep, before
+    ) -> FoundCrossings:
         """The first contact event inside the step, on the states inside it."""
         contacts = self.contacts
         assert contacts is not None

@@ -24,7 +24,7 @@ class Kinds(NamedTuple):
     needs_python: bool = False
 
 
-class Experiment(NamedTuple):
+class DefaultExperiment(NamedTuple):
     """How it is meant to be run.
 
     Attributes:
@@ -43,7 +43,7 @@ def description(
     token: str,
     words: str,
     kinds: Kinds,
-    experiment: Experiment,
+    experiment: DefaultExperiment,
     ports: Ports,
     states: Sequence[Port] = (),
     indicators: Sequence[str] = (),

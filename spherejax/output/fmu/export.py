@@ -13,8 +13,8 @@ from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
 from spherejax.motion.runs.known_scenes import prepared
 from spherejax.motion.runs.simulate import check_tolerances, choice_for
-from spherejax.motion.solvers.automatic import Choice
-from spherejax.output.fmu.description import Experiment
+from spherejax.motion.solvers.automatic import SolverChoice
+from spherejax.output.fmu.description import DefaultExperiment
 from spherejax.output.fmu.in_python import write_python
 from spherejax.output.fmu.native import write_native
 from spherejax.output.fmu.ports import Ports, checked_step, ports_of, refuse_moving_inputs
@@ -83,7 +83,9 @@ def export_fmu(
     require_float64()
     check_tolerances(rtol, None)
     path = _checked(path, kind)
-    experiment = Experiment(checked_step("stop_time", stop_time), checked_step("step_size", step_size), float(rtol))
+    experiment = DefaultExperiment(
+        checked_step("stop_time", stop_time), checked_step("step_size", step_size), float(rtol)
+    )
     require_free(path, overwrite=overwrite)
     ports = ports_of(scene, inputs, outputs, parameters)
     choice = _choice(scene, kind, rtol, solver)
@@ -107,7 +109,7 @@ def _checked(path: str | os.PathLike[str], kind: str) -> Path:
     return path
 
 
-def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver | None) -> Choice:
+def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver | None) -> SolverChoice:
     """The method, of a scene whose start was found to close."""
     found = prepared(scene, False, None)
     if solver is not None and (kind == "python" or not isinstance(solver, diffrax.AbstractERK)):

@@ -11,7 +11,7 @@ from spherejax.files.scenes.reading import load_scene
 from spherejax.files.scenes.writing import save_scene
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
-from spherejax.output.fmu.description import Experiment, Kinds, description
+from spherejax.output.fmu.description import DefaultExperiment, Kinds, description
 from spherejax.output.fmu.ports import Ports
 
 MODULE = '''\
@@ -34,7 +34,13 @@ class {identifier}(SceneSlave, Fmi3SlaveBase):
 
 
 def write_python(
-    scene: Scene, path: Path, identifier: str, words: str, ports: Ports, experiment: Experiment, asked: dict[str, Any]
+    scene: Scene,
+    path: Path,
+    identifier: str,
+    words: str,
+    ports: Ports,
+    experiment: DefaultExperiment,
+    asked: dict[str, Any],
 ) -> None:
     """Write the FMU.
 

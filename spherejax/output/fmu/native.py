@@ -25,11 +25,11 @@ from spherejax.foundations.scalar.graph import NotScalarizable
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
-from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS
 from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances
-from spherejax.output.fmu.description import Experiment, Kinds, description
+from spherejax.output.fmu.description import DefaultExperiment, Kinds, description
 from spherejax.output.fmu.ports import Port, Ports
 from spherejax.output.fmu.programs import Written, n_crossings, written
 
@@ -52,7 +52,13 @@ STEPS_AT_LEAST = 100
 
 
 def write_native(
-    scene: Scene, path: Path, identifier: str, words: str, ports: Ports, choice: Choice, experiment: Experiment
+    scene: Scene,
+    path: Path,
+    identifier: str,
+    words: str,
+    ports: Ports,
+    choice: SolverChoice,
+    experiment: DefaultExperiment,
 ) -> None:
     """Write the FMU.
 
@@ -98,7 +104,7 @@ def compiler_of() -> str:
     return found
 
 
-def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Experiment) -> str:
+def model_source(programs: Written, ports: Ports, explicit: Any, experiment: DefaultExperiment) -> str:
     """What is specific to a scene, in C; with the method of the steps of co-simulation, if there is one."""
     system = programs.system
     layout = system.layout

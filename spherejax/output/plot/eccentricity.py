@@ -45,7 +45,7 @@ def eccentricity_paths(
     shown = {name: one for name, one in models.items() if name != "ideal"}
     if not shown:
         raise SceneError("an ideal joint has no eccentricity to draw; give curves of another model")
-    look = _Look(plane, every, outer)
+    look = _EccentricityLook(plane, every, outer)
     figure, axes = new_figure(2, len(shown), 3.1 * len(shown), 5.9, title)
     for (upper, lower), (name, one) in zip(axes.T, shown.items(), strict=True):
         is_small = one.clearance is None and np.nanmax(one.distance) < 5e-4
@@ -65,13 +65,13 @@ def eccentricity_paths(
     return figure
 
 
-class _Look(NamedTuple):
+class _EccentricityLook(NamedTuple):
     plane: tuple[int, int]
     every: int
     outer: bool
 
 
-def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _Look) -> None:
+def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _EccentricityLook) -> None:
     first, second = look.plane
     every = look.every
     e = unit * one.eccentricity

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.output.plot.camera import Camera
-from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.mechanism import Mechanism, MechanismPose
 from spherejax.output.plot.reading import force_places
 from spherejax.output.plot.shapes import body_strokes, triad_strokes
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, arrow_outline, ground_marks
@@ -20,7 +20,7 @@ from spherejax.physics.forces.tyre import Tyre
 from spherejax.physics.kinematics import BodyMotion
 
 
-def force_strokes(name: str, mechanism: Mechanism, pose: Pose, camera: Camera, s: float) -> list[Stroke]:
+def force_strokes(name: str, mechanism: Mechanism, pose: MechanismPose, camera: Camera, s: float) -> list[Stroke]:
     """A force element: a tyre on its road, a zigzag between two points, a spiral about an axis, or arrows of forces."""
     force = mechanism.forces[name]
     if isinstance(force, Tyre):
@@ -34,7 +34,7 @@ def force_strokes(name: str, mechanism: Mechanism, pose: Pose, camera: Camera, s
     return [replace(stroke, name=stroke.name or f"force:{name}") for stroke in strokes]
 
 
-def _line_element(name: str, places: list, pose: Pose, camera: Camera, s: float) -> list[Stroke]:
+def _line_element(name: str, places: list, pose: MechanismPose, camera: Camera, s: float) -> list[Stroke]:
     """A zigzag, with hatching where it stands on the ground."""
     ends = [pose.point(body, place) for body, place in places]
     on_ground = [end for end, (body, _) in zip(ends, places, strict=True) if body == GROUND]
@@ -44,7 +44,7 @@ def _line_element(name: str, places: list, pose: Pose, camera: Camera, s: float)
     return [*(replace(mark, name=f"ground:{name}") for mark in marks), *spring]
 
 
-def _tyre(force: Tyre, pose: Pose, camera: Camera) -> list[Stroke]:
+def _tyre(force: Tyre, pose: MechanismPose, camera: Camera) -> list[Stroke]:
     """The unloaded tyre's circle about the wheel's y axis, and the road below it, as far as a diameter to each side."""
     body, radius = force.center.partition(".")[0], float(np.asarray(force.radius))
     center = pose.point(body, np.asarray(force.place, float))
@@ -59,7 +59,9 @@ def _tyre(force: Tyre, pose: Pose, camera: Camera) -> list[Stroke]:
     ]
 
 
-def _spiral(force: TorsionalSpring, mechanism: Mechanism, pose: Pose, camera: Camera, s: float) -> list[Stroke]:
+def _spiral(
+    force: TorsionalSpring, mechanism: Mechanism, pose: MechanismPose, camera: Camera, s: float
+) -> list[Stroke]:
     """A spiral about the joint that joins the same two bodies; about the second body's center where there is none."""
     bodies = set(force.bodies)
     joint = next((one for one in mechanism.joints.values() if set(one.bodies) == bodies), None)
@@ -70,7 +72,7 @@ def _spiral(force: TorsionalSpring, mechanism: Mechanism, pose: Pose, camera: Ca
     return [Stroke(camera.project(at) + spiral, camera.depth(at), FORCE_COLOR, 1.0)]
 
 
-def forces_on_bodies(name: str, force: Any, pose: Pose) -> list[tuple[np.ndarray, np.ndarray]]:
+def forces_on_bodies(name: str, force: Any, pose: MechanismPose) -> list[tuple[np.ndarray, np.ndarray]]:
     """The forces of an element, as (point of its line of action nearest to the center of mass [m], force [N]).
 
     None of one that remembers where there is no run that says what.
@@ -117,7 +119,7 @@ FORCE_COLOR = "#7A3B00"
 
 
 def mechanism_strokes(
-    mechanism: Mechanism, pose: Pose, camera: Camera, colors: dict[str, str], s: float, frames: bool
+    mechanism: Mechanism, pose: MechanismPose, camera: Camera, colors: dict[str, str], s: float, frames: bool
 ) -> Iterator[list[Stroke]]:
     """All strokes in groups: bodies, force elements, joints, and body axes where they are asked for."""
     bar = 4.6 if len(mechanism.bodies) <= 8 else 3.2

@@ -12,7 +12,7 @@ from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, letter, new_fi
 
 
 @dataclass(frozen=True)
-class Limit:
+class LimitCurve:
     """The deviation from the ideal motion against one parameter.
 
     Attributes:
@@ -32,7 +32,7 @@ class Limit:
     kind: str = ""
 
 
-def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
+def limits_to_ideal(limits: Sequence[LimitCurve], title: str) -> Figure:
     """A panel for each parameter, with logarithmic axes; limits of the same parameter share a panel.
 
     Args:
@@ -72,7 +72,7 @@ def limits_to_ideal(limits: Sequence[Limit], title: str) -> Figure:
     return figure
 
 
-def _draw_slope(ax: Axes, limit: Limit) -> None:
+def _draw_slope(ax: Axes, limit: LimitCurve) -> None:
     values = np.asarray(limit.values, float)
     middle = len(values) // 2
     line = 1e3 * limit.deviations[middle] * (values / values[middle]) ** limit.order

@@ -17,7 +17,7 @@ from matplotlib.path import Path
 from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.camera import Camera, world_directions
 from spherejax.output.plot.elements import FORCE_COLOR
-from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.mechanism import Mechanism, MechanismPose
 from spherejax.output.plot.space import SpaceView, Triad
 from spherejax.output.plot.strokes import CIRCLE, INK, arrow_outline
 
@@ -188,7 +188,7 @@ class MagnifiedView:
         other = view.ax.transData.transform(np.array([[0.0, 0.0], [view.size, 0.0]]))
         return float((np.ptp(own[:, 0]) / self.motion.radius) / (np.ptp(other[:, 0]) / view.size))
 
-    def join(self, view: SpaceView, pose: Pose) -> None:
+    def join(self, view: SpaceView, pose: MechanismPose) -> None:
         """State the scale, and lead a line from the joint in the mechanism to this panel."""
         self.ax.apply_aspect()
         times = float(f"{self.magnification(view):.2g}")
@@ -207,7 +207,7 @@ class MagnifiedView:
         own = [self.passed, self.arm, self.ball, self.normal, self.force, self.text]
         return own if self.link is None else [self.link, *own]
 
-    def update(self, pose: Pose) -> None:
+    def update(self, pose: MechanismPose) -> None:
         """Move everything to a time."""
         e, force = self.motion.at(pose.t)
         at = self._on_paper(e[None])[0]

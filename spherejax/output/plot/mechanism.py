@@ -56,7 +56,7 @@ class DrawnJoint:
 
 
 @dataclass(frozen=True)
-class Pose:
+class MechanismPose:
     """Where every body is at one time, the ground included.
 
     Attributes:
@@ -116,7 +116,7 @@ class Mechanism:
     angular_velocities: np.ndarray
     run: Trajectory | None = None
 
-    def pose(self, t: float) -> Pose:
+    def pose(self, t: float) -> MechanismPose:
         """Where everything is at a time.
 
         Raises:
@@ -140,7 +140,7 @@ class Mechanism:
             return {GROUND: of_ground, **{body.name: value for body, value in zip(self.bodies, values, strict=True)}}
 
         zero = np.zeros(3)
-        return Pose(
+        return MechanismPose(
             float(t),
             named(position, zero),
             named(rotation_matrices(quaternion), np.eye(3)),

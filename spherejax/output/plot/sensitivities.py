@@ -18,7 +18,7 @@ ROWS = 24
 
 
 @dataclass(frozen=True)
-class Effects:
+class EffectBars:
     """What 1 % of each parameter changes of an observable.
 
     Attributes:
@@ -38,7 +38,7 @@ class Effects:
     values: Float[np.ndarray, "n c p"]
 
 
-def effects_figure(effects: Effects) -> Figure:
+def effects_figure(effects: EffectBars) -> Figure:
     """Curves and a map over time for each component that changes at all."""
     changing = [c for c in range(len(effects.labels)) if np.any(np.abs(np.nan_to_num(effects.values[:, c])) > 0)] or [0]
     largest = float(np.nanmax(np.abs(effects.values), initial=0.0)) or 1.0
@@ -55,7 +55,7 @@ def effects_figure(effects: Effects) -> Figure:
     return figure
 
 
-def _draw_curves(ax: Axes, effects: Effects, c: int) -> None:
+def _draw_curves(ax: Axes, effects: EffectBars, c: int) -> None:
     for k, name in enumerate(effects.parameters[:CURVES]):
         ax.plot(effects.ts, effects.values[:, c, k], color=LAW_COLORS[k], ls=LAW_DASHES[k], lw=1.2, label=_words(name))
     ax.set_xlabel("time [s]")
@@ -64,7 +64,7 @@ def _draw_curves(ax: Axes, effects: Effects, c: int) -> None:
     ax.axhline(0.0, color="0.6", lw=0.6, zorder=0)
 
 
-def _draw_map(figure: Figure, ax: Axes, effects: Effects, c: int) -> None:
+def _draw_map(figure: Figure, ax: Axes, effects: EffectBars, c: int) -> None:
     names = effects.parameters[:ROWS]
     values = effects.values[:, c, : len(names)].T
     limit = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0

@@ -6,11 +6,13 @@ from itertools import pairwise
 import numpy as np
 
 from spherejax.output.plot.camera import Camera
-from spherejax.output.plot.mechanism import DrawnBody, Pose
+from spherejax.output.plot.mechanism import DrawnBody, MechanismPose
 from spherejax.output.plot.strokes import BREAK, CIRCLE, INK, PAPER, Stroke, box_faces, convex_hull, convex_hull_order
 
 
-def body_strokes(body: DrawnBody, pose: Pose, camera: Camera, color: str, s: float, bar: float) -> list[Stroke]:
+def body_strokes(
+    body: DrawnBody, pose: MechanismPose, camera: Camera, color: str, s: float, bar: float
+) -> list[Stroke]:
     """A body: its points joined by bars, the area between them tinted; a box where there are too few points.
 
     Args:
@@ -92,7 +94,7 @@ def place_in_row(row: np.ndarray, center: np.ndarray) -> np.ndarray:
     return row[0] + share * side
 
 
-def _box_strokes(body: DrawnBody, pose: Pose, camera: Camera, color: str, depth: float) -> list[Stroke]:
+def _box_strokes(body: DrawnBody, pose: MechanismPose, camera: Camera, color: str, depth: float) -> list[Stroke]:
     """The three faces, towards the viewer, of the uniform box with the body's inertia."""
     axes = pose.rotations[body.name] @ body.box_axes
     return box_faces(pose.positions[body.name], axes * body.half_sides, camera, color, depth, alpha=0.35)
@@ -108,7 +110,7 @@ def _center_of_mass(at: np.ndarray, depth: float, radius: float) -> list[Stroke]
     ]
 
 
-def triad_strokes(body: str, pose: Pose, camera: Camera, length: float) -> list[Stroke]:
+def triad_strokes(body: str, pose: MechanismPose, camera: Camera, length: float) -> list[Stroke]:
     """The body's axes at its center of mass: x red, y green, z blue."""
     center, rotation = pose.positions[body], pose.rotations[body]
     ends = [np.array([center, center + length * rotation[:, i]]) for i in range(3)]

@@ -18,7 +18,7 @@ from spherejax.output.plot.camera import Camera, best_camera, camera_from, three
 from spherejax.output.plot.elements import FORCE_COLOR, force_strokes
 from spherejax.output.plot.labels import Label, place_labels
 from spherejax.output.plot.magnified import MagnifiedView, joints_to_magnify
-from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.mechanism import Mechanism, MechanismPose
 from spherejax.output.plot.space import SpaceView, Trace, colors_of, drawn_points
 from spherejax.output.plot.style import RESOLUTION, Picture
 
@@ -57,7 +57,7 @@ class Sheet:
     def __init__(
         self,
         mechanism: Mechanism,
-        poses: Sequence[Pose],
+        poses: Sequence[MechanismPose],
         wishes: Wishes,
         *,
         pace: str = "",
@@ -104,20 +104,20 @@ class Sheet:
         parts = (*self.views, *self.joints)
         return [self.title, *(artist for part in parts for artist in part.moving_artists)]
 
-    def update(self, pose: Pose) -> None:
+    def update(self, pose: MechanismPose) -> None:
         """Move everything to another time."""
         self.pose = pose
         self._say(pose)
         for one in (*self.views, *self.joints):
             one.update(pose)
 
-    def write_names(self, pose: Pose) -> None:
+    def write_names(self, pose: MechanismPose) -> None:
         """Names of bodies, joints and force elements in the spatial view, where they are at a pose."""
         view = self.views[0]
         covered = [] if view.corner is None else view.corner.boxes()
         place_labels(view.ax, labels_of(view, pose), [*view.artists, *view.trace_lines], covered)
 
-    def _say(self, pose: Pose) -> None:
+    def _say(self, pose: MechanismPose) -> None:
         is_start = self.mechanism.run is None and len(self.mechanism.ts) == 1
         time = "assembled start" if is_start else f"t = {pose.t:.4f} s"
         if self.pace:
@@ -127,7 +127,7 @@ class Sheet:
         else:  # of a picture the title replaces the time, in an animation it stands before it
             self.title.set_text(f"{self.wishes.title}: {time}" if self.pace else self.wishes.title)
 
-    def _settle(self, pose: Pose) -> None:
+    def _settle(self, pose: MechanismPose) -> None:
         """Lay out the figure once, then fit the views into their panels; projections share one scale."""
         for view in self.views:
             view.ax.set_aspect("auto")
@@ -201,7 +201,7 @@ def traces_of(mechanism: Mechanism, names: Sequence[str]) -> list[Trace]:
     return found
 
 
-def labels_of(view: SpaceView, pose: Pose) -> list[Label]:
+def labels_of(view: SpaceView, pose: MechanismPose) -> list[Label]:
     """Names of bodies, joints and force elements, where they are at a pose."""
     found = []
     for joint in view.mechanism.joints.values():

@@ -15,7 +15,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from spherejax.output.plot.camera import Camera, axis_name
 from spherejax.output.plot.elements import mechanism_strokes
-from spherejax.output.plot.mechanism import Mechanism, Pose
+from spherejax.output.plot.mechanism import Mechanism, MechanismPose
 from spherejax.output.plot.reading import force_places
 from spherejax.output.plot.shapes import AXIS_COLORS
 from spherejax.output.plot.strokes import INK, Stroke
@@ -53,7 +53,7 @@ class Trace:
     path: np.ndarray
     color: str
 
-    def until(self, pose: Pose) -> np.ndarray:
+    def until(self, pose: MechanismPose) -> np.ndarray:
         """The path up to a pose."""
         return np.vstack([self.path[self.ts < pose.t], pose.point(self.body, self.place)])
 
@@ -63,7 +63,7 @@ def colors_of(mechanism: Mechanism) -> dict[str, str]:
     return {body.name: BODY_COLORS[i % len(BODY_COLORS)] for i, body in enumerate(mechanism.bodies)}
 
 
-def drawn_points(mechanism: Mechanism, poses: Sequence[Pose]) -> np.ndarray:
+def drawn_points(mechanism: Mechanism, poses: Sequence[MechanismPose]) -> np.ndarray:
     """All points that a drawing must enclose, world axes [m], shape (n, 3)."""
     found = [mechanism.ground_places]
     for pose in poses:
@@ -83,7 +83,7 @@ def drawn_points(mechanism: Mechanism, poses: Sequence[Pose]) -> np.ndarray:
     return np.concatenate(found)
 
 
-def poses_of(mechanism: Mechanism) -> list[Pose]:
+def poses_of(mechanism: Mechanism) -> list[MechanismPose]:
     """Poses all over the motion."""
     indices = np.unique(np.linspace(0, len(mechanism.ts) - 1, MANY_POSES).astype(int))
     return [mechanism.pose(float(mechanism.ts[i])) for i in indices]
@@ -124,7 +124,7 @@ class SpaceView:
         ax: Axes,
         mechanism: Mechanism,
         camera: Camera,
-        pose: Pose,
+        pose: MechanismPose,
         points: np.ndarray,
         *,
         frames: bool = False,
@@ -138,7 +138,7 @@ class SpaceView:
         self.trace_lines = [Line2D([], [], color=trace.color, lw=0.9, alpha=0.8, zorder=1.5) for trace in traces]
         for line in self.trace_lines:
             ax.add_line(line)
-        self.corner = None if camera.is_axial else Corner(ax, extent_of(points))
+        self.corner = None if camera.is_axial else AxesCorner(ax, extent_of(points))
         if camera.is_axial:
             dress_axial(ax, camera, extent_of(points))
         self.artists = [patch_of(stroke) for group in self.strokes(pose) for stroke in group]
@@ -146,11 +146,11 @@ class SpaceView:
             ax.add_patch(artist)
         self.look_from(camera, pose)
 
-    def strokes(self, pose: Pose) -> list[list[Stroke]]:
+    def strokes(self, pose: MechanismPose) -> list[list[Stroke]]:
         """All strokes at a pose, in groups."""
         return list(mechanism_strokes(self.mechanism, pose, self.camera, self.colors, self.size, self.frames))
 
-    def look_from(self, camera: Camera, pose: Pose) -> None:
+    def look_from(self, camera: Camera, pose: MechanismPose) -> None:
         """Take another camera, with limits that enclose all points."""
         self.camera = camera
         self.fit()
@@ -202,7 +202,7 @@ class SpaceView:
         """What `update` moves."""
         return [*self.artists, *self.trace_lines]
 
-    def update(self, pose: Pose) -> None:
+    def update(self, pose: MechanismPose) -> None:
         """Move everything to a pose."""
         groups = self.strokes(pose)
         ranks = {id(group): rank for rank, group in enumerate(sorted(groups, key=lambda group: group[0].depth))}
@@ -291,7 +291,7 @@ class Triad:
             name.set_text(letter)
 
 
-class Corner:
+class AxesCorner:
     """What replaces scales in a spatial view: the world axes on the left, a bar of a round length on the right."""
 
     def __init__(self, ax: Axes, size: float):

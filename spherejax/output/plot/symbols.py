@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from spherejax.output.plot.camera import Camera
-from spherejax.output.plot.mechanism import DrawnJoint, Pose
+from spherejax.output.plot.mechanism import DrawnJoint, MechanismPose
 from spherejax.output.plot.strokes import (
     CIRCLE,
     INK,
@@ -21,7 +21,7 @@ from spherejax.output.plot.style import MODEL_COLORS
 from spherejax.physics.bodies import GROUND
 
 
-def joint_strokes(joint: DrawnJoint, pose: Pose, camera: Camera, s: float, hangs: bool) -> list[Stroke]:
+def joint_strokes(joint: DrawnJoint, pose: MechanismPose, camera: Camera, s: float, hangs: bool) -> list[Stroke]:
     """The symbol of a joint; a diamond for a kind without a symbol of its own.
 
     Args:

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from spherejax.output.plot.elements import FORCE_COLOR, forces_on_bodies
-from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism, Pose
+from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism, MechanismPose
 from spherejax.output.plot.reading import force_places
 from spherejax.output.plot.shapes import bars_of
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, INK, PAPER
@@ -311,7 +311,7 @@ def tracks_of(mechanism: Mechanism, ts: np.ndarray, s: float) -> list[Shape]:
     return found
 
 
-def _road(force: Tyre, poses: Sequence[Pose]) -> np.ndarray:
+def _road(force: Tyre, poses: Sequence[MechanismPose]) -> np.ndarray:
     """The road below a tyre, as far as a diameter to each side."""
     body, radius = force.center.partition(".")[0], float(np.asarray(force.radius))
     lines = []

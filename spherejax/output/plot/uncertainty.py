@@ -47,7 +47,7 @@ def budget_figure(part: Any, names: Sequence[str], ts: Float[np.ndarray, " n"]) 
     """What a deviation of each number changes along time, and the standard deviation that they make together.
 
     Args:
-        part: a `studies.uncertainty.budget.Part`.
+        part: a `studies.uncertainty.budget.BudgetPart`.
         names: of the numbers.
         ts: sample times [s].
     """

@@ -12,7 +12,7 @@ import numpy as np
 from spherejax.files.fields.fields import Context, Field
 from spherejax.files.fields.kinds import attributes_told, fields_of
 from spherejax.files.fields.objects import build, describe, numbers_in_units
-from spherejax.files.fields.parts import Either, Part
+from spherejax.files.fields.parts import Either, PartField
 from spherejax.files.fields.quantities import Coefficients, Points
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
@@ -89,8 +89,8 @@ def _value(name: str, value: Any, field: Field | None, meaning: str, context: Co
     if isinstance(value, eqx.Module) or (is_dataclass(value) and not isinstance(value, type)):
         part = field.part if isinstance(field, Either) else field
         if isinstance(value, AbstractFunction) and isinstance(owner, AbstractPlacedJoint):
-            part = Part(AbstractFunction, "s", PRESCRIBED.get(name.rpartition(".")[2]))
-        yield from _of(name, value, part.inside(context) if isinstance(part, Part) else context)
+            part = PartField(AbstractFunction, "s", PRESCRIBED.get(name.rpartition(".")[2]))
+        yield from _of(name, value, part.inside(context) if isinstance(part, PartField) else context)
     elif isinstance(value, Mapping):
         for key, each in value.items():
             yield from _value(f"{name}.{key}", each, field, meaning, context, owner)

@@ -26,7 +26,7 @@ from spherejax.output.drawing import draw
 from spherejax.output.plot.run_figures import figures_of_run
 from spherejax.output.report.motion import viewed
 from spherejax.output.report.numbers import numbers_of
-from spherejax.output.report.page import Motion, Page, Picture, Table, Text, pairs
+from spherejax.output.report.page import Page, PageMotion, PagePicture, PageTable, PageText, pairs
 
 PACKAGES = ("spherejax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy", "scipy")
 
@@ -67,7 +67,11 @@ def page_of_scene(scene: Scene, title: str) -> Page:
     page = Page(
         title or f"Mechanism of {', '.join(scene.bodies)}", "Not simulated: a mechanism at its assembled start."
     )
-    page.add("The mechanism", Motion([viewed(scene, "")]), Picture(draw(scene), "the mechanism at its assembled start"))
+    page.add(
+        "The mechanism",
+        PageMotion([viewed(scene, "")]),
+        PagePicture(draw(scene), "the mechanism at its assembled start"),
+    )
     add_sources(page, scene)
     return page
 
@@ -107,11 +111,11 @@ def add_motion(page: Page, runs: dict[str, Trajectory], scene: Scene | None = No
         except SceneError as error:
             left.append(f"{name}: {error}" if name else f"No picture of the mechanism: {error}")
     if not shown:
-        page.add("The mechanism", Text(left))
+        page.add("The mechanism", PageText(left))
         return
     drawn = next(run for name, run in runs.items() if name == shown[0]["name"])
-    picture = Picture(draw(drawn, scene=scene), "the mechanism at the start, with the key of its symbols")
-    page.add("The mechanism", Motion(shown), Text(left) if left else None)
+    picture = PagePicture(draw(drawn, scene=scene), "the mechanism at the start, with the key of its symbols")
+    page.add("The mechanism", PageMotion(shown), PageText(left) if left else None)
     page.add("The mechanism at the start", picture, folded=True)
 
 
@@ -160,25 +164,25 @@ def _largest(values) -> str:
     return f"{values.max():.3g}" if values.size else "not known"
 
 
-def _audit(run: Trajectory) -> Table:
+def _audit(run: Trajectory) -> PageTable:
     rows = []
     for check, share in zip(CHECKS, np.asarray(run.stats.audit), strict=True):
         made, is_bad = share != NOT_MADE, share > 1
         said = ("beyond its range" if check in WARNINGS else "FAILED") if is_bad else "held" if made else "not made"
         rows.append((WHAT_IS_AUDITED[check], f"{share:.2e}" if made else "-", FINDINGS[check] if is_bad else said))
-    return Table(("what was looked at, at every step", "worst, as a share of the limit", "found"), rows, "Audit")
+    return PageTable(("what was looked at, at every step", "worst, as a share of the limit", "found"), rows, "Audit")
 
 
 def add_run(page: Page, run: Trajectory) -> None:
     """Figures, peaks and contacts of a single run."""
-    figures = [Picture(figure, what) for what, figure in figures_of_run(run).items()]
+    figures = [PagePicture(figure, what) for what, figure in figures_of_run(run).items()]
     page.add("Histories", *figures)
     page.add("Peaks", _peaks(run))
     for joint in run.system.contact_joints:
         page.add(f"Contacts of {joint}", *_contacts(run, joint))
 
 
-def _peaks(run: Trajectory) -> Table | Text:
+def _peaks(run: Trajectory) -> PageTable | PageText:
     """Largest magnitudes over all steps, not over the samples."""
     system = run.system
     names = [f"{kind}.{body}" for body in system.bodies for kind in ("velocity", "acceleration")]
@@ -186,27 +190,27 @@ def _peaks(run: Trajectory) -> Table | Text:
     try:
         found = peaks(system, run._steps, tuple(names), run.scalar)  # as `run.peak`, of all at once
     except SceneError as error:
-        return Text([str(error)])
+        return PageText([str(error)])
     rows = [
         (name, f"{one.value:.6g}", quantity(name, system).unit, f"{one.time:.6g}")
         for name, one in zip(names, found, strict=True)
     ]
     caption = "Largest magnitudes, seen at five instants of each step"
-    return Table(("quantity", "largest", "unit", "at [s]"), rows, caption)
+    return PageTable(("quantity", "largest", "unit", "at [s]"), rows, caption)
 
 
-def _contacts(run: Trajectory, joint: str) -> list[Table | Text]:
+def _contacts(run: Trajectory, joint: str) -> list[PageTable | PageText]:
     try:
         found = run.impacts(joint)
     except SceneError as error:
-        return [Text([str(error)])]
+        return [PageText([str(error)])]
     if not found.sizes["contact"]:
-        return [Text(["The ball never touches its socket."])]
+        return [PageText(["The ball never touches its socket."])]
     columns = [str(name) for name in found.data_vars if found[name].dims == ("contact",)]
     heads = ("contact", *(f"{name.replace('_', ' ')} [{found[name].attrs.get('units', '')}]" for name in columns))
     values = np.stack([np.asarray(found[name], float) for name in columns], -1)
     rows = [(str(i + 1), *("-" if np.isnan(x) else f"{x:.5g}" for x in row)) for i, row in enumerate(values)]
-    return [Table(heads, rows, f"{len(rows):,} contacts, in the order of their onsets", numeric=True)]
+    return [PageTable(heads, rows, f"{len(rows):,} contacts, in the order of their onsets", numeric=True)]
 
 
 def add_sources(page: Page, described: Scene | Trajectory, run: Trajectory | None = None) -> None:
@@ -227,7 +231,7 @@ def add_numbers(page: Page, described: Scene | System, title: str = "Numbers use
     numbers = [one for one in numbers_of(described) if one.name.startswith(below)]
     joints = "world axes at the start" if isinstance(described, Scene) else "body axes"
     caption = f"{len(numbers):,} entries, SI units; points and axes of joints in {joints}"
-    page.add(title, Table(("name", "value", "unit", "what it is"), numbers, caption), folded=bool(below))
+    page.add(title, PageTable(("name", "value", "unit", "what it is"), numbers, caption), folded=bool(below))
 
 
 def add_cited(page: Page, sources: Sequence[Scene | Trajectory]) -> None:
@@ -242,7 +246,7 @@ def add_cited(page: Page, sources: Sequence[Scene | Trajectory]) -> None:
                 work = line
                 found.setdefault(work, {})
     rows = [(work, ", ".join(uses)) for work, uses in found.items()]
-    page.add("What to cite", Table(("work", "for"), rows))
+    page.add("What to cite", PageTable(("work", "for"), rows))
 
 
 def add_versions(page: Page) -> None:
@@ -254,7 +258,7 @@ def add_versions(page: Page) -> None:
         ("JAX runs on", f"{jax.default_backend()}, {jax.devices()[0].device_kind}"),
         ("report made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
     ]
-    page.add("Versions", Table(("what", "which"), rows))
+    page.add("Versions", PageTable(("what", "which"), rows))
 
 
 # Many runs ------------------------------------------------------------------------------------------------------------
@@ -286,11 +290,11 @@ def _page_of_lanes(runs: Trajectory, title: str, scene: Scene | None) -> Page:
         for lane in range(ended.size)
     ]
     heads = ("lane", "status", "time reached [s]", "steps", "repeated", "contact onsets")
-    page.add("All lanes", Table(heads, rows, numeric=True))
+    page.add("All lanes", PageTable(heads, rows, numeric=True))
     one = jax.tree.map(lambda leaf: leaf[chosen], flat)
     page.cautions += [f"lane {chosen}: {said}" for said in start_changes(one.system, float(one.ts[0]), one.assembly)]
     why = "the first that failed" if bad.size else "the first"
-    page.add(f"Lane {chosen}", Text([f"What follows is lane {chosen}, {why}. {_verdict(one)}"]))
+    page.add(f"Lane {chosen}", PageText([f"What follows is lane {chosen}, {why}. {_verdict(one)}"]))
     add_motion(page, {f"lane {chosen}": one}, scene)
     page.add("The run", pairs(_summary(one)), _audit(one))
     with _heard(page):

@@ -10,7 +10,7 @@ from spherejax.motion.integration.status import REMEDIES, Status
 from spherejax.output.plot.swept import COUNTED, figures_of_sweep
 from spherejax.output.report.motion import viewed
 from spherejax.output.report.of_runs import add_sources, add_versions
-from spherejax.output.report.page import Motion, Page, Picture, Table, pairs
+from spherejax.output.report.page import Page, PageMotion, PagePicture, PageTable, pairs
 
 if TYPE_CHECKING:
     import xarray
@@ -42,10 +42,10 @@ def page_of_sweep(swept: "xarray.Dataset", title: str, scene: Scene | None) -> P
     page.add("What was varied", _parameters(swept))
     page.add("Results", _results(swept), _failures(swept, status))
     figures = figures_of_sweep(swept, title)
-    page.add("Figures", *(Picture(figure, f"{name} over what was varied") for name, figure in figures.items()))
+    page.add("Figures", *(PagePicture(figure, f"{name} over what was varied") for name, figure in figures.items()))
     page.add("All runs", _table(swept), folded=True)
     if scene is not None:
-        page.add("The mechanism", Motion([viewed(scene, "")]))
+        page.add("The mechanism", PageMotion([viewed(scene, "")]))
     facts = [(name.replace("_", " "), value) for name, value in swept.attrs.items() if np.ndim(value) == 0]
     page.add("How it was made", pairs((name, value) for name, value in facts if name not in ("failures", "cautions")))
     if scene is None:
@@ -59,19 +59,19 @@ def _varied(swept: "xarray.Dataset") -> list[str]:
     return [str(name) for name in swept["status"].coords if name != "run"]
 
 
-def _parameters(swept: "xarray.Dataset") -> Table:
+def _parameters(swept: "xarray.Dataset") -> PageTable:
     rows = [
         (name, swept[name].attrs.get("units", ""), f"{len(np.unique(swept[name])):,}", *_ends(np.asarray(swept[name])))
         for name in _varied(swept)
     ]
-    return Table(("parameter", "unit", "values", "least", "largest"), rows, numeric=True)
+    return PageTable(("parameter", "unit", "values", "least", "largest"), rows, numeric=True)
 
 
 def _kept(swept: "xarray.Dataset") -> list[str]:
     return [str(name) for name in swept.data_vars if name not in COUNTED]
 
 
-def _results(swept: "xarray.Dataset") -> Table:
+def _results(swept: "xarray.Dataset") -> PageTable:
     rows = [
         (
             name,
@@ -81,10 +81,10 @@ def _results(swept: "xarray.Dataset") -> Table:
         )
         for name in [*_kept(swept), "n_steps"]
     ]
-    return Table(("quantity", "unit", "least", "largest", "dimensions"), rows, "Over all runs that have a value")
+    return PageTable(("quantity", "unit", "least", "largest", "dimensions"), rows, "Over all runs that have a value")
 
 
-def _failures(swept: "xarray.Dataset", status: np.ndarray) -> Table:
+def _failures(swept: "xarray.Dataset", status: np.ndarray) -> PageTable:
     rows = []
     for kind in Status:
         is_so = status == kind
@@ -97,10 +97,10 @@ def _failures(swept: "xarray.Dataset", status: np.ndarray) -> Table:
         reached = " to ".join(_ends(np.asarray(swept["t_reached"])[is_so]))
         words = kind.name.lower().replace("_", " ")
         rows.append((words, f"{int(is_so.sum()):,}", "; ".join(where), reached, REMEDIES[kind]))
-    return Table(("why", "runs", "where", "time reached [s]", "what to do"), rows, "Failed runs")
+    return PageTable(("why", "runs", "where", "time reached [s]", "what to do"), rows, "Failed runs")
 
 
-def _table(swept: "xarray.Dataset") -> Table:
+def _table(swept: "xarray.Dataset") -> PageTable:
     """A row for each run: parameters, how it ended, single numbers."""
     dims = swept["status"].dims
     single = [name for name in _kept(swept) if swept[name].dims == dims]
@@ -117,7 +117,7 @@ def _table(swept: "xarray.Dataset") -> Table:
     heads = [
         f"{name} [{unit}]" if (unit := swept[name].attrs.get("units", "")) not in ("", "1") else name for name in names
     ]
-    return Table(heads, rows, numeric=True)
+    return PageTable(heads, rows, numeric=True)
 
 
 def _cell(name: str, value) -> str:

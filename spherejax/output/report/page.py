@@ -49,7 +49,7 @@ _BETWEEN_WORDS = re.compile(r"(?<=\w)([._])(?=[A-Za-z])")
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table.
 
     Attributes:
@@ -81,7 +81,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Text:
+class PageText:
     """Sentences, each a paragraph; of `fixed` ones the line breaks are kept."""
 
     sentences: Sequence[str]
@@ -95,7 +95,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A figure of matplotlib, and what it shows, for those who do not see it."""
 
     figure: "Figure"
@@ -114,7 +114,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PageMotion:
     """What the viewer shows: mechanisms as `output.report.motion` gives them."""
 
     mechanisms: Sequence[Mapping[str, Any]]
@@ -131,7 +131,7 @@ class Section:
     """A heading and what stands below it; a `folded` one opens on a click."""
 
     title: str
-    parts: list[Table | Text | Picture | Motion]
+    parts: list[PageTable | PageText | PagePicture | PageMotion]
     folded: bool = False
 
 
@@ -153,9 +153,11 @@ class Page:
     cautions: list[str] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
 
-    def add(self, title: str, *parts: Table | Text | Picture | Motion | None, folded: bool = False) -> None:
+    def add(
+        self, title: str, *parts: PageTable | PageText | PagePicture | PageMotion | None, folded: bool = False
+    ) -> None:
         """Another section, of the parts that are not None; none without any."""
-        there = [part for part in parts if part is not None and not (isinstance(part, Table) and not part.rows)]
+        there = [part for part in parts if part is not None and not (isinstance(part, PageTable) and not part.rows)]
         if there:
             self.sections.append(Section(title, there, folded))
 
@@ -191,7 +193,7 @@ class Page:
 
     def _section(self, number: int, section: Section, pictures: Mapping[int, bytes]) -> str:
         inside = "\n".join(
-            part.html(pictures[id(part)]) if isinstance(part, Picture) else part.html() for part in section.parts
+            part.html(pictures[id(part)]) if isinstance(part, PagePicture) else part.html() for part in section.parts
         )
         if section.folded:
             inside = f"<details><summary>Show</summary>{inside}</details>"
@@ -199,7 +201,7 @@ class Page:
 
     def _pictures(self) -> dict[int, bytes]:
         """All pictures, as fine as fits."""
-        every = [part for section in self.sections for part in section.parts if isinstance(part, Picture)]
+        every = [part for section in self.sections for part in section.parts if isinstance(part, PagePicture)]
         found: dict[int, bytes] = {}
         for dpi in RESOLUTIONS:
             found = {id(picture): picture.png(dpi) for picture in every}
@@ -235,6 +237,6 @@ def target(path: str | os.PathLike, *, overwrite: bool) -> Path:
     return path
 
 
-def pairs(rows: Iterable[tuple[str, Any]], caption: str = "") -> Table:
+def pairs(rows: Iterable[tuple[str, Any]], caption: str = "") -> PageTable:
     """A table of names and values."""
-    return Table(("quantity", "value"), [(name, str(value)) for name, value in rows], caption)
+    return PageTable(("quantity", "value"), [(name, str(value)) for name, value in rows], caption)

@@ -18,14 +18,14 @@ from spherejax.foundations.types import Function, Listed, Number, Numeric, Scala
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.actuators import coordinate_requirements, function_of_time, with_placed_coordinate
 from spherejax.physics.forces.base import UNITS, FindPlace, Motions
-from spherejax.physics.forces.coupler import AbstractCoordinate, Motion, Turn
+from spherejax.physics.forces.coupler import AbstractCoordinate, CoordinateMotion, Turn
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction
 from spherejax.physics.functions.base import AbstractFunction, function_requirements
 from spherejax.physics.functions.shapes import finite
 from spherejax.physics.memory import MemoryEntry, Scale
 
 
-class Measured(NamedTuple):
+class Sensed(NamedTuple):
     """What a controller sees at one instant.
 
     Attributes:
@@ -36,7 +36,7 @@ class Measured(NamedTuple):
         error_rate: the error's time derivative, of a position [m/s]; of a rate nobody measures it.
     """
 
-    motion: Motion
+    motion: CoordinateMotion
     value: Scalar
     reference: Scalar
     error: Scalar
@@ -85,16 +85,16 @@ class AbstractController(AbstractForceWithMemory):
     def _entries(self, memory) -> dict[str, Scalar]:
         return {entry.name: memory[i] for i, entry in enumerate(self.memory)}
 
-    def _measured(self, t: Scalar, motions: Motions, memory) -> Measured:
+    def _measured(self, t: Scalar, motions: Motions, memory) -> Sensed:
         motion = self.coordinate.motion(motions)
         if self._counts_turns:
             motion = motion._replace(value=_unwrapped(self.coordinate, motion.value, memory[0]))
         reference = self.reference(t)
         value = motion.rate if self.of_rate else motion.value
         rate = None if self.of_rate else self.reference.derivative(t) - motion.rate
-        return Measured(motion, value, reference, reference - value, rate)
+        return Sensed(motion, value, reference, reference - value, rate)
 
-    def _turning(self, motion: Motion) -> list[Scalar]:
+    def _turning(self, motion: CoordinateMotion) -> list[Scalar]:
         """Rate of the turns that are counted."""
         return [motion.rate / _radius(self.coordinate)] if self._counts_turns else []
 
@@ -113,7 +113,7 @@ class AbstractController(AbstractForceWithMemory):
             return 0.0
         return (effort - asked) / self.tracking_time
 
-    def _parts(self, seen: Measured, effort: Scalar) -> dict[str, Scalar]:
+    def _parts(self, seen: Sensed, effort: Scalar) -> dict[str, Scalar]:
         return {
             "effort": effort,
             "position": seen.motion.value,
@@ -268,7 +268,7 @@ class PID(AbstractController):
         wrenches = self.coordinate.wrenches(motions, effort)
         return ForceAction(wrenches, jnp.stack([jnp.zeros(()), *rates])[1:], parts=self._parts(seen, effort))
 
-    def _error_rate(self, seen: Measured, kept):
+    def _error_rate(self, seen: Sensed, kept):
         if self._filters:
             return (seen.error - kept["filtered"]) / self.filter_time
         return jnp.zeros(()) if seen.error_rate is None else seen.error_rate

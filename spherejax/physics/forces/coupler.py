@@ -35,7 +35,7 @@ from spherejax.physics.forces.torsional import TorsionalAttachment, Twist, attac
 from spherejax.physics.functions.shapes import finite
 
 
-class Motion(NamedTuple):
+class CoordinateMotion(NamedTuple):
     """How far a coordinate has gone.
 
     Attributes:
@@ -56,7 +56,7 @@ class AbstractCoordinate(eqx.Module):
         """The two bodies."""
 
     @abc.abstractmethod
-    def motion(self, motions: Motions) -> Motion:
+    def motion(self, motions: Motions) -> CoordinateMotion:
         """Value and rate of the placed coordinate."""
 
     @abc.abstractmethod
@@ -108,7 +108,7 @@ class Turn(AbstractCoordinate):
     def motion(self, motions):
         """The arc and its rate."""
         twist = self._twist(motions)
-        return Motion(self.radius * twist.angle, self.radius * twist.rate)
+        return CoordinateMotion(self.radius * twist.angle, self.radius * twist.rate)
 
     def wrenches(self, motions, force):
         """A couple along the direction in which the twist grows."""
@@ -150,7 +150,7 @@ class AbstractStretch(AbstractCoordinate):
     def motion(self, motions):
         """The distance, less that of the start."""
         stretch = known_geometry(self.attachment).stretch(motions)
-        return Motion(stretch.length - known_geometry(self.start), stretch.rate)
+        return CoordinateMotion(stretch.length - known_geometry(self.start), stretch.rate)
 
     def wrenches(self, motions, force):
         """A force along the distance that lengthens it, and its opposite; of a `Travel` both at the second point."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from spherejax.model.scene import Scene
 from spherejax.motion.results.reported import Reported
-from spherejax.studies.accuracy.frontier import Point, advice, duration, efficient, spreads
+from spherejax.studies.accuracy.frontier import FrontierPoint, advice, duration, efficient, spreads
 from spherejax.studies.accuracy.page import page_of
 from spherejax.studies.accuracy.reference import Reference
 from spherejax.studies.accuracy.samples import STATISTICS, UNITS
@@ -131,16 +131,16 @@ class WorkPrecision(Reported):
         scale = self.references[row.model].scales[quantity]
         return row.errors[quantity] / scale if scale else float("nan")
 
-    def points(self, model: str, quantity: str = "position") -> list[Point]:
+    def points(self, model: str, quantity: str = "position") -> list[FrontierPoint]:
         """The finished runs of a model; an error that is not resolved counts as what the reference resolves."""
         floor = self.references[model].floor(quantity)
         return [
-            Point(row.solver, row.rtol, max(row.errors[quantity], floor), row.seconds)
+            FrontierPoint(row.solver, row.rtol, max(row.errors[quantity], floor), row.seconds)
             for row in self.rows_of(model)
             if row.succeeded
         ]
 
-    def frontier(self, model: str, quantity: str = "position") -> list[Point]:
+    def frontier(self, model: str, quantity: str = "position") -> list[FrontierPoint]:
         """The runs of a model that no other beats in both error and time."""
         return efficient(self.points(model, quantity))
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Point(NamedTuple):
+class FrontierPoint(NamedTuple):
     """A run in the plane of error and time.
 
     Attributes:
@@ -38,16 +38,16 @@ class Price(NamedTuple):
     seconds: float
 
 
-def efficient(points: Sequence[Point]) -> list[Point]:
+def efficient(points: Sequence[FrontierPoint]) -> list[FrontierPoint]:
     """The points that no other beats in both error and time, from the largest error to the smallest."""
-    kept: list[Point] = []
+    kept: list[FrontierPoint] = []
     for point in sorted(points, key=lambda p: (p.seconds, p.error)):
         if not kept or point.error < kept[-1].error:
             kept.append(point)
     return kept
 
 
-def price(points: Sequence[Point], error: float) -> Price | None:
+def price(points: Sequence[FrontierPoint], error: float) -> Price | None:
     """The shortest time in which one of the solvers reaches an error; None where none does.
 
     Along the efficient points of one solver, log(seconds) and log(rtol) are interpolated linearly in log(error). A
@@ -64,7 +64,7 @@ def price(points: Sequence[Point], error: float) -> Price | None:
     return min(offers, key=lambda offer: offer.seconds) if offers else None
 
 
-def usual_target(points: Sequence[Point]) -> float:
+def usual_target(points: Sequence[FrontierPoint]) -> float:
     """The power of ten that is asked for when nothing else is said: 1e-6, or the nearest that the runs bracket.
 
     Between the largest and the smallest error of the efficient points, with a digit to spare where there is one.
@@ -77,7 +77,7 @@ def usual_target(points: Sequence[Point]) -> float:
     return float(f"1e{min(max(-6, lowest), highest)}") if highest >= lowest else float(curve[-1].error)
 
 
-def advice(points: Sequence[Point], *, floor: float = 0.0, unit: str = "m", target: float | None = None) -> str:
+def advice(points: Sequence[FrontierPoint], *, floor: float = 0.0, unit: str = "m", target: float | None = None) -> str:
     """What an accuracy costs, in a sentence or two.
 
     Args:

@@ -1,7 +1,7 @@
 """The report of a study of accuracy as a page."""
 
 from spherejax.model.scene import Scene
-from spherejax.output.report.page import Page, Picture, Table, Text
+from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
 from spherejax.studies.accuracy.samples import UNITS
 
 HEADS = ("solver", "rtol", "time", "steps", "rejected", *(f"{name} [{unit}]" for name, unit in UNITS.items()))
@@ -17,7 +17,7 @@ def page_of(study, title: str, scene: Scene | None) -> Page:
     """
     from spherejax.output.report.motion import viewed
     from spherejax.output.report.of_runs import add_sources, add_versions
-    from spherejax.output.report.page import Motion
+    from spherejax.output.report.page import PageMotion
 
     n_failed, n = sum(not row.succeeded for row in study.rows), len(study.rows)
     verdict = f"{n - n_failed:,} of {n:,} runs finished, {study.t1:g} s of motion each."
@@ -28,19 +28,19 @@ def page_of(study, title: str, scene: Scene | None) -> Page:
         # The first note is what the reference is; the others are to be minded.
         page.cautions += [f"{model}: {note}" for note in study.notes[model][1:]]
     if len(study.models) > 1:
-        page.add("All models", Picture(study.overview(), "the efficient runs of all models"))
+        page.add("All models", PagePicture(study.overview(), "the efficient runs of all models"))
     for model in study.models:
         rows = [study.cells(row) for row in study.rows_of(model)]
-        table = Table(
+        table = PageTable(
             HEADS, rows, "Largest errors at the samples; < marks those that the reference resolves no further"
         )
         why = [(row.solver, f"{row.rtol:.0e}", row.diagnosis) for row in study.rows_of(model) if not row.succeeded]
-        figures = [Picture(figure, f"{name} of {model}") for name, figure in study.figures(model).items()]
-        said = Text([study.advice[model], *study.notes[model][:1]])
-        page.add(model, said, *figures, table, Table(("solver", "rtol", "why it did not finish"), why))
+        figures = [PagePicture(figure, f"{name} of {model}") for name, figure in study.figures(model).items()]
+        said = PageText([study.advice[model], *study.notes[model][:1]])
+        page.add(model, said, *figures, table, PageTable(("solver", "rtol", "why it did not finish"), why))
     if scene is None:
         add_versions(page)
     else:
-        page.add("The mechanism", Motion([viewed(scene, "")]))
+        page.add("The mechanism", PageMotion([viewed(scene, "")]))
         add_sources(page, scene)
     return page

@@ -7,8 +7,8 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.status import Status
-from spherejax.studies.accuracy.runs import Program
-from spherejax.studies.accuracy.samples import Samples, distances, errors, samples_of, scales, statistics
+from spherejax.studies.accuracy.runs import TimedProgram
+from spherejax.studies.accuracy.samples import SampledRun, distances, errors, samples_of, scales, statistics
 
 METHODS = ("Dopri8", "Tsit5", "Rodas5P")
 """Methods of reference runs, in the order in which they are tried: an explicit method of high order is the most exact
@@ -68,7 +68,7 @@ class Reference:
     horizon: float | None
     parted: float | None
     members: Sequence[Mapping[str, float]] = ()
-    samples: Samples | None = field(default=None, repr=False)
+    samples: SampledRun | None = field(default=None, repr=False)
 
     def floor(self, quantity: str) -> float:
         """Error of a quantity below which the reference says nothing, in the quantity's unit."""
@@ -88,7 +88,7 @@ class Reference:
 
 
 def make_reference(
-    program_by: Callable[[str], Program], methods: Sequence[str], tightest: float, seconds: float
+    program_by: Callable[[str], TimedProgram], methods: Sequence[str], tightest: float, seconds: float
 ) -> Reference:
     """Run the reference.
 
@@ -122,7 +122,7 @@ def _ladder(tightest: float) -> list[float]:
     return list(dict.fromkeys(max(TIGHTEST, tightest / factor) for factor in (TIGHTER, TIGHTER / 10, 3.0)))
 
 
-def _first_finished(program_by, methods: Sequence[str], rtol: float, seconds: float) -> tuple[str, Samples] | None:
+def _first_finished(program_by, methods: Sequence[str], rtol: float, seconds: float) -> tuple[str, SampledRun] | None:
     for name in methods:
         program = program_by(name)
         run = program.run(rtol, program.budget(rtol, seconds))
@@ -131,7 +131,7 @@ def _first_finished(program_by, methods: Sequence[str], rtol: float, seconds: fl
     return None
 
 
-def _compared(program_by, methods: tuple[str, str], rtols: tuple[float, float], runs: tuple[Samples, Samples]):
+def _compared(program_by, methods: tuple[str, str], rtols: tuple[float, float], runs: tuple[SampledRun, SampledRun]):
     """The reference from its two runs; where they part, the ensemble is added."""
     first, second = runs
     horizon, parted = parting(first.ts, distances(first, second, "position"))

@@ -23,7 +23,7 @@ BURST_SECONDS, LONGEST_BURST = 0.02, 9
 mercy of whatever the machine does in it."""
 
 
-class Ending(NamedTuple):
+class RunEnding(NamedTuple):
     """How a run ended: what a timed run returns, for every further array costs microseconds.
 
     Attributes:
@@ -39,11 +39,11 @@ class Ending(NamedTuple):
     t_reached: Array
 
 
-class Program:
+class TimedProgram:
     """One scene and one solver, compiled once; the tolerance and the budget are arguments.
 
     A program that measures returns the `Trajectory`, and integrates the absorbed work besides. That takes no part in
-    the judgment of errors, so that the steps are those of a run without it. One that does not returns the `Ending`.
+    the judgment of errors, so that the steps are those of a run without it. One that does not returns the `RunEnding`.
 
     Args:
         scene: the scene.
@@ -76,14 +76,14 @@ class Program:
                 max_steps=n_steps,
                 track_work=measures and bool(system.resisting_joints),
             )
-            return motion if measures else Ending(motion.ys[-1], motion.stats, motion.status, motion.t_reached)
+            return motion if measures else RunEnding(motion.ys[-1], motion.stats, motion.status, motion.t_reached)
 
         begin = time.perf_counter()
         self._compiled = jax.jit(run).lower(*_arguments(1e-3, 1)).compile()
         self.compile_seconds = time.perf_counter() - begin
 
     def run(self, rtol: float, n_steps: int = NO_LIMIT) -> Any:
-        """The `Trajectory` or `Ending` of a run, finished when this returns."""
+        """The `Trajectory` or `RunEnding` of a run, finished when this returns."""
         return self.call(_arguments(rtol, n_steps))
 
     def call(self, arguments) -> Any:
@@ -100,7 +100,7 @@ class Program:
         return max(1, int(seconds / self.seconds_a_step))
 
 
-class Trial:
+class TimedTrial:
     """A run that is timed again and again.
 
     Args:
@@ -109,13 +109,13 @@ class Trial:
         max_seconds: budget of a run, and of all timed runs together [s].
     """
 
-    def __init__(self, program: Program, rtol: float, max_seconds: float):
+    def __init__(self, program: TimedProgram, rtol: float, max_seconds: float):
         self.program, self.max_seconds = program, max_seconds
         self.arguments = _arguments(rtol, program.budget(rtol, max_seconds))
         self.times: list[float] = []
         self.end, self.first = self._timed()
 
-    def _timed(self) -> tuple[Ending, float]:
+    def _timed(self) -> tuple[RunEnding, float]:
         begin = time.perf_counter()
         end = self.program.call(self.arguments)
         return end, time.perf_counter() - begin

@@ -30,7 +30,7 @@ STATISTICS: Mapping[str, tuple[str, str]] = {
 for the onsets, which are counted over the whole run."""
 
 
-class Samples(NamedTuple):
+class SampledRun(NamedTuple):
     """A run at its samples, as host arrays.
 
     Attributes:
@@ -61,7 +61,7 @@ class Samples(NamedTuple):
         return all(bool(np.all(np.isfinite(values))) for values in (*self.vectors.values(), self.energy))
 
 
-def samples_of(run: Trajectory) -> Samples:
+def samples_of(run: Trajectory) -> SampledRun:
     """The histories of a run, integrated with `track_work=True` where joints answer with a force."""
     bodies, joints, ts = list(run.system.bodies), list(run.system.joints), np.asarray(run.ts)
     gaps = [name for name in run.system.force_joints if run.system.spherical(name).model.has_surfaces]
@@ -81,10 +81,10 @@ def samples_of(run: Trajectory) -> Samples:
     kinetic = np.asarray(run.kinetic_energy)
     energy = kinetic + np.asarray(run.potential_energy) + work
     n_onsets = int(np.sum(run.stats.n_onsets))
-    return Samples(ts, vectors, energy, kinetic, dissipated, penetration + clearances, penetration > 0, n_onsets)
+    return SampledRun(ts, vectors, energy, kinetic, dissipated, penetration + clearances, penetration > 0, n_onsets)
 
 
-def distances(one: Samples, other: Samples, quantity: str) -> Float[np.ndarray, " n"]:
+def distances(one: SampledRun, other: SampledRun, quantity: str) -> Float[np.ndarray, " n"]:
     """Largest Euclidean distance over the bodies (reactions: joints) at each sample; of the energy, |difference|."""
     if quantity == "energy":
         return np.abs(one.energy - other.energy)
@@ -92,7 +92,7 @@ def distances(one: Samples, other: Samples, quantity: str) -> Float[np.ndarray, 
     return np.max(apart, axis=1, initial=0.0)
 
 
-def errors(run: Samples, reference: Samples, until: float | None = None) -> dict[str, float]:
+def errors(run: SampledRun, reference: SampledRun, until: float | None = None) -> dict[str, float]:
     """Largest distance over the samples, for each quantity, in its unit.
 
     Args:
@@ -104,7 +104,7 @@ def errors(run: Samples, reference: Samples, until: float | None = None) -> dict
     return {name: float(np.max(distances(run, reference, name)[counts])) for name in UNITS}
 
 
-def scales(reference: Samples, until: float | None = None) -> dict[str, float]:
+def scales(reference: SampledRun, until: float | None = None) -> dict[str, float]:
     """What errors are relative to: the peak of each quantity.
 
     The largest displacement from the start; the largest velocity, acceleration and reaction; the largest kinetic
@@ -117,7 +117,7 @@ def scales(reference: Samples, until: float | None = None) -> dict[str, float]:
     return {**peaks, "energy": float(np.max(reference.kinetic_energy[counts]))}
 
 
-def statistics(run: Samples, since: float) -> dict[str, float]:
+def statistics(run: SampledRun, since: float) -> dict[str, float]:
     """The entries of `STATISTICS` over the samples from a time [s] on; those of contact only where a gap exists."""
     counts = run.ts >= since
     size = np.linalg.norm(run.vectors["acceleration"][counts], axis=2)

@@ -15,7 +15,7 @@ from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.runtime import require_float64
 from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
 from spherejax.studies.accuracy.reference import METHODS, STIFF_METHODS, TIGHTEST, Reference, make_reference
-from spherejax.studies.accuracy.runs import Ending, Program, Trial
+from spherejax.studies.accuracy.runs import RunEnding, TimedProgram, TimedTrial
 from spherejax.studies.accuracy.samples import errors, samples_of, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS, SolverOf
 
@@ -110,7 +110,7 @@ def work_precision(
     return WorkPrecision(tuple(rows), references, t1, max(counts.values()), target, name)
 
 
-Found = tuple[Row, Trial | None]
+Found = tuple[Row, TimedTrial | None]
 """A row, and what is still to be timed for it."""
 
 
@@ -149,7 +149,7 @@ class _Laboratory:
         self.model, self.scene, self.atol_ratio = model, scene, atol_ratio
         self.solvers, self.max_seconds = solvers, max_seconds
         self.ends, self.ts = jnp.array([0.0, t1]), jnp.linspace(0.0, t1, n_samples)
-        self.measuring: dict[str, Program] = {}
+        self.measuring: dict[str, TimedProgram] = {}
 
     def make_reference(self, tightest: float) -> Reference:
         """The reference, by this package's methods whatever solvers are judged."""
@@ -157,21 +157,23 @@ class _Laboratory:
         methods = STIFF_METHODS if is_stiff else METHODS
         return make_reference(self._reference_program, methods, tightest, REFERENCE_PATIENCE * self.max_seconds)
 
-    def _reference_program(self, method: str) -> Program:
+    def _reference_program(self, method: str) -> TimedProgram:
         # A solver of the same name and kind is compiled once for both uses.
         name = method if self.solvers.get(method) is SOLVERS[method] else f"reference {method}"
         return self._measuring_program(name, SOLVERS[method])
 
-    def _measuring_program(self, name: str, solver) -> Program:
+    def _measuring_program(self, name: str, solver) -> TimedProgram:
         if name not in self.measuring:
-            self.measuring[name] = Program(self.scene, solver, self.ts, atol_ratio=self.atol_ratio, measures=True)
+            self.measuring[name] = TimedProgram(self.scene, solver, self.ts, atol_ratio=self.atol_ratio, measures=True)
         return self.measuring[name]
 
     def rows(self, solver: str, tolerances: Sequence[float], reference: Reference, tell: _Progress) -> list[Found]:
         """The rows of one solver, from the loosest tolerance to the tightest."""
         rows: list[Found] = []
         try:
-            timed = Program(self.scene, self.solvers[solver], self.ends, atol_ratio=self.atol_ratio, measures=False)
+            timed = TimedProgram(
+                self.scene, self.solvers[solver], self.ends, atol_ratio=self.atol_ratio, measures=False
+            )
             measured = self._measuring_program(solver, self.solvers[solver])
         except Exception as error:  # whatever a foreign solver raises belongs in its rows, not in the study's way
             for rtol in tolerances:
@@ -187,10 +189,12 @@ class _Laboratory:
             tell(f"{self.model}: {solver} at rtol {rtol:.0e}")
         return rows
 
-    def _row(self, solver: str, rtol: float, timed: Program, measured: Program, reference: Reference) -> Found:
+    def _row(
+        self, solver: str, rtol: float, timed: TimedProgram, measured: TimedProgram, reference: Reference
+    ) -> Found:
         assert reference.samples is not None
         try:
-            trial = Trial(timed, rtol, self.max_seconds)
+            trial = TimedTrial(timed, rtol, self.max_seconds)
             end = trial.end
             if int(end.status) != Status.SUCCEEDED:
                 return self._stopped(solver, rtol, timed, end), None
@@ -212,7 +216,7 @@ class _Laboratory:
         )
         return row, trial
 
-    def _stopped(self, solver: str, rtol: float, timed: Program, end: Ending) -> Row:
+    def _stopped(self, solver: str, rtol: float, timed: TimedProgram, end: RunEnding) -> Row:
         status, t1 = Status(int(end.status)).name.lower(), float(self.ends[-1])
         diagnosis = told_by_status(end.status, end.t_reached, t1)
         if int(end.status) == Status.TOO_MANY_STEPS:
@@ -227,7 +231,7 @@ class _Laboratory:
         return Row(self.model, solver, rtol, self.atol_ratio * rtol, status=status, diagnosis=diagnosis, **known)
 
 
-def _counts(end: Ending) -> dict[str, int]:
+def _counts(end: RunEnding) -> dict[str, int]:
     stats = end.stats
     return {
         "n_steps": int(stats.n_steps),

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Scalar
 from spherejax.studies.bayes.priors import LogUniform, Prior, Uniform
-from spherejax.studies.fit.parameters import Unknown, Unknowns
+from spherejax.studies.fit.parameters import FitUnknowns, Unknown
 from spherejax.studies.fit.problem import Problem
 
 LogDensity = Callable[[Float[Array, " k"]], Scalar]
@@ -52,7 +52,7 @@ def _value(residuals) -> Scalar:
     return jnp.where(fits, -jnp.sum(jnp.where(fits, residuals, 0.0) ** 2) / 2, -jnp.inf)
 
 
-def log_volume(unknowns: Unknowns, u: Float[Array, " k"]) -> Scalar:
+def log_volume(unknowns: FitUnknowns, u: Float[Array, " k"]) -> Scalar:
     """sum_i log |dp_i/du_i|, up to a constant."""
     total, at = jnp.zeros(()), 0
     for part in unknowns.parts:
@@ -66,7 +66,7 @@ def log_volume(unknowns: Unknowns, u: Float[Array, " k"]) -> Scalar:
     return total
 
 
-def priors_for(unknowns: Unknowns, given: Mapping[str, Prior] | None) -> dict[str, Prior]:
+def priors_for(unknowns: FitUnknowns, given: Mapping[str, Prior] | None) -> dict[str, Prior]:
     """A prior for each parameter.
 
     Raises:

@@ -11,7 +11,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.cycles.cycle_result import Cycle, coefficients, motions
-from spherejax.studies.cycles.shooting import Found, Place, stacked_places
+from spherejax.studies.cycles.shooting import CandidateState, SearchOutcome, stacked_places
 from spherejax.studies.cycles.study import made
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class Branch:
         """
         if not -len(self) <= k < len(self):
             raise SceneError(f"the branch has no point {k}; it has {len(self)}, counted from 0")
-        return made(self.family, Found(self.points[k].shot, True, 0, ""), self.request)
+        return made(self.family, SearchOutcome(self.points[k].shot, True, 0, ""), self.request)
 
     @cached_property
     def runs(self) -> list[Trajectory]:
@@ -119,7 +119,7 @@ class Branch:
         for first in range(0, len(self.points), AT_ONCE):
             places = [point.shot.place for point in self.points[first : first + AT_ONCE]]
             whole = stacked_places([*places, *places[-1:] * (AT_ONCE - len(places))])
-            found += motions(self.family, Place(*whole), self.request.t, self.request.samples)[: len(places)]
+            found += motions(self.family, CandidateState(*whole), self.request.t, self.request.samples)[: len(places)]
         return found
 
     def to_xarray(self) -> "xarray.Dataset":

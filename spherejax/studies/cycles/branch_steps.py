@@ -16,7 +16,15 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.studies.cycles.cycle_result import Multipliers
-from spherejax.studies.cycles.shooting import Found, Place, Shooting, Shot, matrix, search, stacked_places
+from spherejax.studies.cycles.shooting import (
+    CandidateState,
+    SearchOutcome,
+    Shooting,
+    Shot,
+    matrix,
+    search,
+    stacked_places,
+)
 
 SMALLEST_STEP = 1e-5
 """Shares of the span, or of the size of the cycle: a branch that asks for shorter steps ends."""
@@ -34,7 +42,7 @@ LOCATED = 1e-6
 """An event is found to this share of the step between its points."""
 
 
-class Point(NamedTuple):
+class BranchPoint(NamedTuple):
     """A cycle of a branch.
 
     Attributes:
@@ -76,7 +84,7 @@ class Stepper:
         self.shooting, self.tolerance = shooting, tolerance
         self.unknown_period, self.knows_time = unknown_period, knows_time
 
-    def point(self, shot: Shot, before: Point | None) -> Point:
+    def point(self, shot: Shot, before: BranchPoint | None) -> BranchPoint:
         """A cycle as a point, its tangent the way that leads on from the one before; at first, to larger shares."""
         J, _ = matrix(shot, self.unknown_period, True)
         n = len(shot.residual)
@@ -97,7 +105,7 @@ class Stepper:
             leads = self._along(shot, before.direction, before.slope) @ tangent
         tangent = tangent if leads >= 0 else -tangent
         rtol = self.shooting.family.rtol
-        return Point(shot, tangent, Multipliers.of(shot.monodromy, self.knows_time, rtol, shot.doubt))
+        return BranchPoint(shot, tangent, Multipliers.of(shot.monodromy, self.knows_time, rtol, shot.doubt))
 
     @property
     def n_shifts(self) -> int:
@@ -110,12 +118,12 @@ class Stepper:
         x = inverse @ direction / shot.size
         return np.concatenate([x, np.zeros(int(self.unknown_period)), [slope]])
 
-    def turned(self, first: Point, second: Point) -> float:
+    def turned(self, first: BranchPoint, second: BranchPoint) -> float:
         """Cosine of the angle between two tangents, as far as state and number show it."""
         before = self._along(second.shot, first.direction, first.slope)
         return float(before @ second.tangent / max(np.linalg.norm(before), 1e-300))
 
-    def predicted(self, point: Point, step: float) -> Place:
+    def predicted(self, point: BranchPoint, step: float) -> CandidateState:
         """The place after a step along the tangent."""
         shot, n = point.shot, len(point.shot.residual)
         change = step * point.tangent
@@ -123,9 +131,9 @@ class Stepper:
         by = self.shooting.by
         assert by is not None
         y = shot.moved(self.shooting.family, shot.size * change[:n], change[-1])
-        return self.shooting.timed(Place(y, period, shot.place.values + change[-1] * by))
+        return self.shooting.timed(CandidateState(y, period, shot.place.values + change[-1] * by))
 
-    def corrected(self, place: Place, *, by_number: bool = True) -> Found:
+    def corrected(self, place: CandidateState, *, by_number: bool = True) -> SearchOutcome:
         """The cycle that corrections lead to."""
         return search(
             self.shooting,
@@ -135,7 +143,9 @@ class Stepper:
             by_number=by_number,
         )[0]
 
-    def located(self, first: Point, step: float, value: Callable[[Point], float], ends: tuple[float, float]) -> Point:
+    def located(
+        self, first: BranchPoint, step: float, value: Callable[[BranchPoint], float], ends: tuple[float, float]
+    ) -> BranchPoint:
         """The point of a step at which a function of points changes sign, by the Illinois rule."""
         (a, b), (fa, fb) = (0.0, step), ends
         best, best_size = first, abs(fa)

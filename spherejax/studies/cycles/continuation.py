@@ -15,9 +15,9 @@ from spherejax.model.scene import Scene
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.runs.known_builds import built
 from spherejax.studies.cycles.branch_result import Branch, Event
-from spherejax.studies.cycles.branch_steps import FEW, GENTLE, MANY, SMALLEST_STEP, Point, Stepper
+from spherejax.studies.cycles.branch_steps import FEW, GENTLE, MANY, SMALLEST_STEP, BranchPoint, Stepper
 from spherejax.studies.cycles.family import Family
-from spherejax.studies.cycles.shooting import Place, Shooting, search, settled, stacked_places
+from spherejax.studies.cycles.shooting import CandidateState, Shooting, search, settled, stacked_places
 from spherejax.studies.cycles.study import (
     TOLERANCE,
     CycleWarning,
@@ -97,7 +97,7 @@ def continuation(
         family = Family(build, {**fixed, number: begin}, rtol=rtol, solver=solver, max_steps=max_steps)
         names = _outputs(outputs, family)
         refuse_time(family, request, "continuation")
-        walk = _Walk(family, request, number, (begin, end), period_of)
+        walk = _BranchWalk(family, request, number, (begin, end), period_of)
         walk.followed(start_of(scene, family, request), first_step, largest_step, most_points)
         branch = Branch.of(walk.points, walk.events, number, (begin, end), names, family, request, walk.why)
     if walk.why:
@@ -174,7 +174,7 @@ def _outputs(names: Sequence[str] | str, family: Family) -> tuple[str, ...]:
     return names
 
 
-class _Walk:
+class _BranchWalk:
     """Along a branch, from its first cycle to its end."""
 
     def __init__(self, family: Family, request: Request, number: str, span, period_of):
@@ -184,7 +184,7 @@ class _Walk:
         of_values = None if period_of is None else (lambda values: period_of(float(values[at])))
         shooting = Shooting(family, request.t, self.by, of_values)
         self.stepper = Stepper(shooting, TOLERANCE * family.rtol, not request.is_driven, family.knows_time)
-        self.points: list[Point] = []
+        self.points: list[BranchPoint] = []
         self.events: list[Event] = []
         self.why = ""
 
@@ -192,7 +192,7 @@ class _Walk:
     def _at(self) -> int:
         return self.family.names.index(self.number)
 
-    def share(self, point: Point) -> float:
+    def share(self, point: BranchPoint) -> float:
         """How far in the span a point is."""
         return (float(point.shot.place.values[self._at]) - self.span[0]) / (self.span[1] - self.span[0])
 
@@ -200,7 +200,7 @@ class _Walk:
         """Find the first cycle and go on from it."""
         request, stepper = self.request, self.stepper
         values = np.array([self._values[name] for name in self.family.names])
-        place = stacked_places([Place(start, np.asarray(request.period), values)])
+        place = stacked_places([CandidateState(start, np.asarray(request.period), values)])
         if request.settle:
             place = place._replace(y=settled(self.family, place, request.t, request.settle)[0])
         found = search(
@@ -238,7 +238,7 @@ class _Walk:
             elif n_steps > MANY:
                 step = step / 2
 
-    def _next(self, last: Point, step: float) -> tuple[Point | None, int, str]:
+    def _next(self, last: BranchPoint, step: float) -> tuple[BranchPoint | None, int, str]:
         """The next point, or why a step as long leads to none."""
         found = self.stepper.corrected(self.stepper.predicted(last, step))
         if not found.is_cycle:
@@ -248,7 +248,7 @@ class _Walk:
             return None, found.n_steps, "it turns too sharply there (an impact that begins, a corner)"
         return point, found.n_steps, ""
 
-    def _ended(self, last: Point, point: Point, step: float) -> bool:
+    def _ended(self, last: BranchPoint, point: BranchPoint, step: float) -> bool:
         """Whether a point is outside of the span; then the branch ends with the one on its border."""
         share = self.share(point)
         if 0 <= share <= 1 or (share < 0 and len(self.points) == 1 and self.share(last) <= 0):
@@ -274,10 +274,10 @@ class _Walk:
         apart = np.linalg.norm(first.shot.seen(self.family, last.shot.place.y)) / first.shot.size
         return bool(apart < 1e-2 and self.stepper.turned(first, last) > GENTLE)
 
-    def _value(self, point: Point) -> float:
+    def _value(self, point: BranchPoint) -> float:
         return float(point.shot.place.values[self._at])
 
-    def _look_between(self, last: Point, point: Point, step: float) -> None:
+    def _look_between(self, last: BranchPoint, point: BranchPoint, step: float) -> None:
         """Events between two points."""
         if last.slope * point.slope < 0:
             at = self.stepper.located(last, step, lambda p: p.slope, (last.slope, point.slope))
@@ -287,7 +287,7 @@ class _Walk:
             return
         n = min(before, after)
 
-        def value(p: Point) -> float:
+        def value(p: BranchPoint) -> float:
             sizes = np.sort(np.abs(p.multipliers.judged))[::-1]
             return float(sizes[n] - 1) if n < len(sizes) else -1.0
 
@@ -300,7 +300,7 @@ class _Walk:
             return  # the fold says it already
         self._told(kind, at, point)
 
-    def _told(self, kind: str, at: Point, after: Point) -> None:
+    def _told(self, kind: str, at: BranchPoint, after: BranchPoint) -> None:
         place = at.shot.place
         self.events.append(
             Event(kind, self._value(at), float(place.period), len(self.points), after.multipliers.is_stable, at)

@@ -16,7 +16,7 @@ from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.assembly import Assembly
 from spherejax.studies.cycles.family import Family
-from spherejax.studies.cycles.shooting import Place
+from spherejax.studies.cycles.shooting import CandidateState
 
 if TYPE_CHECKING:
     import xarray
@@ -211,7 +211,7 @@ def _complex(value: complex) -> str:
     return f"{value.real:.4g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.4g}i"
 
 
-def motions(family: Family, places: Place, begin: float, samples: int) -> list[Trajectory]:
+def motions(family: Family, places: CandidateState, begin: float, samples: int) -> list[Trajectory]:
     """One period from each state, as runs."""
     n = len(places.y)
     theta = family.theta(places.values)

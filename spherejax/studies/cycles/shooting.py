@@ -51,7 +51,7 @@ RESTING = 1e-7
 """A cycle that is smaller than this share of the mechanism is a rest."""
 
 
-class Place(NamedTuple):
+class CandidateState(NamedTuple):
     """A state that may be one of a cycle (of several: a leading axis).
 
     Attributes:
@@ -65,9 +65,9 @@ class Place(NamedTuple):
     values: Float[np.ndarray, "*n p"]
 
 
-def stacked_places(places: "list[Place]") -> Place:
+def stacked_places(places: "list[CandidateState]") -> CandidateState:
     """Several as one."""
-    return Place(*(np.stack([np.asarray(each) for each in column]) for column in zip(*places, strict=True)))
+    return CandidateState(*(np.stack([np.asarray(each) for each in column]) for column in zip(*places, strict=True)))
 
 
 class Shot(NamedTuple):
@@ -90,7 +90,7 @@ class Shot(NamedTuple):
         doubt: error of M (the root of the sum of its squares), where it was found by differences; else 0.
     """
 
-    place: Place
+    place: CandidateState
     end: np.ndarray
     coordinates: Coordinates
     units: Float[np.ndarray, " n_x"]
@@ -154,7 +154,7 @@ class Shooting:
         """A length of the mechanism in the unit of the coordinates [sqrt(kg) m]."""
         return self.mass**0.5 * self.length
 
-    def shots(self, places: Place, wanted: np.ndarray | None = None) -> list[Shot]:
+    def shots(self, places: CandidateState, wanted: np.ndarray | None = None) -> list[Shot]:
         """What one period makes of states, with derivatives."""
         family, layout, n = self.family, self.family.layout, len(places.y)
         asked = np.ones(n, bool) if wanted is None else wanted
@@ -180,10 +180,12 @@ class Shooting:
         rates = family.looked_at(theta, times + places.period, np.stack([one.end for one in found])).rate
         return [self._shot(places, k, *about[k], deviations[k], found[k], rates[k], bool(made[k])) for k in range(n)]
 
-    def _shot(self, places: Place, k: int, coordinates, units, chosen, deviations, found: Period, rate, wanted) -> Shot:
+    def _shot(
+        self, places: CandidateState, k: int, coordinates, units, chosen, deviations, found: Period, rate, wanted
+    ) -> Shot:
         layout = self.family.layout
         start, last = deviations.by_number, found.end
-        place = Place(*(each[k] for each in places))
+        place = CandidateState(*(each[k] for each in places))
         inverse = coordinates.inverse[chosen] / units[:, None]
         residual = inverse @ between(layout, place.y, last)
         columns, doubt = inverse @ found.changes, inverse @ found.doubt
@@ -208,7 +210,7 @@ class Shooting:
         square = sum(np.sum((each @ coordinates.mass) * each, 1) for each in (q, v)) + np.sum(m * m, 1)
         return max(float(np.nan_to_num(np.sqrt(square)).max()), RESTING * self.scale)
 
-    def timed(self, place: Place) -> Place:
+    def timed(self, place: CandidateState) -> CandidateState:
         """With the period that belongs to its numbers."""
         return place if self.period_of is None else place._replace(period=np.asarray(self.period_of(place.values)))
 
@@ -247,7 +249,7 @@ def _onset_entries(family: Family) -> list[int]:
     return [family.layout.memory_start + system.memory_of(name).start for name in system.contact_joints]
 
 
-class Found(NamedTuple):
+class SearchOutcome(NamedTuple):
     """What became of a search.
 
     Attributes:
@@ -263,10 +265,10 @@ class Found(NamedTuple):
     why: str
 
 
-class _Search:
+class _CycleSearch:
     """One search, between shots."""
 
-    def __init__(self, place: Place):
+    def __init__(self, place: CandidateState):
         self.place, self.share, self.n, self.is_over = place, 1.0, 0, False
         self.best: Shot | None = None
         self.step: np.ndarray | None = None
@@ -274,8 +276,13 @@ class _Search:
 
 
 def search(
-    shooting: Shooting, places: Place, *, tolerance: float, unknown_period: bool = False, by_number: bool = False
-) -> list[Found]:
+    shooting: Shooting,
+    places: CandidateState,
+    *,
+    tolerance: float,
+    unknown_period: bool = False,
+    by_number: bool = False,
+) -> list[SearchOutcome]:
     """Newton's method from many states at once.
 
     Args:
@@ -287,7 +294,7 @@ def search(
         unknown_period: whether the period is found with it.
         by_number: whether the number is an unknown too, as in a corrector.
     """
-    searches = [_Search(Place(*(each[k] for each in places))) for k in range(len(places.y))]
+    searches = [_CycleSearch(CandidateState(*(each[k] for each in places))) for k in range(len(places.y))]
     for _ in range(MOST_STEPS):
         busy = np.array([not each.is_over for each in searches])
         if not busy.any():
@@ -299,7 +306,7 @@ def search(
     return [_judged(shooting, one, tolerance) for one in searches]
 
 
-def _advanced(shooting: Shooting, one: _Search, shot: Shot, tolerance: float, unknown_period, by_number) -> None:
+def _advanced(shooting: Shooting, one: _CycleSearch, shot: Shot, tolerance: float, unknown_period, by_number) -> None:
     """After a shot: go on from it, or take half of the step."""
     one.n += 1
     one.last = shot
@@ -329,7 +336,7 @@ def _advanced(shooting: Shooting, one: _Search, shot: Shot, tolerance: float, un
     number = float(step[n + unknown_period]) if by_number else 0.0
     period = best.place.period * np.exp(np.clip(step[n], -0.5, 0.5)) if unknown_period else best.place.period
     values = best.place.values if shooting.by is None else best.place.values + number * shooting.by
-    one.place = shooting.timed(Place(best.moved(shooting.family, step[:n], number), period, values))
+    one.place = shooting.timed(CandidateState(best.moved(shooting.family, step[:n], number), period, values))
 
 
 def newton_step(shot: Shot, unknown_period: bool, by_number: bool) -> np.ndarray:
@@ -349,19 +356,19 @@ def matrix(shot: Shot, unknown_period: bool, by_number: bool) -> tuple[np.ndarra
     return J, np.concatenate([np.ones(len(own)), np.full(len(more), 1 / shot.size)])
 
 
-def _judged(shooting: Shooting, one: _Search, tolerance: float) -> Found:
+def _judged(shooting: Shooting, one: _CycleSearch, tolerance: float) -> SearchOutcome:
     shot: Shot | None = one.best or one.last
     assert shot is not None
     if shot.error <= tolerance:
-        return Found(shot, True, one.n, "")
+        return SearchOutcome(shot, True, one.n, "")
     failed = one.last if one.best is None else None
     if failed is not None and failed.status != Status.SUCCEEDED:
         at = shooting.begin + failed.t_reached * float(failed.place.period)
         remedy = REMEDIES.get(Status(failed.status), "it did not end well")
-        return Found(shot, False, one.n, f"the integration of a cycle stopped at t = {at:.6g} s: {remedy}")
+        return SearchOutcome(shot, False, one.n, f"the integration of a cycle stopped at t = {at:.6g} s: {remedy}")
     if not np.isfinite(shot.error):
-        return Found(shot, False, one.n, TOUCHES)
-    return Found(
+        return SearchOutcome(shot, False, one.n, TOUCHES)
+    return SearchOutcome(
         shot,
         False,
         one.n,
@@ -377,7 +384,7 @@ TOUCHES = (
 )
 
 
-def settled(family: Family, places: Place, begin: float, cycles: int) -> tuple[np.ndarray, np.ndarray]:
+def settled(family: Family, places: CandidateState, begin: float, cycles: int) -> tuple[np.ndarray, np.ndarray]:
     """States after so many cycles, and the status of each run."""
     n = len(places.y)
     theta = family.theta(places.values)

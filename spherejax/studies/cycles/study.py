@@ -20,7 +20,7 @@ from spherejax.motion.start.equilibrium import equilibrium
 from spherejax.motion.start.start_now import start_now
 from spherejax.studies.cycles.cycle_result import Cycle, Multipliers, motions
 from spherejax.studies.cycles.family import Family
-from spherejax.studies.cycles.shooting import Found, Place, Shooting, search, settled, stacked_places
+from spherejax.studies.cycles.shooting import CandidateState, SearchOutcome, Shooting, search, settled, stacked_places
 
 TOLERANCE = 100.0
 """A cycle closes to so many relative tolerances of its size: errors of the steps of a period add up."""
@@ -185,7 +185,7 @@ def refuse_time(family: Family, request: Request, name: str) -> None:
 def cycle_from(family: Family, start: np.ndarray, request: Request, values: np.ndarray | None = None) -> Cycle:
     """The cycle that is found from a state."""
     numbers = np.zeros((1, 0)) if values is None else values[None]
-    place = Place(start[None], np.array([request.period]), numbers)
+    place = CandidateState(start[None], np.array([request.period]), numbers)
     if request.settle:
         ends, _ = settled(family, place, request.t, request.settle)
         place = place._replace(y=ends)
@@ -203,7 +203,7 @@ ALIKE = 1e-7
 """By how much they may differ, as a share of the largest accelerations, and of the mechanism."""
 
 
-def why_not_periodic(family: Family, place: Place, run: Trajectory, begin: float) -> str:
+def why_not_periodic(family: Family, place: CandidateState, run: Trajectory, begin: float) -> str:
     """Why the equations of motion are others a period later; empty where they are the same."""
     if not family.knows_time:
         return ""
@@ -223,7 +223,7 @@ def why_not_periodic(family: Family, place: Place, run: Trajectory, begin: float
     )
 
 
-def made(family: Family, found: Found, request: Request) -> Cycle:
+def made(family: Family, found: SearchOutcome, request: Request) -> Cycle:
     """The cycle of what a search has found."""
     shot = found.shot
     place = stacked_places([shot.place])

@@ -21,7 +21,7 @@ from spherejax.motion.start.start_now import start_now
 from spherejax.studies.cycles.cycle_result import Multipliers, coefficients, motions
 from spherejax.studies.cycles.family import Family
 from spherejax.studies.cycles.shaking import shaken
-from spherejax.studies.cycles.shooting import Found, Place, Shooting, search, settled, stacked_places
+from spherejax.studies.cycles.shooting import CandidateState, SearchOutcome, Shooting, search, settled, stacked_places
 from spherejax.studies.cycles.study import TOLERANCE, CycleWarning
 from spherejax.studies.linear import Linearization, linearize
 
@@ -237,14 +237,14 @@ def _start(scene: Scene, input: str, at: str, amplitude: float, frequency: float
     return np.asarray(initial_state(system, assembly))
 
 
-def _cycles(family: Family, start: np.ndarray, f, a, sweep, settle: int) -> list[Found]:
+def _cycles(family: Family, start: np.ndarray, f, a, sweep, settle: int) -> list[SearchOutcome]:
     """What was found, by amplitude and frequency in turn."""
     shooting = Shooting(family, 0.0)
     tolerance = TOLERANCE * family.rtol
 
-    def found_from(y: np.ndarray, pairs: list[tuple[float, float]]) -> list[Found]:
+    def found_from(y: np.ndarray, pairs: list[tuple[float, float]]) -> list[SearchOutcome]:
         values = np.array(pairs)
-        places = Place(y, 1 / values[:, 1], values)
+        places = CandidateState(y, 1 / values[:, 1], values)
         if settle:
             ends, _ = settled(family, places, 0.0, settle)
             places = places._replace(y=ends)
@@ -255,14 +255,14 @@ def _cycles(family: Family, start: np.ndarray, f, a, sweep, settle: int) -> list
         return found_from(np.repeat(start[None], len(pairs), 0), pairs)
     order = range(len(f)) if sweep == "up" else range(len(f) - 1, -1, -1)
     y = np.repeat(start[None], len(a), 0)
-    columns: dict[int, list[Found]] = {}
+    columns: dict[int, list[SearchOutcome]] = {}
     for j in order:
         columns[j] = found_from(y, [(amplitude, f[j]) for amplitude in a])
         y = np.stack([one.shot.place.y if one.is_cycle else y[k] for k, one in enumerate(columns[j])])
     return [columns[j][k] for k in range(len(a)) for j in range(len(f))]
 
 
-def _answers(family: Family, found: list[Found], linear: Linearization, f, a, samples: int) -> SweptSine:
+def _answers(family: Family, found: list[SearchOutcome], linear: Linearization, f, a, samples: int) -> SweptSine:
     shape = len(a), len(f)
     runs = motions(family, stacked_places([one.shot.place for one in found]), 0.0, samples)
     asked = [quantity(name, family.example) for name in linear.outputs]
@@ -294,7 +294,7 @@ def _answers(family: Family, found: list[Found], linear: Linearization, f, a, sa
     )
 
 
-def _notes(found: list[Found], linear: Linearization, upper, size, multipliers, f, a) -> list[str]:
+def _notes(found: list[SearchOutcome], linear: Linearization, upper, size, multipliers, f, a) -> list[str]:
     pairs = [(amplitude, frequency) for amplitude in a for frequency in f]
     notes = []
     missing = [k for k, one in enumerate(found) if not one.is_cycle]

@@ -27,7 +27,7 @@ Function = Callable[[Trajectory], Any]
 """From a run to a number."""
 
 
-class Measured(NamedTuple):
+class DesignMeasured(NamedTuple):
     """A measure of a run.
 
     Attributes:
@@ -65,22 +65,22 @@ class Measure:
         """Whether the run must integrate the work of its joints."""
         return self.observable is not None and self.observable.needs_work
 
-    def of(self, run: Trajectory, sharpness: Number) -> Measured:
+    def of(self, run: Trajectory, sharpness: Number) -> DesignMeasured:
         """Its value for a run."""
         if self.observable is None:
             assert self.function is not None
             value = jnp.asarray(self.function(run), jnp.float64)
             if value.shape:
                 raise SceneError(f"measure {self.name!r} must be one number; its shape is {value.shape}")
-            return Measured(value, value)
+            return DesignMeasured(value, value)
         history = self.observable.of(run)
         if self.kind == "peak":
-            return Measured(smooth_peak(history, sharpness), jnp.max(magnitudes(history)))
+            return DesignMeasured(smooth_peak(history, sharpness), jnp.max(magnitudes(history)))
         if self.kind == "rms":
             value = safe_sqrt(jnp.mean(magnitudes(history) ** 2))
         else:
             value = history[-1, 0] if history.shape[1] == 1 else magnitudes(history[-1:])[0]
-        return Measured(value, value)
+        return DesignMeasured(value, value)
 
 
 def measure(name: str, system: System, functions: Mapping[str, Function]) -> Measure:

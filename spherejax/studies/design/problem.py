@@ -19,7 +19,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, simulate
 from spherejax.runtime import require_float64
 from spherejax.studies.design.measures import Function, Measure, measure
-from spherejax.studies.fit.parameters import Unknowns, unknowns_from
+from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
 
 Build = Callable[..., Scene]
 """Makes a scene from the parameters, by keyword."""
@@ -130,16 +130,16 @@ class DesignProblem:
         return smooth, (smooth, true, run.status, run.t_reached)
 
 
-def _without_bounds(unknowns: Unknowns) -> Unknowns:
+def _without_bounds(unknowns: FitUnknowns) -> FitUnknowns:
     """The same numbers by their logarithms where they are positive, and in their scales elsewhere.
 
     A fit maps an interval to all numbers. The best design often lies on a bound, which such a map never reaches.
     """
     parts = [replace(p, lower=0.0 if p.is_relative else -np.inf, upper=np.inf) for p in unknowns.parts]
-    return Unknowns(tuple(parts))
+    return FitUnknowns(tuple(parts))
 
 
-def _scaled_bounds(unknowns: Unknowns) -> Float[np.ndarray, "k 2"]:
+def _scaled_bounds(unknowns: FitUnknowns) -> Float[np.ndarray, "k 2"]:
     rows = []
     for part in unknowns.parts:
         bounds = np.array([part.lower, part.upper])

@@ -30,14 +30,14 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.many import Build, built
 from spherejax.motion.runs.simulate import choice_for, tolerances_of
-from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.motion.start.tolerances import controller_for
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
-from spherejax.studies.fit.parameters import Unknowns
+from spherejax.studies.fit.parameters import FitUnknowns
 
 
 class Frame(NamedTuple):
@@ -70,7 +70,7 @@ class Setting(eqx.Module):
     start: Assembly | None
 
 
-class Numbers(NamedTuple):
+class TracedNumbers(NamedTuple):
     """The traced numbers of a system, as they follow from the unknowns.
 
     Attributes:
@@ -143,7 +143,7 @@ class Experiment(eqx.Module):
 
     frame: Frame = eqx.field(static=True)
     setting: Setting
-    numbers: Callable[[Array], Numbers] = eqx.field(static=True)
+    numbers: Callable[[Array], TracedNumbers] = eqx.field(static=True)
     measured: Measured = eqx.field(static=True)
     data: Float[np.ndarray, "n m"]
     is_measured: Bool[np.ndarray, "n m"]
@@ -192,7 +192,7 @@ class Experiment(eqx.Module):
 
 def experiment_of(
     build: Build,
-    unknowns: Unknowns,
+    unknowns: FitUnknowns,
     start: dict[str, np.ndarray],
     measured: Measured,
     integration: Integration,
@@ -249,11 +249,11 @@ class _Reach(NamedTuple):
 
     plan: Plan
     known: np.ndarray
-    choice: Choice
+    choice: SolverChoice
     start: Assembly | None
 
 
-def _reach(build: Build, unknowns: Unknowns, start, track_work: bool, integration: Integration, times) -> _Reach:
+def _reach(build: Build, unknowns: FitUnknowns, start, track_work: bool, integration: Integration, times) -> _Reach:
     """Trace the builder without staging it: what does not depend on the unknowns stays known."""
     found: list[_Reach] = []
 
@@ -273,7 +273,7 @@ def _reach(build: Build, unknowns: Unknowns, start, track_work: bool, integratio
 
 
 @lru_cache(maxsize=64)
-def _numbers_for(build: Build, unknowns: Unknowns, track_work: bool, unknown: tuple[int, ...]):
+def _numbers_for(build: Build, unknowns: FitUnknowns, track_work: bool, unknown: tuple[int, ...]):
     """The traced numbers of a builder's system and their derivatives, compiled; kept for fits to come."""
 
     def numbers(u):
@@ -285,7 +285,7 @@ def _numbers_for(build: Build, unknowns: Unknowns, track_work: bool, unknown: tu
     def with_directions(u):
         slopes, (values, legal) = jax.jacfwd(numbers, has_aux=True)(u)
         finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(slopes))
-        return Numbers(values, slopes.T, legal & finite)
+        return TracedNumbers(values, slopes.T, legal & finite)
 
     return with_directions
 
@@ -293,7 +293,7 @@ def _numbers_for(build: Build, unknowns: Unknowns, track_work: bool, unknown: tu
 # The programs -------------------------------------------------------------------------------------------------------
 
 
-def _with_slopes(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
+def _with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     found = integrate_along(
         frame.plan, setting.options, numbers.values, numbers.directions, setting.known, setting.ts, setting.start,
         numbers.are_legal,
@@ -337,12 +337,12 @@ _predicted_with_slopes = bounded_jit(_with_slopes, what="the predictions of a fi
 
 
 @bounded_jit(what="the predictions of a fit")
-def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
+def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     return jax.vmap(lambda each: _with_slopes(frame, setting, each))(numbers)
 
 
 @bounded_jit(what="a prediction of a fit")
-def _predicted_alone(frame: Frame, setting: Setting, numbers: Numbers) -> Prediction:
+def _predicted_alone(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     outcome: Outcome = run_of(
         frame.plan, setting.options, numbers.values, setting.known, setting.ts, setting.start, numbers.are_legal
     )

@@ -14,7 +14,7 @@ from spherejax.runtime import interrupts_kept
 from spherejax.studies.fit.columns import tables_of, widths_of
 from spherejax.studies.fit.fit_result import Fit
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
-from spherejax.studies.fit.methods import Course, Ending, Method, Seen, Watch
+from spherejax.studies.fit.methods import Course, Ending, FitProgress, FitWatch, Method
 from spherejax.studies.fit.problem import MAX_STEPS, Problem, problem_of
 from spherejax.studies.fit.progress import reporting
 from spherejax.studies.fit.reading import experiments_from
@@ -44,7 +44,7 @@ def fit(
     level: float = 0.95,
     determined_within: float = 0.01,
     seed: int = 0,
-    progress: bool | Callable[[Seen], None] = True,
+    progress: bool | Callable[[FitProgress], None] = True,
 ) -> Fit:
     """Estimate parameters of a scene from measurements of its motion.
 
@@ -77,7 +77,7 @@ def fit(
             of positive parameters) is named as undetermined.
         seed: of the further starts.
         progress: shown in terminals and notebooks and not in logs (True), not at all (False), or a function that is
-            given what `studies.fit.methods.Seen` holds.
+            given what `studies.fit.methods.FitProgress` holds.
 
     Returns:
         The `Fit`. An interrupt (Ctrl-C) ends it with the best parameters so far, and the status says so.
@@ -91,7 +91,7 @@ def fit(
     problem = problem_of(build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps)
     us = _starts(problem, starts, seed)
     with interrupts_kept(), reporting(progress, problem, method.max_iterations) as report:
-        watch = Watch(report, problem, method.max_iterations)
+        watch = FitWatch(report, problem, method.max_iterations)
         problem, courses = _minimized(problem, method, horizon or Grown(), us, watch)
     return Fit(problem, courses, level, determined_within, time.monotonic() - began, build)
 

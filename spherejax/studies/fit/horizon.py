@@ -76,7 +76,7 @@ class GrowingHorizon:
         return courses
 
 
-class _Part(NamedTuple):
+class _HorizonPart(NamedTuple):
     """A fit of a part of the record.
 
     Attributes:
@@ -139,7 +139,7 @@ class _Growth:
             return max(5, 2 * self.problem.unknowns.size)
         return max(1, int(np.searchsorted(self.instants, self.instants[0] + self.horizon.first, side="right")))
 
-    def _part(self, u: np.ndarray, reached: int, step: int) -> _Part:
+    def _part(self, u: np.ndarray, reached: int, step: int) -> _HorizonPart:
         """A rough fit of the first instants, `step` more than before."""
         end = float(self.instants[reached + step - 1])
         problem = self.problem.until(end)
@@ -148,16 +148,16 @@ class _Growth:
             self.gone = course.after(None, end) if self.gone is None else self.gone
             raise KeyboardInterrupt
         if not course.us:
-            return _Part(course, np.inf, np.inf)
+            return _HorizonPart(course, np.inf, np.inf)
         residuals = course.residuals[: problem.n_residuals]
         is_new = np.concatenate([instants_of(each) for each in problem.experiments]) >= self.instants[reached]
-        return _Part(course, _root_mean_square(residuals), _root_mean_square(residuals[is_new]))
+        return _HorizonPart(course, _root_mean_square(residuals), _root_mean_square(residuals[is_new]))
 
-    def _is_explained(self, found: _Part) -> bool:
+    def _is_explained(self, found: _HorizonPart) -> bool:
         """Whether the residuals, and those of what is new among them, are like those before."""
         return max(found.newest, found.size) <= self.horizon.explained * self.size
 
-    def _from_elsewhere(self, found: _Part, u: np.ndarray, reached: int, step: int) -> _Part:
+    def _from_elsewhere(self, found: _HorizonPart, u: np.ndarray, reached: int, step: int) -> _HorizonPart:
         """A part tried from other parameters; the best fit.
 
         Where the size of the noise is not known yet, all of them are tried: this part will be the measure of it.

@@ -134,7 +134,7 @@ def cost_of(residuals: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class Seen:
+class FitProgress:
     """How far a fit is.
 
     Attributes:
@@ -156,10 +156,10 @@ class Seen:
     seconds: float
 
 
-class Watch:
+class FitWatch:
     """Turns the courses of a fit into reports of how far it is."""
 
-    def __init__(self, report: Callable[[Seen], None], problem, n_iterations: int):
+    def __init__(self, report: Callable[[FitProgress], None], problem, n_iterations: int):
         self.report, self.problem, self.n_iterations = report, problem, n_iterations
         self.began = time.monotonic()
 
@@ -169,7 +169,7 @@ class Watch:
         if not best.us:
             return
         self.report(
-            Seen(
+            FitProgress(
                 max(course.n_iterations for course in courses),
                 self.n_iterations,
                 best.cost,

@@ -7,7 +7,7 @@ import numpy as np
 
 from spherejax.model.scene import Scene
 from spherejax.motion.runs.many import built
-from spherejax.output.report.page import Page, Picture, Table, Text
+from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
 from spherejax.studies.fit.report import Units, deviation_of, headline, report
 
 
@@ -27,21 +27,23 @@ def page_of(fit, title: str, scene: Scene | None, units: Units = MappingProxyTyp
     page = Page(title or f"Fit of {names}", verdict)
     page.failed += [] if fit.succeeded else fit.diagnosis.splitlines() or ["no minimum was found"]
     if not fit.best.us:
-        page.add("The fit", Text(report(fit, units).splitlines(), fixed=True))
+        page.add("The fit", PageText(report(fit, units).splitlines(), fixed=True))
         add_versions(page)
         return page
     page.cautions += [*fit.warnings, *(each.explanation for each in fit.undetermined)]
     page.cautions += [f"{name}: {said}" for name, run in fit.runs.items() for said in cautions_of(run)]
-    page.add("Estimates", Text([headline(fit)]), _estimates(fit, units))  # what else `print(fit)` says stands on top
+    page.add(
+        "Estimates", PageText([headline(fit)]), _estimates(fit, units)
+    )  # what else `print(fit)` says stands on top
     page.add("Measurements", _measurements(fit), _starts(fit, units))
-    page.add("Figures", *(Picture(figure, f"{name}, {names}") for name, figure in fit.figures(title).items()))
+    page.add("Figures", *(PagePicture(figure, f"{name}, {names}") for name, figure in fit.figures(title).items()))
     add_motion(page, fit.runs, scene)
     first = fit.problem.experiments[0].measured
     add_sources(page, scene or built(first.build or fit.build, fit.estimates), next(iter(fit.runs.values())))
     return page
 
 
-def _estimates(fit, units: Units) -> Table:
+def _estimates(fit, units: Units) -> PageTable:
     known, rows = fit.knowledge, []
     for name, value, deviation, (low, high) in zip(
         fit.names, known.values, known.standard_deviations, known.intervals(fit.level), strict=True
@@ -52,10 +54,10 @@ def _estimates(fit, units: Units) -> Table:
         rows.append((head, f"{value:.8g}", *deviation_of(value, deviation), f"{low:.6g}", f"{high:.6g}"))
     level = f"{100 * fit.level:g} %"
     heads = ("parameter", "estimate", "standard deviation", "percent", f"{level} from", f"{level} to")
-    return Table(heads, rows, numeric=True)
+    return PageTable(heads, rows, numeric=True)
 
 
-def _measurements(fit) -> Table:
+def _measurements(fit) -> PageTable:
     rows = [
         (
             str(one.measured.name),
@@ -66,10 +68,10 @@ def _measurements(fit) -> Table:
         )
         for one in fit.problem.experiments
     ]
-    return Table(("experiment", "what was measured", "values", "from [s]", "to [s]"), rows)
+    return PageTable(("experiment", "what was measured", "values", "from [s]", "to [s]"), rows)
 
 
-def _starts(fit, units: Units) -> Table:
+def _starts(fit, units: Units) -> PageTable:
     def told(name: str, value: Any) -> str:
         unit, factor = units.get(name, ("", 1.0))
         return f"{name} = {value / factor:.6g} {unit}".rstrip()
@@ -81,4 +83,4 @@ def _starts(fit, units: Units) -> Table:
         (said(one["start"]), said(one["end"]), f"{one['cost']:.6g}", one["status"], str(one["n_iterations"]))
         for one in fit.starts
     ]
-    return Table(("start", "end", "cost", "status", "iterations"), rows, "Where each start went")
+    return PageTable(("start", "end", "cost", "status", "iterations"), rows, "Where each start went")

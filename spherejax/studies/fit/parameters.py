@@ -116,7 +116,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class FitUnknowns:
     """All parameters as a method sees them (static)."""
 
     parts: tuple[Unknown, ...]
@@ -156,7 +156,7 @@ class Unknowns:
         return np.where(self.each("is_relative"), np.abs(values), self.each("scale"))
 
 
-def unknowns_from(start: Mapping[str, Any]) -> tuple[Unknowns, dict[str, np.ndarray]]:
+def unknowns_from(start: Mapping[str, Any]) -> tuple[FitUnknowns, dict[str, np.ndarray]]:
     """The parameters that are fitted, and where the fit begins.
 
     Raises:
@@ -169,7 +169,7 @@ def unknowns_from(start: Mapping[str, Any]) -> tuple[Unknowns, dict[str, np.ndar
         parameter = given if isinstance(given, Parameter) else Parameter(given)
         values[name] = _start_of(name, parameter)
         parts.append(_unknown(name, parameter, values[name]))
-    return Unknowns(tuple(parts)), values
+    return FitUnknowns(tuple(parts)), values
 
 
 def _start_of(name: str, parameter: Parameter) -> np.ndarray:

@@ -22,7 +22,7 @@ from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances
 from spherejax.runtime import require_float64
 from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Integration, Prediction, experiment_of
 from spherejax.studies.fit.measured import Measured
-from spherejax.studies.fit.parameters import Unknowns, unknowns_from
+from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
 from spherejax.studies.fit.side_by_side import in_threads, on_accelerator, padded
 
 MAX_STEPS = 1_000_000
@@ -61,7 +61,7 @@ class Problem:
 
     def __init__(
         self,
-        unknowns: Unknowns,
+        unknowns: FitUnknowns,
         start: dict[str, np.ndarray],
         experiments: Sequence[Experiment],
         noise: Sequence[np.ndarray],

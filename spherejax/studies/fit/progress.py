@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from spherejax.foundations.terminals import console, is_watched
-from spherejax.studies.fit.methods import Seen
+from spherejax.studies.fit.methods import FitProgress
 from spherejax.studies.fit.problem import Problem
 
-Report = Callable[[Seen], None]
+Report = Callable[[FitProgress], None]
 
 
 @contextmanager
@@ -27,7 +27,7 @@ def reporting(progress: bool | Report, problem: Problem, n_iterations: int) -> I
         yield lambda seen: line.update(task, completed=seen.iteration, description=described(seen, problem.names))
 
 
-def described(seen: Seen, names: list[str]) -> str:
+def described(seen: FitProgress, names: list[str]) -> str:
     """Where a fit is, in one line; the residual is a root mean square over the noise."""
     values = ", ".join(f"{name} {value:.4g}" for name, value in zip(names[:4], seen.values[:4], strict=True))
     more = f", ... ({len(names)} numbers)" if len(names) > 4 else ""

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.studies.fit.parameters import Unknowns
+from spherejax.studies.fit.parameters import FitUnknowns
 
 SMALLEST_SHARE = 0.1
 """A parameter belongs to a direction in words if its part of it is at least this share of the largest."""
@@ -53,7 +53,7 @@ class Knowledge:
         degrees_of_freedom: of that estimate; infinite where the noise was stated.
     """
 
-    unknowns: Unknowns
+    unknowns: FitUnknowns
     u: np.ndarray
     jacobian: np.ndarray
     variance: float
@@ -161,7 +161,7 @@ class Knowledge:
         return found[::-1]
 
 
-def _described(unknowns: Unknowns, direction: np.ndarray, singular: float, deviation: float, within: float):
+def _described(unknowns: FitUnknowns, direction: np.ndarray, singular: float, deviation: float, within: float):
     names, relative = unknowns.names, unknowns.each("is_relative")
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     parts = {name: float(part) for name, part in zip(names, direction, strict=True)}

@@ -24,8 +24,8 @@ from spherejax.motion.start.assembly import as_ideal, assemble, described_state
 from spherejax.motion.start.equilibrium import SINGULAR, resting_at
 from spherejax.motion.start.start_now import known_start
 from spherejax.studies.linear.coordinates import coordinates_of
-from spherejax.studies.linear.point import Point
-from spherejax.studies.linear.tangent import Equations, moved
+from spherejax.studies.linear.point import OperatingPoint
+from spherejax.studies.linear.tangent import TangentEquations, moved
 
 AS_DESCRIBED = 1e-8
 """A start whose constraints are described to this [m or 1] yields to them as the formula says; one that is moved
@@ -34,7 +34,7 @@ further is assembled again, with derivatives."""
 Slopes = tuple[Float[np.ndarray, " p"], Float[np.ndarray, " size"]]
 
 
-def slopes_of(point: Point, number: Number) -> Slopes:
+def slopes_of(point: OperatingPoint, number: Number) -> Slopes:
     """Derivatives of the flat numbers of the system and of the flat state by a number."""
     if point.origin == "start":
         return _of_start(point, number)
@@ -43,7 +43,7 @@ def slopes_of(point: Point, number: Number) -> Slopes:
     return theta_slope(point, number), np.zeros_like(point.y)
 
 
-def theta_slope(point: Point, number: Number) -> Float[np.ndarray, " p"]:
+def theta_slope(point: OperatingPoint, number: Number) -> Float[np.ndarray, " p"]:
     """Derivative of the flat numbers of the system by a number."""
 
     def theta(value):
@@ -52,7 +52,7 @@ def theta_slope(point: Point, number: Number) -> Float[np.ndarray, " p"]:
     return _slope(theta, number.value(point.whole))
 
 
-def _system_of(point: Point, whole: Any) -> System:
+def _system_of(point: OperatingPoint, whole: Any) -> System:
     """The system of a scene that is changed, its bodies at rest where the point's are."""
     if not isinstance(whole, Scene):
         return whole
@@ -65,7 +65,7 @@ def _slope(function, value: float) -> np.ndarray:
     return np.asarray(jax.jvp(function, (jnp.asarray(value),), (jnp.asarray(1.0),))[1])
 
 
-def _of_rest(point: Point, number: Number) -> Slopes:
+def _of_rest(point: OperatingPoint, number: Number) -> Slopes:
     equations, theta = point.equations, theta_slope(point, number)
     found, n_v = equations.geometry, point.system.layout.n_velocity
     at = coordinates_of(found, point.system.layout.n_memory)
@@ -79,7 +79,7 @@ def _of_rest(point: Point, number: Number) -> Slopes:
     return theta, _state_slope(point, change + free @ yields)
 
 
-def _of_start(point: Point, number: Number) -> Slopes:
+def _of_start(point: OperatingPoint, number: Number) -> Slopes:
     theta = theta_slope(point, number)
     start = known_start(point.system, np.array([point.t]))
     as_described = start is not None and float(start.assembly.residual_before) < AS_DESCRIBED
@@ -92,7 +92,7 @@ def _of_start(point: Point, number: Number) -> Slopes:
         return jnp.concatenate([jnp.asarray(flatten_system(system)[1]), described_state(system)])
 
     slope, described_slope = np.split(_slope(described, number.value(point.whole)), [ideal.size])
-    equations = Equations(structure, ideal, point.t, point.y[: point.system.layout.memory_start])
+    equations = TangentEquations(structure, ideal, point.t, point.y[: point.system.layout.memory_start])
     found = equations.geometry
     least = coordinates_of(found, 0).least
     held = equations.by_numbers((), slope[:, None])[2][..., 0]
@@ -107,7 +107,7 @@ def yielding(found, least, held, dq, dv) -> tuple[np.ndarray, np.ndarray]:
     return dq, dv - least @ (found.rate_by_position @ dq + found.by_position @ dv + rate_by_number)
 
 
-def _change_of(point: Point, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _change_of(point: OperatingPoint, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Displacements and turns, and changes of velocities, from a change of the flat state."""
     layout = point.system.layout
     rates = slope[: layout.n_position].reshape(-1, 7)
@@ -117,13 +117,13 @@ def _change_of(point: Point, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.concatenate([rates[:, :3], turn], 1).ravel(), slope[layout.n_position : layout.memory_start]
 
 
-def _state_slope(point: Point, change: np.ndarray) -> Float[np.ndarray, " size"]:
+def _state_slope(point: OperatingPoint, change: np.ndarray) -> Float[np.ndarray, " size"]:
     layout, y = point.system.layout, jnp.asarray(point.y)
     along = jnp.asarray(change)
     return np.asarray(jax.jvp(lambda step: moved(layout, y, step), (jnp.zeros_like(along),), (along,))[1])
 
 
-def _assembled(point: Point, number: Number) -> Float[np.ndarray, " size"]:
+def _assembled(point: OperatingPoint, number: Number) -> Float[np.ndarray, " size"]:
     """Through the assembly of the start. Compiled: it is thousands of operations."""
 
     def start(value):

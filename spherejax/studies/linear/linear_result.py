@@ -10,7 +10,7 @@ from jaxtyping import Bool, Complex, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.linear.coordinates import Coordinates
 from spherejax.studies.linear.modes import Modes
-from spherejax.studies.linear.point import Point
+from spherejax.studies.linear.point import OperatingPoint
 from spherejax.studies.linear.steadiness import Steadiness
 from spherejax.studies.linear.tangent import Geometry
 
@@ -66,7 +66,7 @@ class Linearization:
     inverse: Float[np.ndarray, "n_x n_z"]
     turning: Float[np.ndarray, "3"]
     steadiness: Steadiness
-    point: Point
+    point: OperatingPoint
     coordinates: Coordinates
     geometry: Geometry
     kept: Bool[np.ndarray, " n"]

@@ -17,13 +17,13 @@ from spherejax.motion.integration.moment import state_between
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.equilibrium import equilibrium
 from spherejax.motion.start.start_now import start_now
-from spherejax.studies.linear.tangent import Equations
+from spherejax.studies.linear.tangent import TangentEquations
 
 SAME_TIME = 1e-9
 """A sample is meant by a time that differs from its own by less than this share of the run."""
 
 
-class Point(NamedTuple):
+class OperatingPoint(NamedTuple):
     """A state of a system, and what it comes from.
 
     Attributes:
@@ -46,9 +46,9 @@ class Point(NamedTuple):
     origin: str
 
     @property
-    def equations(self) -> Equations:
+    def equations(self) -> TangentEquations:
         """The equations of motion about it."""
-        return Equations(self.structure, self.theta, self.t, self.y)
+        return TangentEquations(self.structure, self.theta, self.t, self.y)
 
 
 def asked_of(what: Scene | Trajectory, at: str | float) -> tuple[Scene | System, System]:
@@ -77,7 +77,7 @@ def asked_of(what: Scene | Trajectory, at: str | float) -> tuple[Scene | System,
     return what, system
 
 
-def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
+def point_of(what: Scene | Trajectory, at: str | float, t: float) -> OperatingPoint:
     """The state that is asked for, of what `asked_of` has found to be right."""
     if isinstance(what, Trajectory):
         return _of_run(what, at)
@@ -88,10 +88,10 @@ def point_of(what: Scene | Trajectory, at: str | float, t: float) -> Point:
     assert assembly is not None
     y = np.asarray(initial_state(system, jax.tree.map(jnp.asarray, assembly), t))
     words = "at rest" if at == "rest" else "about the start"
-    return Point(what, system, structure, np.asarray(theta), t, y, words, str(at))
+    return OperatingPoint(what, system, structure, np.asarray(theta), t, y, words, str(at))
 
 
-def _of_run(run: Trajectory, at: str | float) -> Point:
+def _of_run(run: Trajectory, at: str | float) -> OperatingPoint:
     i, wanted = _sample(run, at)
     t, y, system = float(run.ts[i]), np.asarray(run.ys[i]), run.system
     words = f"of the run at {t:.6g} s"
@@ -99,7 +99,7 @@ def _of_run(run: Trajectory, at: str | float) -> Point:
         y = state_between(system, run.asked, run.scalar, t, y, wanted)
         t, words = wanted, f"of the run at {wanted:.6g} s (integrated on from its sample at {t:.6g} s)"
     structure, theta = flatten_system(system)
-    return Point(system, system, structure, np.asarray(theta), t, y, words, "run")
+    return OperatingPoint(system, system, structure, np.asarray(theta), t, y, words, "run")
 
 
 def _sample(run: Trajectory, at: str | float) -> tuple[int, float | None]:

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from spherejax.motion.start.tolerances import length_scale, time_scale
 from spherejax.studies.linear.coordinates import Coordinates, coordinates_of
-from spherejax.studies.linear.point import Point
-from spherejax.studies.linear.tangent import Equations, moved
+from spherejax.studies.linear.point import OperatingPoint
+from spherejax.studies.linear.tangent import TangentEquations, moved
 
 STEP = 1e-5
 """Time after which the coefficients are looked at again, as a share of the mechanism's own time and of the time in
@@ -41,7 +41,7 @@ class Steadiness(NamedTuple):
 
 
 def steadiness_of(
-    point: Point,
+    point: OperatingPoint,
     turning: Float[np.ndarray, "3"],
     coordinates: Coordinates,
     slopes: Float[np.ndarray, "n_z n_x"],
@@ -69,7 +69,7 @@ def steadiness_of(
     step = STEP / fastest
     change = np.concatenate([velocity, rates[n_v:]]) * step
     y = np.asarray(moved(layout, jnp.asarray(point.y), jnp.asarray(change)))
-    after = Equations(point.structure, point.theta, point.t + step, y)
+    after = TangentEquations(point.structure, point.theta, point.t + step, y)
     then = coordinates_of(after.geometry, layout.n_memory)
     if then.degrees_of_freedom != coordinates.degrees_of_freedom:
         return Steadiness(acceleration, np.inf)

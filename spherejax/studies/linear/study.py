@@ -19,7 +19,7 @@ from spherejax.motion.start.tolerances import length_scale
 from spherejax.studies.linear.coordinates import coordinates_of
 from spherejax.studies.linear.following import theta_slope
 from spherejax.studies.linear.linear_result import Linearization, LinearizationWarning
-from spherejax.studies.linear.point import Point, asked_of, point_of
+from spherejax.studies.linear.point import OperatingPoint, asked_of, point_of
 from spherejax.studies.linear.steadiness import steadiness_of
 
 Outputs = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
@@ -88,7 +88,7 @@ def linearize(
         return _linearized(point, numbers, outputs_asked, axes)
 
 
-def _linearized(point: Point, numbers: list[Number], outputs: Outputs, axes: np.ndarray) -> Linearization:
+def _linearized(point: OperatingPoint, numbers: list[Number], outputs: Outputs, axes: np.ndarray) -> Linearization:
     names, labels, units = outputs
     _require_regular(point)
     layout = point.system.layout
@@ -190,7 +190,7 @@ def _require_distinct(what: str, names: list[str]) -> None:
         raise SceneError(f"linearize: {what}= asks for {twice!r} twice")
 
 
-def _require_regular(point: Point) -> None:
+def _require_regular(point: OperatingPoint) -> None:
     report = report_at(point.system, point.t, point.y)
     if report.is_singular:
         raise SceneError(
@@ -199,7 +199,7 @@ def _require_regular(point: Point) -> None:
         )
 
 
-def _require_finite(rates: np.ndarray, point: Point) -> None:
+def _require_finite(rates: np.ndarray, point: OperatingPoint) -> None:
     if not np.all(np.isfinite(rates)):
         raise SceneError(f"linearize: derivatives of the equations of motion {point.words} are not finite")
 
@@ -220,7 +220,7 @@ def _state_names(system: System, f: int, keep: np.ndarray) -> tuple[str, ...]:
     return tuple(name for name, kept in zip(names, keep, strict=True) if kept)
 
 
-def _steps(point: Point, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _steps(point: OperatingPoint, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """No change, then small ones along each coordinate, forward and back, both also a tenth as long; their sizes."""
     n_v = point.system.layout.n_velocity
     length = float(np.asarray(length_scale(point.system)))
@@ -230,7 +230,9 @@ def _steps(point: Point, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([np.zeros((1, len(basis))), *steps]), sizes
 
 
-def _rounding(point: Point, inverse: np.ndarray, rates: np.ndarray, now: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _rounding(
+    point: OperatingPoint, inverse: np.ndarray, rates: np.ndarray, now: np.ndarray, sizes: np.ndarray
+) -> np.ndarray:
     """What rounding may leave in entries of A.
 
     Of derivatives that cancel, and of the accelerations at the state and by gravity, which joints take up: by a change

@@ -250,7 +250,7 @@ def _one_at_least(basis) -> list[np.ndarray]:
 # Evaluated ----------------------------------------------------------------------------------------------------------
 
 
-class Equations:
+class TangentEquations:
     """What is asked of the equations of motion about a state, evaluated by programs that are not compiled.
 
     Args:

@@ -32,7 +32,7 @@ GIVES = ("toe", "camber", "longitudinal", "lateral")
 wheel locked to its carrier. That point is where the loads act: coefficients of pairs are equal (Betti)."""
 
 
-class Measured(NamedTuple):
+class RigMeasured(NamedTuple):
     """What follows from where the bodies are.
 
     Attributes:
@@ -54,7 +54,7 @@ class Measured(NamedTuple):
     spring_length: Any
 
 
-def measured(system: System, motions: BodyMotions) -> Measured:
+def measured(system: System, motions: BodyMotions) -> RigMeasured:
     """Read the wheel and the steering axis."""
     platform = platform_of(system)
     corner = platform.corner
@@ -69,7 +69,7 @@ def measured(system: System, motions: BodyMotions) -> Measured:
     is_line = isinstance(spring, AbstractLineForce)
     attachment: Any = spring.attachment if is_line else None
     length = attachment.stretch(motions).length if is_line else None
-    return Measured(toe, camber, *axis, patch=patch, center=center, spring_length=length)
+    return RigMeasured(toe, camber, *axis, patch=patch, center=center, spring_length=length)
 
 
 def _axis(platform: PlacedPlatform, motions: BodyMotions, patch: Vector3, side: Scalar) -> tuple[Any, Any, Any, Any]:
@@ -88,7 +88,7 @@ def _axis(platform: PlacedPlatform, motions: BodyMotions, patch: Vector3, side: 
     )
 
 
-class Curves(NamedTuple):
+class RigCurves(NamedTuple):
     """One position on the rig.
 
     Attributes:
@@ -152,7 +152,7 @@ def curves_of(
     steps: Float[Array, "n_inputs b 6"],
     holding: Holding,
     wheel_rate: Scalar,
-) -> Curves:
+) -> RigCurves:
     """All characteristics at a position.
 
     Args:
@@ -178,7 +178,7 @@ def curves_of(
     if corner.steering is not None:
         _, by_steer = jax.jvp(at, (none,), (steps[1],))
         steer = -side * by_steer.toe
-    return Curves(
+    return RigCurves(
         *here[:6],
         track_change=side * patch_change[1],
         recession=-center_change[0],

@@ -8,7 +8,7 @@ import numpy as np
 
 from spherejax.studies.rig.bench import LOADS
 from spherejax.studies.rig.characteristics import GIVES
-from spherejax.studies.rig.shown import SHOWN, RigStatus, Shown, compliance_shown
+from spherejax.studies.rig.shown import SHOWN, RigStatus, ShownCharacteristic, compliance_shown
 
 if TYPE_CHECKING:
     import xarray
@@ -124,5 +124,5 @@ def write_csv(rig: Any, path: Any) -> None:
         writer.writerows(zip(*(values for _, values in columns), strict=True))
 
 
-def _column(name: str, shown: Shown, values: Any) -> tuple[str, Any]:
+def _column(name: str, shown: ShownCharacteristic, values: Any) -> tuple[str, Any]:
     return f"{name} [{shown.unit}]", shown.factor * np.asarray(values)

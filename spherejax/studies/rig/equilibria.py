@@ -31,7 +31,7 @@ from spherejax.motion.equations.loads import applied_wrenches, joint_loads
 from spherejax.motion.equations.programs import program_for
 from spherejax.physics.state import VELOCITY_SIZE, Layout, pack, unpack
 from spherejax.studies.rig.bench import N_INPUTS, PLATFORM, moved, platform_of, with_inputs
-from spherejax.studies.rig.characteristics import Curves, Holding, curves_of
+from spherejax.studies.rig.characteristics import Holding, RigCurves, curves_of
 from spherejax.studies.rig.shown import RigStatus
 from spherejax.studies.rig.start import Starter, rows_of
 
@@ -59,7 +59,7 @@ N_FOLLOWED = 3
 # The equations ----------------------------------------------------------------------------------------------------
 
 
-class Slopes(NamedTuple):
+class RigSlopes(NamedTuple):
     """The equations of an equilibrium and their derivatives.
 
     Attributes:
@@ -91,7 +91,7 @@ def rig_balance(system: System, t: Scalar, numbers) -> tuple[Float[Array, " n"],
     return wrenches.ravel(), constraints.residual
 
 
-def rig_slopes(system: System, t: Scalar, numbers) -> Slopes:
+def rig_slopes(system: System, t: Scalar, numbers) -> RigSlopes:
     """The same with its derivatives."""
     y, multipliers, inputs = numbers
 
@@ -102,7 +102,7 @@ def rig_slopes(system: System, t: Scalar, numbers) -> Slopes:
         return rig_balance(system, t, (y, multipliers, given))
 
     by_step, rows = jax.jacfwd(at)(jnp.zeros(VELOCITY_SIZE * system.layout.n_bodies))
-    return Slopes(*by(inputs), by_step, rows, *jax.jacfwd(by)(inputs))
+    return RigSlopes(*by(inputs), by_step, rows, *jax.jacfwd(by)(inputs))
 
 
 def _moved(layout: Layout, y: Array, step: Array) -> Array:
@@ -118,7 +118,7 @@ def rig_shift(system: System, t: Scalar, numbers) -> Float[Array, " size"]:
     return _moved(system.layout, y, step)
 
 
-def rig_characteristics(system: System, t: Scalar, numbers) -> Curves:
+def rig_characteristics(system: System, t: Scalar, numbers) -> RigCurves:
     """Characteristics at an equilibrium, from the derivatives of the motions and the reactions of the drivers.
 
     Args (in `numbers`):
@@ -154,11 +154,11 @@ class RealPrograms:
         places = rows_of(system)
         self.held = [int(places[name][0]) for name in (PLATFORM, platform_of(system).corner.steering or PLATFORM)]
 
-    def of(self, theta, is_known: bool) -> "Equations":
+    def of(self, theta, is_known: bool) -> "RigEquations":
         """The equations of numbers: evaluated at once where they are known, else in JAX."""
         function: Callable = _computed if is_known else _called
         programs = (self._balance, self._slopes, self._shift, self._read)
-        return Equations(*(function(program, theta) for program in programs))
+        return RigEquations(*(function(program, theta) for program in programs))
 
 
 def _computed(program, theta) -> Callable:
@@ -169,7 +169,7 @@ def _called(program, theta) -> Callable:
     return lambda *numbers: program(theta, 0.0, numbers)
 
 
-class Equations(NamedTuple):
+class RigEquations(NamedTuple):
     """Functions of known or traced numbers; see `rig_balance`, `rig_slopes`, `rig_shift`, `rig_characteristics`."""
 
     balance: Callable
@@ -181,7 +181,7 @@ class Equations(NamedTuple):
 # The solution ------------------------------------------------------------------------------------------------------
 
 
-class Linear(NamedTuple):
+class SaddleSystem(NamedTuple):
     """[H D^T; D 0] in scaled unknowns.
 
     Attributes:
@@ -211,7 +211,7 @@ class Linear(NamedTuple):
         return (found[:n].T * self.steps).T, (found[n:].T * self.stiffness / self.rows).T
 
 
-def linear_of(slopes: Slopes) -> Linear:
+def linear_of(slopes: RigSlopes) -> SaddleSystem:
     """Scaled, with a small share on the diagonal."""
     xp: Any = np if isinstance(slopes.by_step, np.ndarray) else jnp
     constant = (lambda x: x) if xp is np else jax.lax.stop_gradient
@@ -224,10 +224,10 @@ def linear_of(slopes: Slopes) -> Linear:
     D = D / sizes[:, None]
     upper = xp.concatenate([H / stiffness + REGULARIZATION * np.eye(n), D.T], 1)
     lower = xp.concatenate([D, -REGULARIZATION * xp.eye(m)], 1)
-    return Linear(xp.concatenate([upper, lower]), steps, stiffness, sizes)
+    return SaddleSystem(xp.concatenate([upper, lower]), steps, stiffness, sizes)
 
 
-class Found(NamedTuple):
+class RigEquilibrium(NamedTuple):
     """An equilibrium, with the equations there.
 
     Attributes:
@@ -239,7 +239,7 @@ class Found(NamedTuple):
 
     y: Any
     multipliers: Any
-    slopes: Slopes
+    slopes: RigSlopes
     status: Any
 
 
@@ -248,17 +248,17 @@ class _Trial(NamedTuple):
 
     y: Any
     multipliers: Any
-    slopes: Slopes
+    slopes: RigSlopes
     step: Any
     left: Any
 
 
-def _size(linear: Linear, wrenches: Any, residual: Any) -> Any:
+def _size(linear: SaddleSystem, wrenches: Any, residual: Any) -> Any:
     right = linear.right(wrenches, residual)
     return (right * right).sum()
 
 
-def _stepped(equations: Equations, y: Any, multipliers: Any, inputs: Any, xp: Any) -> _Trial:
+def _stepped(equations: RigEquations, y: Any, multipliers: Any, inputs: Any, xp: Any) -> _Trial:
     """A step of Newton's method, halved until it helps."""
     slopes = equations.slopes(y, multipliers, inputs)
     linear = linear_of(slopes)
@@ -295,7 +295,7 @@ def _stepped(equations: Equations, y: Any, multipliers: Any, inputs: Any, xp: An
     )
 
 
-def equilibrium_from(equations: Equations, y: Any, multipliers: Any, inputs: Any, xp: Any) -> Found:
+def equilibrium_from(equations: RigEquations, y: Any, multipliers: Any, inputs: Any, xp: Any) -> RigEquilibrium:
     """The equilibrium near a state."""
     if xp is np:
         trial = _stepped(equations, y, multipliers, inputs, np)
@@ -319,10 +319,10 @@ def equilibrium_from(equations: Equations, y: Any, multipliers: Any, inputs: Any
         trial, _ = jax.lax.while_loop(goes_on, body, (start, 0))
     good = (trial.step <= SETTLED) & (trial.left < BALANCED**2)
     status = xp.where(good, int(RigStatus.FOUND), int(RigStatus.NO_EQUILIBRIUM))
-    return Found(trial.y, trial.multipliers, trial.slopes, status)
+    return RigEquilibrium(trial.y, trial.multipliers, trial.slopes, status)
 
 
-def followed(equations: Equations, found: Found, inputs: Array) -> Found:
+def followed(equations: RigEquations, found: RigEquilibrium, inputs: Array) -> RigEquilibrium:
     """The equilibrium, with the derivatives of the solution by all numbers."""
     y, multipliers = jax.lax.stop_gradient((found.y, found.multipliers))
     linear = jax.lax.stop_gradient(linear_of(found.slopes))
@@ -333,10 +333,12 @@ def followed(equations: Equations, found: Found, inputs: Array) -> Found:
         return (equations.shifted(y, move), multipliers + more), None
 
     (y, multipliers), _ = jax.lax.scan(step, (y, multipliers), length=N_FOLLOWED)
-    return Found(y, multipliers, equations.slopes(y, multipliers, inputs), found.status)
+    return RigEquilibrium(y, multipliers, equations.slopes(y, multipliers, inputs), found.status)
 
 
-def characteristics_at(programs: RealPrograms, equations: Equations, found: Found, inputs: Any, xp: Any) -> Curves:
+def characteristics_at(
+    programs: RealPrograms, equations: RigEquations, found: RigEquilibrium, inputs: Any, xp: Any
+) -> RigCurves:
     """The characteristics at an equilibrium, with the derivatives by travel, steer and all loads."""
     slopes = found.slopes
     linear = linear_of(slopes)

@@ -24,7 +24,7 @@ from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.start.assembly import as_ideal, assemble_now, described_state, newton_step
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, unpack
 from spherejax.studies.rig.bench import N_INPUTS, PLATFORM, moved, platform_of, with_inputs
-from spherejax.studies.rig.characteristics import Curves, Holding, curves_of
+from spherejax.studies.rig.characteristics import Holding, RigCurves, curves_of
 
 N_NEWTON = 5
 """Newton steps for a part of the path: a part of a fiftieth of the mechanism is closed to rounding by three to four."""
@@ -99,7 +99,7 @@ class Reading(NamedTuple):
         loose: as of `Statics`.
     """
 
-    curves: Curves
+    curves: RigCurves
     loose: Scalar
 
 

@@ -40,7 +40,7 @@ REASONS = {
 """Why a position has no result."""
 
 
-class Shown(NamedTuple):
+class ShownCharacteristic(NamedTuple):
     """How a characteristic is shown.
 
     Attributes:
@@ -59,25 +59,25 @@ class Shown(NamedTuple):
 DEGREES = 180.0 / np.pi
 
 SHOWN = {
-    "toe": Shown("toe (toe-in positive)", "rad", "deg", DEGREES),
-    "camber": Shown("camber (top outward positive)", "rad", "deg", DEGREES),
-    "caster": Shown("caster", "rad", "deg", DEGREES),
-    "kingpin_inclination": Shown("kingpin inclination", "rad", "deg", DEGREES),
-    "scrub_radius": Shown("scrub radius", "m", "mm", 1e3),
-    "caster_trail": Shown("caster trail", "m", "mm", 1e3),
-    "track_change": Shown("half-track change", "m", "mm", 1e3),
-    "recession": Shown("recession of the wheel's center", "m", "mm", 1e3),
-    "center_travel": Shown("travel of the wheel's center", "m", "mm", 1e3),
-    "wheel_load": Shown("wheel load", "N", "kN", 1e-3),
-    "wheel_rate": Shown("wheel rate", "N/m", "N/mm", 1e-3),
-    "motion_ratio": Shown("motion ratio (spring by wheel)", "1", "-", 1.0),
-    "roll_center_height": Shown("roll center height", "m", "mm", 1e3),
-    "braking_angle": Shown("anti-dive angle (braking)", "rad", "deg", DEGREES),
-    "driving_angle": Shown("anti-lift angle (driving)", "rad", "deg", DEGREES),
-    "toe_gradient": Shown("bump steer", "rad/m", "deg/m", DEGREES),
-    "camber_gradient": Shown("camber gain", "rad/m", "deg/m", DEGREES),
-    "steer_gradient": Shown("steer by rack", "rad/m", "deg/mm", DEGREES * 1e-3),
-    "steering_effort": Shown("steering effort", "N", "N", 1.0),
+    "toe": ShownCharacteristic("toe (toe-in positive)", "rad", "deg", DEGREES),
+    "camber": ShownCharacteristic("camber (top outward positive)", "rad", "deg", DEGREES),
+    "caster": ShownCharacteristic("caster", "rad", "deg", DEGREES),
+    "kingpin_inclination": ShownCharacteristic("kingpin inclination", "rad", "deg", DEGREES),
+    "scrub_radius": ShownCharacteristic("scrub radius", "m", "mm", 1e3),
+    "caster_trail": ShownCharacteristic("caster trail", "m", "mm", 1e3),
+    "track_change": ShownCharacteristic("half-track change", "m", "mm", 1e3),
+    "recession": ShownCharacteristic("recession of the wheel's center", "m", "mm", 1e3),
+    "center_travel": ShownCharacteristic("travel of the wheel's center", "m", "mm", 1e3),
+    "wheel_load": ShownCharacteristic("wheel load", "N", "kN", 1e-3),
+    "wheel_rate": ShownCharacteristic("wheel rate", "N/m", "N/mm", 1e-3),
+    "motion_ratio": ShownCharacteristic("motion ratio (spring by wheel)", "1", "-", 1.0),
+    "roll_center_height": ShownCharacteristic("roll center height", "m", "mm", 1e3),
+    "braking_angle": ShownCharacteristic("anti-dive angle (braking)", "rad", "deg", DEGREES),
+    "driving_angle": ShownCharacteristic("anti-lift angle (driving)", "rad", "deg", DEGREES),
+    "toe_gradient": ShownCharacteristic("bump steer", "rad/m", "deg/m", DEGREES),
+    "camber_gradient": ShownCharacteristic("camber gain", "rad/m", "deg/m", DEGREES),
+    "steer_gradient": ShownCharacteristic("steer by rack", "rad/m", "deg/mm", DEGREES * 1e-3),
+    "steering_effort": ShownCharacteristic("steering effort", "N", "N", 1.0),
 }
 """The characteristics in the order of tables."""
 
@@ -85,8 +85,10 @@ COMPLIANCE_UNITS = {"toe": ("rad", "deg", DEGREES), "camber": ("rad", "deg", DEG
 LOAD_UNITS = {"aligning": ("N m", "100 N m", 100.0)}
 
 
-def compliance_shown(gives: str, load: str) -> Shown:
+def compliance_shown(gives: str, load: str) -> ShownCharacteristic:
     """How a compliance coefficient is shown: deg or mm for a kN, or for 100 N m."""
     si, unit, factor = COMPLIANCE_UNITS.get(gives, ("m", "mm", 1e3))
     load_si, load_unit, load_factor = LOAD_UNITS.get(load, ("N", "kN", 1e3))
-    return Shown(f"{gives} by {load} load", f"{si}/({load_si})", f"{unit}/({load_unit})", factor * load_factor)
+    return ShownCharacteristic(
+        f"{gives} by {load} load", f"{si}/({load_si})", f"{unit}/({load_unit})", factor * load_factor
+    )

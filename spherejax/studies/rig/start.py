@@ -36,7 +36,7 @@ N_DISPLACEMENTS = 4
 """Newton steps that bring balls to the wall: a clearance is a thousandth of the mechanism."""
 
 
-class Start(NamedTuple):
+class RigStart(NamedTuple):
     """Where Newton's method starts.
 
     Attributes:
@@ -119,7 +119,7 @@ class Starter:
             program_for(rig_displaced, ideal, True, (size, self._n_rows, N_INPUTS)) if self._loose else None
         )
 
-    def at(self, ideal_numbers: Any, real_numbers: Any, y: Any, inputs: Any, xp: Any) -> Start:
+    def at(self, ideal_numbers: Any, real_numbers: Any, y: Any, inputs: Any, xp: Any) -> RigStart:
         """From a position of ideal joints.
 
         Args:
@@ -135,7 +135,7 @@ class Starter:
         statics = call(self._statics, y, inputs)
         multipliers = statics.multipliers[self._kept]
         if self._displace is None:
-            return Start(xp.concatenate([y, self._memory]), multipliers, True, statics.loose)
+            return RigStart(xp.concatenate([y, self._memory]), multipliers, True, statics.loose)
         # -lambda is the force on the ball; the wall that gives it is on the other side.
         pushes = xp.stack([statics.multipliers[rows] for rows in self._balls])
         sizes = xp.sqrt(xp.sum(pushes * pushes, 1))
@@ -149,7 +149,7 @@ class Starter:
         offsets = chosen @ by_ball.ravel()
         for _ in range(N_DISPLACEMENTS):
             y = call(self._displace, y, offsets, inputs)
-        return Start(xp.concatenate([y, self._memory]), multipliers, xp.all(pressed), statics.loose)
+        return RigStart(xp.concatenate([y, self._memory]), multipliers, xp.all(pressed), statics.loose)
 
 
 def _memory_of(system: System) -> np.ndarray:

@@ -28,7 +28,7 @@ from spherejax.studies.rig.bench import (
     without_friction,
     without_models,
 )
-from spherejax.studies.rig.characteristics import Curves
+from spherejax.studies.rig.characteristics import RigCurves
 from spherejax.studies.rig.equilibria import RealPrograms
 from spherejax.studies.rig.kinematics import RigPrograms
 from spherejax.studies.rig.rig_result import Rig
@@ -190,7 +190,7 @@ def _points(travel: Numeric, steer: Numeric, loads: WheelLoads) -> Any:
     return xp.stack([xp.broadcast_to(xp.asarray(value, xp.float64), (n,)) for value in given.values()], 1)
 
 
-class Path(NamedTuple):
+class RigPath(NamedTuple):
     """A way through all positions.
 
     Attributes:
@@ -202,7 +202,7 @@ class Path(NamedTuple):
     ends: tuple[int, ...]
 
 
-def path_of(points: Any, part: float) -> Path:
+def path_of(points: Any, part: float) -> RigPath:
     """From the design position through all points, in parts that are small enough."""
     if not part > 0:
         raise SceneError(f"rig: part = {shown(part)} must be positive [m]")
@@ -215,7 +215,7 @@ def path_of(points: Any, part: float) -> Path:
         counts = np.full(len(points), N_PARTS_TRACED)
     shares = [np.arange(1, count + 1) / count for count in counts]
     inputs = [a + share[:, None] * (b - a) for a, b, share in zip(before, points, shares, strict=True)]
-    return Path(xp.concatenate(inputs), tuple((np.cumsum(counts) - 1).tolist()))
+    return RigPath(xp.concatenate(inputs), tuple((np.cumsum(counts) - 1).tolist()))
 
 
 def _computed_now(prepared: Prepared, points: np.ndarray, part: float) -> Rig:
@@ -233,12 +233,12 @@ def _computed_now(prepared: Prepared, points: np.ndarray, part: float) -> Rig:
     return _result(prepared, points, curves, status, np)
 
 
-def _kinematic_now(programs: RigPrograms, prepared: Prepared, y, is_reached, inputs) -> tuple[Curves, Any]:
+def _kinematic_now(programs: RigPrograms, prepared: Prepared, y, is_reached, inputs) -> tuple[RigCurves, Any]:
     reading = programs.read_now(prepared.ideal_numbers, y, inputs)
     return reading.curves, _kinematic_status(is_reached, reading.loose, np)
 
 
-def _equilibrium(real: RealPrograms, prepared: Prepared, y, is_reached, inputs, xp: Any) -> tuple[Curves, Any]:
+def _equilibrium(real: RealPrograms, prepared: Prepared, y, is_reached, inputs, xp: Any) -> tuple[RigCurves, Any]:
     """The equilibrium from a position of ideal joints; in JAX with the derivatives by all numbers."""
     numbers = (prepared.ideal_numbers, prepared.real_numbers, y, inputs)
     frozen = numbers if xp is np else jax.lax.stop_gradient(numbers)
@@ -253,7 +253,7 @@ def _equilibrium(real: RealPrograms, prepared: Prepared, y, is_reached, inputs, 
     return curves, xp.where(kinematic == RigStatus.FOUND, status, kinematic)
 
 
-def computed(prepared: Prepared, points: Any, path: Path) -> Rig:
+def computed(prepared: Prepared, points: Any, path: RigPath) -> Rig:
     """With traced numbers, or for many numbers in one program."""
     programs = RigPrograms(prepared.ideal)
     prepared = prepared._replace(
@@ -282,7 +282,7 @@ def _kinematic_status(is_reached: Any, loose: Any, xp: Any) -> Any:
     return xp.where(is_reached, found, int(RigStatus.OUT_OF_REACH))
 
 
-def _result(prepared: Prepared, points: Any, curves: Curves, status: Any, xp: Any) -> Rig:
+def _result(prepared: Prepared, points: Any, curves: RigCurves, status: Any, xp: Any) -> Rig:
     system = prepared.ideal.system(prepared.ideal_numbers)
     platform = platform_of(system)
     good = status == RigStatus.FOUND

@@ -19,7 +19,7 @@ from spherejax.physics.joints.harmonic import complex_stiffness
 from spherejax.physics.laws.elastomer import AbstractElastomer
 from spherejax.studies.fit.levenberg_marquardt import LevenbergMarquardt
 from spherejax.studies.fit.methods import Course, Ending
-from spherejax.studies.fit.parameters import Unknowns, unknowns_from
+from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
 from spherejax.studies.fit.problem import Evaluation
 from spherejax.studies.fit.statistics import Knowledge, Undetermined
 from spherejax.studies.rubber.measured import MeasuredStiffness, measured_stiffness
@@ -122,7 +122,7 @@ def _weights(noise: Any) -> tuple[tuple[float, float], bool]:
 class _Problem:
     """Residuals as functions of unknowns; what `LevenbergMarquardt` minimises."""
 
-    def __init__(self, build, unknowns: Unknowns, data: MeasuredStiffness, moved: _Moved, weights):
+    def __init__(self, build, unknowns: FitUnknowns, data: MeasuredStiffness, moved: _Moved, weights):
         self.build, self.unknowns, self.data, self.moved, self.weights = build, unknowns, data, moved, weights
         self.is_measured = np.concatenate([~np.isnan(data.stiffness), ~np.isnan(data.loss_angle)])
         self._compute = jax.jit(lambda u: (self._residuals(u), jax.jacfwd(self._residuals)(u)))

@@ -23,7 +23,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.many import built
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
-from spherejax.motion.solvers.automatic import Choice
+from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
@@ -31,7 +31,7 @@ from spherejax.motion.start.tolerances import controller_for
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
 
-class Wanted(Protocol):
+class WantedObservables(Protocol):
     """What is observed of a run; hashable, and equal where it observes the same, so that programs are found again."""
 
     def of(self, run: Trajectory) -> Array:
@@ -54,7 +54,7 @@ class RunMethod(NamedTuple):
     track_work: bool
 
 
-class Found(NamedTuple):
+class RunWithSlopes(NamedTuple):
     """A run, what was observed of it, and the derivatives.
 
     Attributes:
@@ -74,7 +74,7 @@ def system_at(flat: FlatBuild, numbers: Any, track_work: bool) -> System:
     return compile_scene(scene, track_work=track_work).system
 
 
-def choice_at(flat: FlatBuild, numbers: Any, method: RunMethod) -> Choice:
+def choice_at(flat: FlatBuild, numbers: Any, method: RunMethod) -> SolverChoice:
     """The method for a run, chosen by the numbers themselves: they are known here, if traced later on."""
     system = system_at(flat, numbers, method.track_work)
     is_large = path_of(flatten_system(system)[0]).scalar is False
@@ -94,7 +94,7 @@ class PreparedStudy(eqx.Module):
     """
 
     plan: Plan = eqx.field(static=True)
-    choice: Choice = eqx.field(static=True)
+    choice: SolverChoice = eqx.field(static=True)
     options: Options
     known: Float[Array, " n_numbers"]
     ts: Float[Array, " n"]
@@ -142,7 +142,7 @@ def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool
     return values, slopes.T * scale[:, None], are_legal
 
 
-def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: RunMethod) -> Found:
+def forward(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], method: RunMethod) -> RunWithSlopes:
     """The run with its sensitivities.
 
     Args:
@@ -168,14 +168,14 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
         if has_controlled_sensitivities(prepared.options.solver)
         else "the steps are differentiated, nobody controls the errors of the derivatives"
     )
-    return Found(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
+    return RunWithSlopes(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
 
 
 _integrated = bounded_jit(integrate_along, what="a run and its derivatives")
 
 
 @bounded_jit(what="the derivatives of what is observed")
-def _observed(prepared: PreparedStudy, wanted: tuple[Wanted, ...], values, directions, ys, slopes):
+def _observed(prepared: PreparedStudy, wanted: tuple[WantedObservables, ...], values, directions, ys, slopes):
     """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
 
     def observed(values, ys):

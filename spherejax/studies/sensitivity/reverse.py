@@ -11,10 +11,10 @@ from spherejax.motion.derivatives.adjoint import gradients, kept_run
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
 from spherejax.studies.sensitivity.forward import (
-    Found,
     PreparedStudy,
     RunMethod,
-    Wanted,
+    RunWithSlopes,
+    WantedObservables,
     observable_run,
     prepare,
     traced_numbers,
@@ -24,7 +24,7 @@ from spherejax.studies.sensitivity.unknowns import FlatBuild
 ERRORS = "the errors of the derivatives are controlled along a mixture of all parameters, not one by one"
 
 
-def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method: RunMethod) -> Found:
+def reverse(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], method: RunMethod) -> RunWithSlopes:
     """The run, and the gradient of the one number that is wanted of it; see `motion.adjoint`.
 
     The start follows from the parameters in forward mode, which is cheap; the run is gone back along its steps. The
@@ -45,11 +45,11 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[Wanted, ...], method:
     run = observable_run(prepared, plan.theta(values, known), kept.ys)
     stats = replace(run.stats, n_steps=kept.n_steps)
     run = replace(run, stats=stats, ended=kept.status, t_reached=kept.t_reached)
-    return Found(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
+    return RunWithSlopes(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
 
 
 @bounded_jit(what="the gradient of what is observed")
-def _value_and_slopes(prepared: PreparedStudy, wanted: Wanted, values, ys):
+def _value_and_slopes(prepared: PreparedStudy, wanted: WantedObservables, values, ys):
     """The number, and its derivatives by the numbers of the system and by the sampled states."""
 
     def number(values, ys):

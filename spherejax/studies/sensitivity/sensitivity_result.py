@@ -247,7 +247,7 @@ def _text_of(found: Sensitivities) -> str:
 
 def _figures_of(found: Sensitivities) -> "dict[str, Figure]":
     """The figures; see `Sensitivities.figures`."""
-    from spherejax.output.plot.sensitivities import Effects, effects_figure, ranking_figure
+    from spherejax.output.plot.sensitivities import EffectBars, effects_figure, ranking_figure
 
     figures: dict[str, Any] = {}
     order = [each for each in dict.fromkeys(influence.parameter for influence in found.ranking)]
@@ -256,7 +256,7 @@ def _figures_of(found: Sensitivities) -> "dict[str, Figure]":
             chosen = [found.names.index(name) for name in order]
             effects = 0.01 * column.slopes[:, :, chosen] * found.sizes[chosen]
             figures[column.name] = effects_figure(
-                Effects(column.name, column.unit, found.ts, tuple(order), column.labels, effects)
+                EffectBars(column.name, column.unit, found.ts, tuple(order), column.labels, effects)
             )
     figures["ranking"] = ranking_figure([(i.parameter, i.observable, i.share) for i in found.ranking])
     return figures

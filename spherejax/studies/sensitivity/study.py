@@ -93,7 +93,7 @@ def sensitivity(
     )
 
 
-class Number(NamedTuple):
+class RunNumber(NamedTuple):
     """A number that is made of a whole run.
 
     Attributes:
@@ -116,7 +116,7 @@ class Number(NamedTuple):
         return found.reshape(1, 1)
 
 
-Seen = Observable | Number
+Seen = Observable | RunNumber
 
 
 def _observables(wanted: Wanted | None, of: Callable | None, system: System) -> tuple[Seen, ...]:
@@ -126,7 +126,7 @@ def _observables(wanted: Wanted | None, of: Callable | None, system: System) -> 
             'sensitivity needs observables=, e.g. ["position.rocker.z"], or of=, a function from a run to one number'
         )
     if of is not None:
-        return (Number(getattr(of, "__name__", "function"), of),)
+        return (RunNumber(getattr(of, "__name__", "function"), of),)
     items = list(wanted.items()) if isinstance(wanted, Mapping) else _listed(wanted)
     if not items:
         raise SceneError('observables= asks for nothing; name a quantity, e.g. observables=["position.rocker.z"]')
@@ -178,5 +178,5 @@ def _needs_work(wanted: tuple[Seen, ...]) -> bool:
 
 
 def _column(seen: Seen, values, slopes) -> SlopesColumn:
-    labels = (seen.name,) if isinstance(seen, Number) else tuple(labels_of(seen.name, values.shape[1]))
+    labels = (seen.name,) if isinstance(seen, RunNumber) else tuple(labels_of(seen.name, values.shape[1]))
     return SlopesColumn(seen.name, seen.unit, labels, values, slopes)

@@ -63,7 +63,10 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     )
     if comparison.limits:
         found["limits"] = lambda: limits.limits_to_ideal(
-            [limits.Limit(r.label, r.parameter, r.values, r.deviations, r.order, r.kind) for r in comparison.limits],
+            [
+                limits.LimitCurve(r.label, r.parameter, r.values, r.deviations, r.order, r.kind)
+                for r in comparison.limits
+            ],
             f"Limits to the ideal joint, {comparison.t_limits:g} s of motion",
         )
     return found

@@ -28,7 +28,7 @@ from spherejax.studies.sweep.records import Record
 
 
 @dataclass(frozen=True)
-class Work:
+class ChunkWork:
     """What is done with every chunk.
 
     Attributes:
@@ -74,18 +74,18 @@ Rows = dict[str, Float[np.ndarray, " n"]]
 """Parameters of the runs of a chunk."""
 
 
-def compiled_for(work: Work, rows: Rows) -> Callable:
+def compiled_for(work: ChunkWork, rows: Rows) -> Callable:
     """The program of a chunk, compiled: threads that share it do not compile it again."""
     return _program.compiled(work, *filled(work, rows))
 
 
-def shapes_of(work: Work, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
+def shapes_of(work: ChunkWork, rows: Rows) -> dict[str, jax.ShapeDtypeStruct]:
     """Shape and type of what is kept of one run, by name."""
     kept, _ = _program.shapes(work, *filled(work, rows))
     return {name: jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for name, each in kept.items()}
 
 
-def run_chunk(work: Work, rows: Rows, program: Callable | None = None) -> ChunkResult:
+def run_chunk(work: ChunkWork, rows: Rows, program: Callable | None = None) -> ChunkResult:
     """Make the runs of one chunk on the default device."""
     begin = time.perf_counter()
     kept, outcome = jax.block_until_ready((program or _program)(work, *filled(work, rows)))
@@ -114,14 +114,14 @@ def n_rows(rows: Rows) -> int:
     return len(next(iter(rows.values())))
 
 
-def filled(work: Work, rows: Rows) -> tuple[Rows, np.ndarray]:
+def filled(work: ChunkWork, rows: Rows) -> tuple[Rows, np.ndarray]:
     """The parameters of a whole chunk, and which of its runs are wanted."""
     n = n_rows(rows)
     filled = {name: np.concatenate([values, np.repeat(values[-1:], work.size - n)]) for name, values in rows.items()}
     return filled, np.arange(work.size) < n
 
 
-def made(work: Work, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
+def made(work: ChunkWork, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
     """The runs of a chunk: what is kept of them, and status, time, steps, steps of lanes (of each chunk), audit."""
     runs = many(work.build, work.method, rows, jnp.asarray(work.ts), is_wanted)
     stats = runs.trajectories.stats
@@ -136,7 +136,7 @@ _program = bounded_jit(made, what="the runs of a sweep")
 # In other processes ------------------------------------------------------------------------------------------------
 
 
-def packed(work: Work) -> bytes:
+def packed(work: ChunkWork) -> bytes:
     """The work for another process.
 
     Raises:
@@ -163,7 +163,7 @@ def run_packed_chunk(work: bytes, rows: Rows) -> list[ChunkResult]:
 
 
 @lru_cache(maxsize=8)
-def _unpacked(work: bytes) -> Work:
+def _unpacked(work: bytes) -> ChunkWork:
     files, pickled = pickle.loads(work)
     run_again(files)
     return pickle.loads(pickled)

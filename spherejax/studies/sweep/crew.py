@@ -15,7 +15,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult, compiled_for, packed, run_chunk, run_packed_chunk
 from spherejax.studies.sweep.devices import compiled_for_all, run_side_by_side
 from spherejax.studies.sweep.failures import SweepError, explained
-from spherejax.studies.sweep.progress import Report, Seen
+from spherejax.studies.sweep.progress import Report, SweepProgress
 from spherejax.studies.sweep.results import Results
 
 ATTEMPTS = 3
@@ -58,7 +58,9 @@ def default_workers() -> int:
 def work_off(results: Results, crew: Crew, report: Report) -> None:
     """Hand out the missing chunks, take what comes back, and hand out again what was lost."""
     waiting = results.missing()
-    seen = Seen.beginning(results.grid.n_runs, results.n_chunks, results.n_chunks - len(waiting), results.work.size)
+    seen = SweepProgress.beginning(
+        results.grid.n_runs, results.n_chunks, results.n_chunks - len(waiting), results.work.size
+    )
     report(seen)
     if not waiting:
         return

@@ -76,7 +76,7 @@ def dataset_of(
     columns: Mapping[str, RunsColumn],
     values: Mapping[str, Any],
     facts: Mapping[str, Any],
-    account: "Account",
+    account: "SweepAccount",
 ) -> "xarray.Dataset":
     """Everything that a sweep has kept, with the parameters as coordinates.
 
@@ -103,7 +103,7 @@ N_NAMED = 5
 
 
 @dataclass
-class Account:
+class SweepAccount:
     """Time, lanes and failures, added up chunk by chunk.
 
     Attributes:
@@ -123,9 +123,9 @@ class Account:
     failed: dict[Status, tuple[int, list[int]]]
 
     @staticmethod
-    def of_nothing(is_stored: np.ndarray, n_runs: int, seconds: np.ndarray, n_lane_steps: np.ndarray) -> "Account":
+    def of_nothing(is_stored: np.ndarray, n_runs: int, seconds: np.ndarray, n_lane_steps: np.ndarray) -> "SweepAccount":
         """Before any run has been counted."""
-        return Account(is_stored, n_runs, np.asarray(seconds, float), n_lane_steps, 0, {})
+        return SweepAccount(is_stored, n_runs, np.asarray(seconds, float), n_lane_steps, 0, {})
 
     def add(self, first: int, status: np.ndarray, n_steps: np.ndarray) -> None:
         """Count runs, of which the first has the number `first`."""

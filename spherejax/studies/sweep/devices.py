@@ -14,12 +14,12 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from spherejax.studies.sweep.chunks import ChunkResult, Rows, Work, filled, made, n_rows, result_of
+from spherejax.studies.sweep.chunks import ChunkResult, ChunkWork, Rows, filled, made, n_rows, result_of
 
 AXIS = "runs"
 
 
-def compiled_for_all(work: Work, rows: Rows, devices: Sequence[Any]) -> Callable:
+def compiled_for_all(work: ChunkWork, rows: Rows, devices: Sequence[Any]) -> Callable:
     """The program of a chunk on each of several devices, compiled once."""
     mesh = Mesh(np.array(devices), (AXIS,))
     over_runs = PartitionSpec(AXIS)
@@ -33,7 +33,7 @@ def compiled_for_all(work: Work, rows: Rows, devices: Sequence[Any]) -> Callable
     return jax.jit(sharded, in_shardings=placed).lower(*_side_by_side(work, [rows], len(devices))).compile()
 
 
-def run_side_by_side(work: Work, several: Sequence[Rows], program: Callable, n_devices: int) -> list[ChunkResult]:
+def run_side_by_side(work: ChunkWork, several: Sequence[Rows], program: Callable, n_devices: int) -> list[ChunkResult]:
     """Make the runs of as many chunks as there are devices, or fewer."""
     begin = time.perf_counter()
     kept, outcome = jax.block_until_ready(program(*_side_by_side(work, several, n_devices)))
@@ -42,7 +42,7 @@ def run_side_by_side(work: Work, several: Sequence[Rows], program: Callable, n_d
     return [result_of(kept, outcome, i, n_rows(rows), work.size, seconds) for i, rows in enumerate(several)]
 
 
-def _side_by_side(work: Work, several: Sequence[Rows], n_devices: int) -> tuple[Rows, np.ndarray]:
+def _side_by_side(work: ChunkWork, several: Sequence[Rows], n_devices: int) -> tuple[Rows, np.ndarray]:
     """Parameters of all devices' runs, and which are wanted; devices without a chunk get runs that are not made."""
     parts = [filled(work, rows) for rows in several]
     rows, is_wanted = parts[-1]

@@ -15,7 +15,7 @@ from spherejax.studies.sweep.chunks import ChunkResult
 
 
 @dataclass(frozen=True)
-class Seen:
+class SweepProgress:
     """What has been done so far.
 
     Attributes:
@@ -37,12 +37,12 @@ class Seen:
     began: float
 
     @staticmethod
-    def beginning(n_runs: int, n_chunks: int, n_chunks_before: int, chunk_size: int) -> "Seen":
+    def beginning(n_runs: int, n_chunks: int, n_chunks_before: int, chunk_size: int) -> "SweepProgress":
         """Nothing done but what an earlier start has left."""
         before = n_runs if n_chunks_before == n_chunks else n_chunks_before * chunk_size
-        return Seen(n_runs, before, before, 0, 0, 0, time.monotonic())
+        return SweepProgress(n_runs, before, before, 0, 0, 0, time.monotonic())
 
-    def with_chunk(self, result: ChunkResult) -> "Seen":
+    def with_chunk(self, result: ChunkResult) -> "SweepProgress":
         """One more chunk."""
         return replace(
             self,
@@ -78,7 +78,7 @@ class Seen:
         )
 
 
-Report = Callable[[Seen], None]
+Report = Callable[[SweepProgress], None]
 
 
 SECONDS_BETWEEN = 0.2
@@ -116,7 +116,7 @@ def _notebook_display() -> Report:
     handle: Any = display(_shown("sweep"), raw=True, display_id=True)
     renewed = [0.0]
 
-    def report(seen: Seen) -> None:
+    def report(seen: SweepProgress) -> None:
         if seen.n_done == seen.n_runs or time.monotonic() - renewed[0] > SECONDS_BETWEEN:
             renewed[0] = time.monotonic()
             left = "" if seen.n_done in (seen.n_runs, seen.n_done_before) else f", {_minutes(seen.seconds_left)} left"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.studies.sweep.dataset import RUN, Account, RunsColumn, dataset_of
+from spherejax.studies.sweep.dataset import RUN, RunsColumn, SweepAccount, dataset_of
 from spherejax.studies.sweep.failures import StoreWarning
 from spherejax.studies.sweep.store import Store, opened
 
@@ -50,7 +50,7 @@ def open_sweep(path: str | os.PathLike, *, verify: bool = True) -> "xarray.Datas
     return dataset_in(store, store.read_through(verify=verify))
 
 
-def dataset_in(store: Store, account: Account) -> "xarray.Dataset":
+def dataset_in(store: Store, account: SweepAccount) -> "xarray.Dataset":
     """What a store holds, where `account` says that it is stored."""
     from xarray.core import indexing
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.status import OutOfRangeWarning
-from spherejax.studies.sweep.chunks import ChunkResult, Rows, Work, shapes_of
-from spherejax.studies.sweep.dataset import COUNTED, Account, columns_of, coordinates_of, dataset_of
+from spherejax.studies.sweep.chunks import ChunkResult, ChunkWork, Rows, shapes_of
+from spherejax.studies.sweep.dataset import COUNTED, SweepAccount, columns_of, coordinates_of, dataset_of
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.reading import dataset_in
 from spherejax.studies.sweep.store import Store, open_store
@@ -31,7 +31,9 @@ class Results:
         cautions: what the first chunk with such runs was used for beyond the range of its laws; empty for nothing.
     """
 
-    def __init__(self, grid: Grid, work: Work, path: Path | None, facts: Mapping[str, Any], own: Mapping[str, Any]):
+    def __init__(
+        self, grid: Grid, work: ChunkWork, path: Path | None, facts: Mapping[str, Any], own: Mapping[str, Any]
+    ):
         self.grid, self.work, self.facts = grid, work, facts
         self.n_chunks = -(-grid.n_runs // work.size)
         shapes = shapes_of(work, self.rows(0))
@@ -84,7 +86,7 @@ class Results:
             return found.assign_attrs(commit=self.facts["commit"], cautions=self.cautions)
         grid, arrays = self.grid, self.arrays
         values = {name: array.reshape(*grid.shape, *array.shape[1:]) for name, array in arrays.items()}
-        account = Account.of_nothing(np.ones(self.n_chunks, bool), grid.n_runs, **self.of_chunks)
+        account = SweepAccount.of_nothing(np.ones(self.n_chunks, bool), grid.n_runs, **self.of_chunks)
         account.add(0, arrays["status"], arrays["n_steps"])
         coordinates = coordinates_of(grid, np.asarray(self.work.ts))
         found = dataset_of(grid.dims, coordinates, self.columns, values, self.facts, account)

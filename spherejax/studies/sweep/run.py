@@ -19,7 +19,7 @@ from spherejax.motion.runs.known_builds import Build, known_build
 from spherejax.motion.runs.many import method_for, warn_of_starts, with_sensitivities
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
 from spherejax.runtime import require_float64
-from spherejax.studies.sweep.chunks import Work
+from spherejax.studies.sweep.chunks import ChunkWork
 from spherejax.studies.sweep.crew import crew_for, default_workers, work_off
 from spherejax.studies.sweep.grids import Grid, as_grid
 from spherejax.studies.sweep.identity import identity_of, with_known_functions
@@ -83,7 +83,7 @@ def sweep(
             with the same results as if it had not been. The store of another sweep is refused. The result is then read
             from the store where it is looked at (`sj.open_sweep` does so later), and memory is bounded by a chunk.
         progress: a bar in terminals and notebooks and nothing in logs (True), nothing (False), or a function that is
-            given what `studies.sweep.progress.Seen` holds.
+            given what `studies.sweep.progress.SweepProgress` holds.
 
     Returns:
         A data set with the parameters as coordinates, what was asked for, and each run's `status`, `t_reached`,
@@ -122,7 +122,7 @@ def sweep(
         wanted = with_known_functions(wanted, build, method, grid, times)
         workers = workers or default_workers()
         size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
-        work = Work(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
+        work = ChunkWork(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
         facts = provenance(example, grid, method, times, wanted)
         results = Results(grid, work, path, facts, identity_of(build, grid, wanted))
         with reporting(progress, grid.n_runs) as report:

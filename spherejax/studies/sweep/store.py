@@ -23,7 +23,7 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.chunks import ChunkResult
-from spherejax.studies.sweep.dataset import RUN, Account, RunsColumn
+from spherejax.studies.sweep.dataset import RUN, RunsColumn, SweepAccount
 from spherejax.studies.sweep.failures import StoreWarning, writing
 from spherejax.studies.sweep.grids import SLAB, Grid
 
@@ -107,7 +107,7 @@ class Store:
         """
         return np.flatnonzero(~self.read_through(verify=True).is_stored).tolist()
 
-    def read_through(self, *, verify: bool) -> Account:
+    def read_through(self, *, verify: bool) -> SweepAccount:
         """Go through all chunks, some at a time.
 
         Args:
@@ -120,7 +120,7 @@ class Store:
         digests, of_chunks = self.of_all("digest"), {name: self.of_all(name) for name in ("seconds", "n_lane_steps")}
         if verify:
             self._verify_description()
-        account = Account.of_nothing(digests != 0, self.n_runs, **of_chunks)
+        account = SweepAccount.of_nothing(digests != 0, self.n_runs, **of_chunks)
         names = self.names if verify else ["status", "n_steps"]
         for chunk, values in self._stored_chunks(digests != 0, names):
             own = {name: each[chunk] for name, each in of_chunks.items()} if self.format > 1 else {}

@@ -42,7 +42,7 @@ LEAST_SHARE = 5e-4
 
 
 @dataclass(frozen=True)
-class Part:
+class BudgetPart:
     """The budget of one observable.
 
     Attributes:
@@ -79,7 +79,7 @@ class ToleranceBudget:
     """
 
     numbers: tuple[Scattered, ...] = field(repr=False)
-    parts: tuple[Part, ...] = field(repr=False)
+    parts: tuple[BudgetPart, ...] = field(repr=False)
     sensitivities: Sensitivities = field(repr=False)
     note: str = ""
 
@@ -88,7 +88,7 @@ class ToleranceBudget:
         """Of what scatters."""
         return [number.name for number in self.numbers]
 
-    def of(self, observable: str) -> Part:
+    def of(self, observable: str) -> BudgetPart:
         """The budget of an observable.
 
         Raises:
@@ -224,7 +224,7 @@ def tolerance_budget(
         deviation = np.sqrt(np.sum(effects**2, axis=-1))
         worst = np.sum(np.abs(column.slopes) * widths, axis=-1)
         bent = None if aside is None else _bent(column.values, effects, aside[column.name], steps / deviations)
-        parts.append(Part(column, effects, deviation, worst, bent))
+        parts.append(BudgetPart(column, effects, deviation, worst, bent))
     note = _judged(parts, found.diagnosis)
     return ToleranceBudget(tuple(numbers), tuple(parts), found, note)
 
@@ -267,7 +267,7 @@ def _bent(values, effects, aside, lengths) -> float:
     return float(missed.max(initial=0.0) / max(deviation.max(initial=0.0), rounding))
 
 
-def _judged(parts: list[Part], diagnosis: str) -> str:
+def _judged(parts: list[BudgetPart], diagnosis: str) -> str:
     """What the check says, and a warning where it is bad, or where the run at the middle stopped early."""
     made = {part.column.name: part.bent for part in parts if part.bent is not None}
     failed = [name for name, share in made.items() if not np.isfinite(share)]

@@ -61,7 +61,7 @@ class _Seen(NamedTuple):
     travel: Numeric
 
 
-class Contacts(NamedTuple):
+class ContactInstants(NamedTuple):
     """The instants of contact, alike ones gathered, with a leading axis.
 
     Attributes:
@@ -122,7 +122,7 @@ def contacts_of(
     window: tuple[float, float] | None,
     scalar: bool | None,
     foundation: float | None,
-) -> Contacts:
+) -> ContactInstants:
     """The contacts of a joint.
 
     Args:
@@ -248,7 +248,7 @@ def _missed(steps: Steps, own: np.ndarray, rubbing: np.ndarray, see) -> np.ndarr
     return np.abs(steps.lengths[own] * (coarse - rubbing @ np.asarray(SHARE_WEIGHTS)))
 
 
-def _gathered(system: System, joint: str, pieces, rough, missed, window, foundation) -> Contacts:
+def _gathered(system: System, joint: str, pieces, rough, missed, window, foundation) -> ContactInstants:
     """One row for each instant at which ball and socket press on each other."""
     fine = np.zeros(len(rough))
     columns, stiffnesses, half_angles, durations = [], [], [], []
@@ -273,4 +273,4 @@ def _gathered(system: System, joint: str, pieces, rough, missed, window, foundat
     expected = float(power(contact, angles, radius) @ duration)
     rows = gathered(contact, angles, duration, radius)
     coarser, _, lasting = gathered(contact, angles, duration, radius, COARSER)
-    return Contacts(*rows, (coarser, lasting), float(slid), expected, len(duration), error, window)
+    return ContactInstants(*rows, (coarser, lasting), float(slid), expected, len(duration), error, window)

@@ -11,7 +11,7 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.legal import non_negative, positive
 from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.studies.wear.contacts import CREEPING, Contacts, contacts_of
+from spherejax.studies.wear.contacts import CREEPING, ContactInstants, contacts_of
 from spherejax.studies.wear.cycles import Rate, over_cycles
 from spherejax.studies.wear.deposit import Joint, Maps, Told, rubbed
 from spherejax.studies.wear.sphere import cell_solid_angle
@@ -200,7 +200,7 @@ def _checked_window(run: Trajectory, window) -> tuple[float, float] | None:
     return first, last
 
 
-def _cells_for(contacts: Contacts) -> int:
+def _cells_for(contacts: ContactInstants) -> int:
     """As many as give a typical patch, the mean over the load, `CELLS_PER_PATCH` from its middle to its edge."""
     if not len(contacts.duration):
         return USUAL_CELLS[0]
@@ -208,7 +208,7 @@ def _cells_for(contacts: Contacts) -> int:
     return int(np.clip(16 * np.ceil(needed / 16), *USUAL_CELLS))
 
 
-def _typical_half_angle(contacts: Contacts) -> float:
+def _typical_half_angle(contacts: ContactInstants) -> float:
     """Mean half angle of the patches over the load [rad]."""
     impulse = np.asarray(contacts.contact.force) * contacts.duration
     return float(impulse @ contacts.half_angle / impulse.sum()) if impulse.any() else float(contacts.half_angle.mean())
@@ -217,7 +217,7 @@ def _typical_half_angle(contacts: Contacts) -> float:
 # What is checked ------------------------------------------------------------------------------------------------------
 
 
-def _conserved(joint: str, rubbing: Maps, told: Told, contacts: Contacts) -> tuple[float, float]:
+def _conserved(joint: str, rubbing: Maps, told: Told, contacts: ContactInstants) -> tuple[float, float]:
     """Shares by which a map's work and the resultants of the pressure are off; raises where that is too much."""
     total = float(told.power @ contacts.duration)
     scale = max(total, np.finfo(float).tiny)
@@ -232,7 +232,7 @@ def _conserved(joint: str, rubbing: Maps, told: Told, contacts: Contacts) -> tup
     return lost, unbalanced
 
 
-def _require_expected(joint: str, rubbing: float, contacts: Contacts) -> None:
+def _require_expected(joint: str, rubbing: float, contacts: ContactInstants) -> None:
     """Whether those that stand for alike instants rub as much as all instants do."""
     slow = CREEPING * float(np.asarray(contacts.contact.force) @ contacts.duration)
     if contacts.expected > slow and not NARROWEST < rubbing / contacts.expected < WIDEST:
@@ -250,7 +250,7 @@ def _elsewhere(work: Maps, other: Maps) -> float:
     )
 
 
-def _checks(joint: str, work: Maps, told: Told, contacts: Contacts, n: int, elsewhere: float) -> Checks:
+def _checks(joint: str, work: Maps, told: Told, contacts: ContactInstants, n: int, elsewhere: float) -> Checks:
     lost, unbalanced = _conserved(joint, work, told, contacts)
     _require_expected(joint, float(told.power @ contacts.duration), contacts)
     weights = told.power * contacts.duration
@@ -262,7 +262,7 @@ def _checks(joint: str, work: Maps, told: Told, contacts: Contacts, n: int, else
     )
 
 
-def _result(run, joint, model, coefficients, contacts: Contacts, n: int, states, diagnosis: str, checks) -> Wear:
+def _result(run, joint, model, coefficients, contacts: ContactInstants, n: int, states, diagnosis: str, checks) -> Wear:
     placed = run.system.spherical(joint)
     remarks = []
     if diagnosis:

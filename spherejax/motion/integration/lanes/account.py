@@ -15,7 +15,7 @@ _STATUS = 1
 """Place of the status in a row."""
 
 
-class Account(NamedTuple):
+class AccountLayout(NamedTuple):
     """Where a row has what (static).
 
     Attributes:
@@ -31,7 +31,7 @@ class Account(NamedTuple):
     shape: tuple[int, ...]
 
     @classmethod
-    def of(cls, lanes: Lane) -> "Account":
+    def of(cls, lanes: Lane) -> "AccountLayout":
         """That of runs in lanes."""
         n_checks = 0 if lanes.watch is None else len(CHECKS)
         return cls(lanes.n_onsets.shape[0], n_checks, lanes.peaks.shape[0], lanes.y.shape[:-1])

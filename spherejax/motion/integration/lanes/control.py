@@ -39,7 +39,7 @@ class Judgment(NamedTuple):
     began: Bool[Array, "n_contacts n_lanes"]
 
 
-class Step(NamedTuple):
+class BlockSteps(NamedTuple):
     """Trial steps of a block.
 
     Attributes:
@@ -48,7 +48,7 @@ class Step(NamedTuple):
         error: estimate of the error of y1.
         dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
-        stray: see `stages.Trial`.
+        stray: see `stages.TrialStep`.
     """
 
     t0: Float[Array, " n_lanes"]
@@ -84,11 +84,11 @@ class Repeating:
         """Of the time that the coming steps are made in; straight."""
         return jnp.zeros(size.shape)
 
-    def judge(self, step: Step, state, was_jump) -> Judgment:
+    def judge(self, step: BlockSteps, state, was_jump) -> Judgment:
         """What becomes of the trial steps."""
         return in_lanes(self._judge)(step, state, was_jump)
 
-    def _judge(self, step: Step, state, was_jump) -> Judgment:
+    def _judge(self, step: BlockSteps, state, was_jump) -> Judgment:
         contacts, y = self.problem.contacts, step.y1
         began, error = jnp.zeros(0, bool), step.error
         if self.problem.correct is not None:

@@ -20,12 +20,12 @@ from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.machine.few_kernels import in_few_kernels
 from spherejax.motion.integration.audit import Watch
-from spherejax.motion.integration.lanes.account import Account, written
-from spherejax.motion.integration.lanes.control import Repeating, Step, clipped, told_by
+from spherejax.motion.integration.lanes.account import AccountLayout, written
+from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
 from spherejax.motion.integration.lanes.landing import Landing
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, StepLog, is_busy
-from spherejax.motion.integration.lanes.stages import ExplicitStages, Trial, own_time, steps_of
+from spherejax.motion.integration.lanes.stages import ExplicitStages, TrialStep, own_time, steps_of
 from spherejax.motion.integration.status import Status
 from spherejax.physics.forces.remembering import SAME_INSTANT
 
@@ -171,14 +171,14 @@ class _Queue:
             watch = Watch.of_nothing() if self.looks else audit.begun(parameters, t0, y0)
         return watch, self._watched(t0, y0, parameters)
 
-    def judged(self, lane: Lane, trial: Trial, is_look) -> Lane:
+    def judged(self, lane: Lane, trial: TrialStep, is_look) -> Lane:
         """The lanes after trial steps: corrected, with their contact events, kept or to be repeated.
 
         A look leaves them as they were.
         """
         problem = self.problem
         error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        step = Step(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters, trial.stray)
+        step = BlockSteps(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters, trial.stray)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )
@@ -249,7 +249,7 @@ class _Queue:
         # The start is corrected as all samples are; the integration begins with what it was given.
         first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
         ys = jnp.where(is_start, first[:, None], jnp.nan)
-        account = Account.of(lanes)
+        account = AccountLayout.of(lanes)
         looks = Looks.of_nothing(lanes.y) if self.looks else None
         log = None
         if self.capacity:

@@ -23,12 +23,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
-from spherejax.motion.integration.lanes.control import Judgment, Step
+from spherejax.motion.integration.lanes.control import BlockSteps, Judgment
 from spherejax.motion.integration.lanes.first_step import Looks, first_look, first_size, looked_along
 from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
-from spherejax.motion.integration.sampling import Samples
-from spherejax.motion.solvers.crossing_search import Found, crossing_fraction, first_event
-from spherejax.motion.solvers.landing import LANDING_WINDOW, Contacts, longest_ball_step, shortest_step
+from spherejax.motion.integration.sampling import SampledElements
+from spherejax.motion.solvers.crossing_search import FoundCrossings, crossing_fraction, first_event
+from spherejax.motion.solvers.landing import LANDING_WINDOW, ContactFunctions, longest_ball_step, shortest_step
 from spherejax.physics.joints.base import Crossing
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
@@ -86,9 +86,9 @@ class Landing:
     def __init__(self, problem, order, steps: ExplicitStages):
         self.problem, self.order = problem, order
         self.inside, self.instants = steps.inside, steps.instants
-        self.contacts: Contacts | None = problem.contacts
+        self.contacts: ContactFunctions | None = problem.contacts
         self.correct: Callable | None = problem.correct
-        self.samples: Samples | None = problem.samples
+        self.samples: SampledElements | None = problem.samples
 
     def init(self, term, t0, t_end, y0, parameters):
         """The end of the first step [s], and the control's state, of one lane."""
@@ -143,7 +143,7 @@ class Landing:
         """
         return _bend(state.since, state.since + size) - _bend(state.until - size, state.until)
 
-    def judge(self, step: Step, state: Pace, was_jump) -> Judgment:
+    def judge(self, step: BlockSteps, state: Pace, was_jump) -> Judgment:
         """What becomes of the trial steps."""
         size, shortest = step.t1 - step.t0, shortest_step(step.t0, step.t1)
         error = self._scaled_error(step)
@@ -170,7 +170,7 @@ class Landing:
             verdict=in_lanes(_verdict)(has_stalled),
         )
 
-    def _with_samples(self, samples: Samples, parameters, t, y, made_jump, judgment: Judgment):
+    def _with_samples(self, samples: SampledElements, parameters, t, y, made_jump, judgment: Judgment):
         """The states behind the samples that are due; what accelerations were says nothing of those behind them."""
         after = samples.update_lanes(parameters, t, y)
         were_taken = judgment.keep & samples.were_taken(y, after)
@@ -179,7 +179,9 @@ class Landing:
         state = state._replace(acceleration=jnp.where(were_taken, -1.0, state.acceleration))
         return y, made_jump | were_taken, judgment._replace(y=jnp.where(judgment.keep, y, judgment.y), state=state)
 
-    def _with_contacts(self, contacts: Contacts, step: Step, state: Pace, error, longer, shortest) -> Judgment:
+    def _with_contacts(
+        self, contacts: ContactFunctions, step: BlockSteps, state: Pace, error, longer, shortest
+    ) -> Judgment:
         """The judgment, with the coming step's size [s] in place of its end."""
         size, passes = step.t1 - step.t0, error < 1
         was_touching = contacts.is_touching(step.y0)
@@ -225,7 +227,7 @@ class Landing:
         )
         return Judgment(keep, t, coming, y, state, is_event, None, began & keep)
 
-    def _landed(self, step: Step, state: Pace, lands, share) -> Float[Array, "... n_lanes"]:
+    def _landed(self, step: BlockSteps, state: Pace, lands, share) -> Float[Array, "... n_lanes"]:
         """The states inside the steps that end there, those at the ends of the others."""
         return jnp.where(lands, self._state_inside(step, state, share), step.y1)
 
@@ -248,7 +250,7 @@ class Landing:
         until = jnp.where(share < 1, share * following, jnp.inf)
         return following * share, until
 
-    def _event(self, contacts: Contacts, step: Step, state: Pace, was_pressing, passes) -> Found:
+    def _event(self, contacts: ContactFunctions, step: BlockSteps, state: Pace, was_pressing, passes) -> FoundCrossings:
         """The first contact event inside the steps, on the states inside them."""
         size = step.t1 - step.t0
 
@@ -282,7 +284,7 @@ class Landing:
         shares = jnp.where(may_release, fractions, 1.0)
         return jnp.min(shares, axis=0)
 
-    def _state_inside(self, step: Step, state: Pace, share, is_first=False) -> Float[Array, "... n_lanes"]:
+    def _state_inside(self, step: BlockSteps, state: Pace, share, is_first=False) -> Float[Array, "... n_lanes"]:
         """The states after a share of the steps' time; with all rows below them, or the first row alone."""
         x = own_time(share, self.bend_of_time(state, step.t1 - step.t0))
         n, degree = self.inside.shape
@@ -298,7 +300,7 @@ class Landing:
     def _corrected(self, parameters, t, y) -> Float[Array, "... n_lanes"]:
         return y if self.correct is None else in_lanes(self.correct)(parameters, t, y)
 
-    def _scaled_error(self, step: Step) -> Float[Array, " n_lanes"]:
+    def _scaled_error(self, step: BlockSteps) -> Float[Array, " n_lanes"]:
         """The root mean square of the errors by what is tolerated; of rows (`sensitivity_rows`) the worst."""
 
         slack_of = self.problem.slack_of
@@ -316,7 +318,7 @@ class Landing:
             is_right = is_right & self._holds_together(step.stray, step, scale)
         return jax.lax.stop_gradient(jnp.where(is_right, error, jnp.inf))
 
-    def _holds_together(self, stray: Array, step: Step, scale) -> Bool[Array, " n_lanes"]:
+    def _holds_together(self, stray: Array, step: BlockSteps, scale) -> Bool[Array, " n_lanes"]:
         """Whether the last stage that has the step's end for its instant is nearer to it than the start is.
 
         The check of the error's estimate, which knows only stages that have a weight in it. A first step in contact of

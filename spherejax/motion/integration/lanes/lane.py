@@ -9,9 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
-from spherejax.motion.integration.sampling import Samples
+from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.integration.status import Status
-from spherejax.motion.solvers.landing import Contacts
+from spherejax.motion.solvers.landing import ContactFunctions
 
 
 class Block(NamedTuple):
@@ -58,14 +58,14 @@ class LaneProblem(NamedTuple):
     controller_of: Callable
     rate: Callable
     correct: Callable | None
-    contacts: Contacts | None
+    contacts: ContactFunctions | None
     max_steps: int | Array
     watch: Callable | None = None
     longest_step: Array | None = None
     audit: Audit | None = None
     room: Callable | None = None
     n_judged: int | None = None
-    samples: Samples | None = None
+    samples: SampledElements | None = None
     slack_of: Callable | None = None
     in_machine_code: bool = False
     program: ScalarProgram | None = None

@@ -28,7 +28,7 @@ _TIME = 1
 """Place of t among the arguments of a program; y is behind it."""
 
 
-class Trial(NamedTuple):
+class TrialStep(NamedTuple):
     """A step that nobody has judged yet.
 
     Attributes:
@@ -97,7 +97,7 @@ class ExplicitStages:
         del t, t_next, y, parameters
         return ()
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> Trial:
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> TrialStep:
         """All stages of all lanes, in a time of their own: t = t0 + h ((1 - bend) x + bend x^2).
 
         With `n_evaluated` only so many, which may be traced: then of the trial only their increments say something.
@@ -115,7 +115,7 @@ class ExplicitStages:
         if self.has_two_errors:
             error = TwoErrors.together(error, others.pop(0))
         end = y + change
-        return Trial(end, error, {"y0": y, "y1": end, "k": k}, (), None, *others)
+        return TrialStep(end, error, {"y0": y, "y1": end, "k": k}, (), None, *others)
 
     def nothing_made(self, t, y, *_) -> dict[str, Any]:
         """What states inside a step are made from, before there was one."""
@@ -167,13 +167,13 @@ class MappedSteps:
         """The solver's state of one lane."""
         return self.solver.init(self.term, t, t_next, y, parameters)
 
-    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> Trial:
+    def step(self, t, t_next, y, parameters, solver_state, made_jump, bend, n_evaluated=None) -> TrialStep:
         """One step of every lane."""
         del bend, n_evaluated
 
         def of_one(t, t_next, y, parameters, solver_state, made_jump):
             step: Any = self.solver.step(self.term, t, t_next, y, parameters, solver_state, made_jump)
-            return Trial(*step)
+            return TrialStep(*step)
 
         return in_lanes(of_one)(t, t_next, y, parameters, solver_state, made_jump)
 
