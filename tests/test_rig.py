@@ -306,12 +306,15 @@ def test_table_dataset_and_figure_have_units(wishbone, tmp_path):
         sj.plot.rig(ds, ["to"])
 
 
-def test_anti_dive_and_ackermann_by_their_formulas(wishbone):
+def test_anti_dive_anti_lift_and_ackermann_by_their_formulas(wishbone):
     car = sj.Vehicle(wheelbase=2.7, center_of_mass_height=0.55, brake_share=0.65)
     expected = 0.65 * np.tan(wishbone.braking_angle) * 2.7 / 0.55
     assert wishbone.anti_dive(car) == pytest.approx(expected)
     rear = car._replace(is_rear=True)
     assert wishbone.anti_dive(rear) == pytest.approx(-expected)
+    by_driving = 0.4 * np.tan(wishbone.driving_angle) * 2.7 / 0.55  # of the wheel's center, where driving forces act
+    assert wishbone.anti_lift(car._replace(drive_share=0.4)) == pytest.approx(by_driving)
+    assert wishbone.anti_lift(rear._replace(drive_share=0.4)) == pytest.approx(-by_driving)
     with pytest.raises(sj.SceneError, match="no position with steer"):
         wishbone.ackermann(car, 1.5)
 

@@ -164,10 +164,6 @@ class System(eqx.Module):
                 return slot.entries
         return slice(0, 0)
 
-    def memory_of_force(self, force: str) -> slice:
-        """The force element's entries in the memory; an empty slice without memory."""
-        return next((slot.entries for slot in self.force_slots if slot.joint == force), slice(0, 0))
-
 
 class CompiledScene(NamedTuple):
     """A compiled scene and the conditions that could not be judged yet.

@@ -19,7 +19,7 @@ from spherejax.model.system import Structure, System
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.constraints import assembly_set, velocity_violation
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.start.assembly import CLOSING_TOLERANCE, UNMET_TOLERANCE, Assembly, described_state
+from spherejax.motion.start.assembly import UNMET_TOLERANCE, Assembly, described_state
 from spherejax.physics.joints.drivers import PlacedRotationDriver
 from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.state import unpack
@@ -190,10 +190,6 @@ def _same_coordinate(system: System, found: Demands, drivers: list[str]) -> dict
         if np.abs(a - sign * b).max() < DEPENDENT * np.abs(a).max():
             pairs[one, other] = sign
     return pairs
-
-
-def _same_place(one: AbstractPlacedJoint, other: AbstractPlacedJoint) -> bool:
-    return one.bodies == other.bodies and np.allclose(one.points, other.points, rtol=0, atol=CLOSING_TOLERANCE)
 
 
 def _listed(names) -> str:

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.model.numbers import number_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
@@ -194,20 +193,3 @@ def _numbers_of(build, parameters):
 @bounded_jit(what="how the numbers of a scene change")
 def _numbers_along(build, parameters, along):
     return jax.vmap(lambda p, dp: jax.jvp(partial(_theta_of, build), (p,), (dp,))[1])(parameters, along)
-
-
-def of_scene(scene: Scene, paths: tuple[str, ...]) -> tuple[Callable[..., Scene], dict[str, float]]:
-    """A builder whose numbers are those of a scene at paths, and their values in it.
-
-    Raises:
-        SceneError: for a path that leads to no single number.
-    """
-    numbers = {path: number_at(scene, path) for path in paths}
-
-    def build(**values) -> Scene:
-        whole = scene
-        for path, value in values.items():
-            whole = numbers[path].changed(whole, value)
-        return whole
-
-    return build, {path: number.value(scene) for path, number in numbers.items()}

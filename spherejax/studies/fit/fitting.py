@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -148,8 +147,3 @@ def _starts(problem: Problem, n: int, seed: int) -> np.ndarray:
         raise SceneError(f"starts = {n} must be at least 1")
     away = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (n - 1, problem.u0.size))
     return problem.u0 + np.concatenate([np.zeros((1, problem.u0.size)), away])
-
-
-def with_note(found: Fit, note: str) -> Fit:
-    """The fit with one more thing to say."""
-    return replace(found, notes=(*found.notes, note))

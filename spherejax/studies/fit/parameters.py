@@ -86,11 +86,6 @@ class Unknown:
         """Whether changes of it are counted relative to its size."""
         return self.lower >= 0
 
-    @property
-    def is_bounded(self) -> bool:
-        """Whether there is a bound besides zero."""
-        return np.isfinite(self.upper) or (np.isfinite(self.lower) and self.lower != 0)
-
     def value_of(self, u: Float[Array, " n"]) -> Array:
         """Numbers from unknowns."""
         low, high = np.isfinite(self.lower), np.isfinite(self.upper)
