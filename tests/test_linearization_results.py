@@ -68,6 +68,9 @@ def test_the_derivative_of_damping(rubber):
     k, c, m = 1e4, 10.0, 2.0
     modes = rubber.modes()
     mode = int(np.argmin(np.abs(modes.frequency - np.sqrt(k / m) / (2 * np.pi))))
+    ratio = c / (2 * np.sqrt(m * k))
+    assert modes.damping_ratio[mode] == pytest.approx(ratio, rel=1e-8)
+    assert modes.damped_frequency[mode] == pytest.approx(np.sqrt((1 - ratio**2) * k / m) / (2 * np.pi), rel=1e-9)
     slope = modes.sensitivity(mode, "joints.mount.model.law.damping.0.0")
     assert slope.damping_ratio == pytest.approx(1 / (2 * np.sqrt(m * k)), rel=1e-8)
     assert abs(slope.frequency) < 1e-9
