@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.model.system import compile_scene, with_laws_by_factor
+from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.runs import known_scenes
 from spherejax.motion.runs import simulate as simulating
 from spherejax.motion.runs.known_scenes import prepared, values_of
@@ -251,3 +253,31 @@ def test_what_cannot_be_compared_is_not_remembered():
     assert values_of({"a": 1.0}) != values_of({"a": 1}) != values_of({"a": True})
     assert values_of({"a": np.nan}) == values_of({"a": np.nan})
     assert values_of({"a": 0.0}) != values_of({"a": -0.0})
+
+
+def test_another_law_of_impact_needs_no_other_program():
+    """Laws that differ in a factor alone are one program; what a run tells is still its own law."""
+    laws = [law(restitution=0.9) for law in (sj.LankaraniNikravesh, sj.HuntCrossley, sj.Flores, sj.ExactRestitution)]
+    scenes = [sj.gallery.four_bar(sj.Dry(1e-4, normal=law)) for law in laws]
+    found = [prepared(scene, False, None) for scene in scenes]
+    assert len({each.structure for each in found}) == 1
+    assert len({each.theta.tobytes() for each in found}) == len(laws)
+    system = found[2].system()
+    assert system.joints["coupler_rocker"].model.normal == laws[2]
+    other = sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Hertz()))  # which remembers no onset
+    assert prepared(other, False, None).structure != found[0].structure
+
+
+def test_a_run_by_the_factor_is_that_by_the_law():
+    """The array code's, which sees the law itself, with its derivative by the restitution."""
+    law = sj.Flores(restitution=0.6)
+    scene = sj.gallery.four_bar(sj.Dry(1e-4, normal=law))
+    run = sj.simulate(scene, jnp.linspace(0.0, 0.05, 11), rtol=1e-9)
+    assert run.stats.n_onsets[0] > 0
+    by_law = compile_scene(scene).system
+    for i in (0, 5, 10):
+        t, y = run.ts[i], run.ys[i]
+        np.testing.assert_allclose(
+            state_rate(with_laws_by_factor(by_law), t, y), state_rate(by_law, t, y), rtol=1e-12, atol=1e-12
+        )
+    assert run.system.joints["coupler_rocker"].model.normal == law

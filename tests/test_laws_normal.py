@@ -10,6 +10,8 @@ from scipy.optimize import brentq
 
 from spherejax.foundations.checks import enforce
 from spherejax.foundations.errors import SceneError
+from spherejax.physics.functions.shapes import PowerTail
+from spherejax.physics.laws import normal
 from spherejax.physics.laws.impact import (
     exact_hysteresis_factor,
     maximum_penetration,
@@ -17,6 +19,7 @@ from spherejax.physics.laws.impact import (
 )
 from spherejax.physics.laws.material import Material, generalized_stiffness
 from spherejax.physics.laws.normal import (
+    BY_FACTOR,
     MINIMUM_ONSET_RATE,
     AbstractHysteresisLaw,
     ExactRestitution,
@@ -25,6 +28,7 @@ from spherejax.physics.laws.normal import (
     Hertz,
     HuntCrossley,
     LankaraniNikravesh,
+    by_factor,
 )
 
 FORMULAS = {
@@ -301,3 +305,45 @@ def test_generalized_stiffness():
     by_hand = 4 / (3 * ((1 - 0.09) / 207e9 + (1 - 0.09) / 2e9)) * np.sqrt(0.01 * 0.0099 / 1e-4)
     np.testing.assert_allclose(generalized_stiffness(0.01, 0.0099, soft, steel), by_hand, rtol=1e-12)
     assert np.isfinite(jax.grad(lambda m: generalized_stiffness(0.01, 0.0099, m, steel))(steel).poissons_ratio)
+
+
+# A law as its factor --------------------------------------------------------------------------------------------------
+
+
+def test_every_law_of_impact_of_this_package_is_known_by_its_factor():
+    own = {cls for cls in vars(normal).values() if isinstance(cls, type) and issubclass(cls, AbstractHysteresisLaw)}
+    assert set(BY_FACTOR) == own - {AbstractHysteresisLaw}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_factor_has_the_force_and_the_derivatives_of_the_law(law):
+    rng = np.random.default_rng(3)
+    points = np.stack([rng.uniform(-1e-6, 3e-5, 40), rng.normal(0, 0.1, 40), rng.choice([0.0, 1e-3, 0.2], 40)], 1)
+
+    def force(restitution, change):
+        made = change(law(restitution=restitution, exponent=1.5))
+        return jax.vmap(lambda p: made.force(*p, K))(jnp.asarray(points))
+
+    plain, factor = (jax.jit(lambda c, of=of: force(c, of)) for of in (lambda each: each, by_factor))
+    assert type(by_factor(law(restitution=0.7))).__name__ == "_Factor"
+    np.testing.assert_allclose(factor(0.7), plain(0.7), rtol=1e-14)
+    np.testing.assert_allclose(jax.jacfwd(factor)(0.7), jax.jacfwd(plain)(0.7), rtol=1e-12)
+    known = by_factor(law(restitution=0.7))
+    assert isinstance(known.factor, float)  # and no program has been made for it
+    assert known.factor == pytest.approx(
+        float(jax.jit(lambda c: law(restitution=c).hysteresis_factor())(0.7)), rel=1e-14
+    )
+
+
+class Sticking(HuntCrossley):
+    """A user's own, with a force of its own."""
+
+    def force(self, penetration, penetration_rate, onset_rate, stiffness):
+        return 2.0 * super().force(penetration, penetration_rate, onset_rate, stiffness)
+
+
+@pytest.mark.parametrize(
+    "law", [Hertz(), Sticking(0.9), Flores(PowerTail(0.1, 0.25))], ids=["no factor", "a subclass", "by the onset"]
+)
+def test_other_laws_stay_what_they_are(law):
+    assert by_factor(law) is law

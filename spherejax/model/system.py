@@ -23,6 +23,7 @@ from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.remembering import ActingForce, is_sampled, memory_entries, recalling
 from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.joints.spherical import PlacedSpherical
+from spherejax.physics.laws.normal import AbstractNormalLaw, by_factor
 from spherejax.physics.memory import MemoryEntry
 from spherejax.physics.state import Layout
 
@@ -332,6 +333,18 @@ def flatten_system(system: System):
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
     return structure, jnp.concatenate(parts)
+
+
+def with_laws_by_factor(system: System) -> System:
+    """The system as its equations see it: laws of impact that differ in a factor alone are that factor, a number.
+
+    A run of another such law then needs no other program. The system that users see keeps its laws.
+    """
+    return jax.tree.map(
+        lambda part: by_factor(part) if isinstance(part, AbstractNormalLaw) else part,
+        system,
+        is_leaf=lambda part: isinstance(part, AbstractNormalLaw),
+    )
 
 
 @lru_cache(maxsize=64)

@@ -16,7 +16,7 @@ import numpy as np
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.model.system import Structure, System, flatten_system
+from spherejax.model.system import Structure, System, flatten_system, with_laws_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.asked import Asked
@@ -94,7 +94,7 @@ def steps_of(
             "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep"
         )
     asked = _repeatable(asked)
-    structure, theta = flatten_system(system)
+    structure, theta = flatten_system(with_laws_by_factor(system))
     limits = audit_limits(system, asked.rtol, asked.solver)
     atol, rtol = asked.atol, asked.rtol
     tolerances = component_tolerances(system, rtol) if atol is None else None
@@ -191,7 +191,7 @@ def _warn_where_they_part(system: System, ts, ys, times, repeated) -> None:
 
 def seen_at(system: System, function, ts: np.ndarray, ys: np.ndarray, scalar: bool | None) -> Any:
     """`function(system, t, y)` at many states, a tree of arrays with a leading axis."""
-    structure, theta = flatten_system(system)
+    structure, theta = flatten_system(with_laws_by_factor(system))
     n = len(ts)
     # Few different programs: as many rows as a power of two.
     rows = 1 << int(np.ceil(np.log2(max(n, 16))))

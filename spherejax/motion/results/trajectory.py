@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.numerics import safe_norm
-from spherejax.model.system import System, flatten_system
+from spherejax.model.system import System, flatten_system, with_laws_by_factor
 from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.asked import Asked
@@ -164,7 +164,7 @@ class Trajectory(eqx.Module, Reported):
     @cached_property
     def observation(self) -> Observation:
         """All observables at all samples, evaluated on first use."""
-        structure, theta = flatten_system(self.system)
+        structure, theta = flatten_system(with_laws_by_factor(self.system))
         return observed(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
 
     def acceleration(self, body: str) -> Float[Array, "n 3"]:
@@ -248,7 +248,7 @@ class Trajectory(eqx.Module, Reported):
 
     @cached_property
     def _looked_up(self) -> dict[str, dict[str, Array]]:
-        structure, theta = flatten_system(self.system)
+        structure, theta = flatten_system(with_laws_by_factor(self.system))
         return looked_up_at(structure, jnp.asarray(theta), self.ys)
 
     def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:

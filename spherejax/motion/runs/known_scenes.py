@@ -21,7 +21,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.model.system import System, compile_scene, flatten_system, with_laws_by_factor
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.start_now import KnownStart, known_start
@@ -47,8 +47,8 @@ class PreparedScene:
     changes no other run.
 
     Attributes:
-        structure: of the system that it calls for.
-        theta: all numbers of the system.
+        structure: of the system that it calls for, with laws by their factors.
+        theta: all numbers of that.
         path: scalar programs or array code.
         known: the numbers that are known, with zeros elsewhere.
         unknown: indices of the others.
@@ -59,9 +59,10 @@ class PreparedScene:
         compiled = compile_scene(scene, track_work=track_work)
         self._system = own_arrays(compiled.system)
         self._leaves, self._tree = jax.tree.flatten(self._system)
-        self.structure, self.theta = flatten_system(self._system)
+        self._seen = with_laws_by_factor(self._system)
+        self.structure, self.theta = flatten_system(self._seen)
         self.path = path_of(self.structure, scalar)
-        self.known, self.unknown = split(self._system)
+        self.known, self.unknown = split(self._seen)
         self.conditions = compiled.conditions
         # On the array path the linear systems of a stiff method are dense.
         self._explicit_only = self.path.scalar is False and scalar is None
@@ -82,17 +83,15 @@ class PreparedScene:
 
     def choice(self, rtol: Any) -> SolverChoice:
         """The method that it calls for."""
-        return self._once(
-            "choice", (rtol,), lambda: choose_solver(self._system, rtol, explicit_only=self._explicit_only)
-        )
+        return self._once("choice", (rtol,), lambda: choose_solver(self._seen, rtol, explicit_only=self._explicit_only))
 
     def tolerances(self, rtol: Any) -> tuple[Tolerances, diffrax.PIDController]:
         """Tolerances by its scales, and the step-size control with them."""
 
         def found() -> tuple[Tolerances, diffrax.PIDController]:
             # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
-            seen = known_behind((self._system, rtol))
-            system, known = seen[0] if len(seen) == 1 else (self._system, rtol)
+            seen = known_behind((self._seen, rtol))
+            system, known = seen[0] if len(seen) == 1 else (self._seen, rtol)
             tolerances = component_tolerances(system, known)
             return tolerances, controller_for(self.structure, tolerances.rtol, tolerances.atol)
 
@@ -101,7 +100,7 @@ class PreparedScene:
     def start(self, ts: Numeric) -> KnownStart | None:
         """The consistent start, where it is known."""
         times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
-        found = self._once("start", times, lambda: known_start(self._system, ts))
+        found = self._once("start", times, lambda: known_start(self._seen, ts))
         return None if found is None else found._replace(assembly=own_arrays(found.assembly))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:

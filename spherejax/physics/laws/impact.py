@@ -19,6 +19,7 @@ Source: (*) follows for n = 1.5 from the dissipation argument in Gonthier et al.
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -41,7 +42,7 @@ _PENETRATION_RADIUS = 0.05
 """Below it chi - ln(1 + chi) has lost two digits; the series leaves 0.05**14 = 6e-19."""
 
 
-def exact_hysteresis_factor(restitution: Number) -> Scalar:
+def exact_hysteresis_factor(restitution: Number, xp: Any = jnp) -> Scalar:
     """The hysteresis factor chi whose free impact realizes the prescribed restitution [-].
 
         chi = 2 x/(1 + e),    L(x) = (1 - e)/(1 + e)
@@ -52,6 +53,7 @@ def exact_hysteresis_factor(restitution: Number) -> Scalar:
 
     Args:
         restitution: e in (0, 1]; meant from 1e-50 up, where squares still do not underflow.
+        xp: `jax.numpy`, or NumPy for a number that is known.
 
     Limits: e -> 1: chi = 3 (1 - e)/2 + ..., derivative -3/2. e -> 0: chi = 1/e with a relative error
     exp(-1/e)/e.
@@ -59,22 +61,22 @@ def exact_hysteresis_factor(restitution: Number) -> Scalar:
     Source: derived here (module docstring). The start is the approximant of Kroeger (2015), J. Non-Newtonian
     Fluid Mech. 223:77-87, with a relative error below 2e-3.
     """
-    e = jnp.asarray(restitution)
+    e = xp.asarray(restitution)
     y = (1.0 - e) / (1.0 + e)
     y2 = y * y
     complement = 2.0 * e / (1.0 + e)
     x = y * (3.0 - y2 * (6.0 + y2 * (1.0 - 2.0 * y2)) / 5.0) * (1.0 + e) ** 2 / (4.0 * e)
     for _ in range(_NEWTON_STEPS):
         near = x < _SERIES_RADIUS
-        x_near = jnp.where(near, x, 0.0)
-        x_far = jnp.where(near, 1.0, x)
+        x_near = xp.where(near, x, 0.0)
+        x_far = xp.where(near, 1.0, x)
         ratio = horner(_LANGEVIN_SERIES, x_near * x_near)
         langevin = ratio * x_near
-        decay = jnp.exp(-2.0 * x_far)
+        decay = xp.exp(-2.0 * x_far)
         residual_far = complement - 1.0 / x_far + 2.0 * decay / (1.0 - decay)
         slope_far = 1.0 / (x_far * x_far) - 4.0 * decay / (1.0 - decay) ** 2
-        residual = jnp.where(near, langevin - y, residual_far)
-        slope = jnp.where(near, 1.0 - langevin**2 - 2.0 * ratio, slope_far)
+        residual = xp.where(near, langevin - y, residual_far)
+        slope = xp.where(near, 1.0 - langevin**2 - 2.0 * ratio, slope_far)
         x = x - residual / slope
     return 2.0 * x / (1.0 + e)
 

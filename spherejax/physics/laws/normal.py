@@ -156,8 +156,7 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
         value and derivatives stay finite at an onset rate of zero.
         """
         factor = self.at_onset(onset_rate).hysteresis_factor()
-        damping = 1.0 + factor * penetration_rate / jnp.maximum(onset_rate, MINIMUM_ONSET_RATE)
-        return self.elastic_force(penetration, stiffness) * jnp.where(damping > 0, damping, 0.0)
+        return self.elastic_force(penetration, stiffness) * _damped(factor, penetration_rate, onset_rate)
 
     def requirements(self) -> list[Requirement]:
         """Restitution in (0, 1]: at 0 the factor of most laws is infinite, and the others never realize
@@ -189,6 +188,12 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
         worst = int(np.argmax(wrong))
         remedy = f"At an onset of {IMPACT_SPEEDS[worst]:.3g} m/s it does not; it is asked from 1e-6 to 1000 m/s."
         return [*own, Requirement("restitution", found[worst], not np.any(wrong), "lie in (0, 1] at any speed", remedy)]
+
+
+def _damped(factor: Number, penetration_rate: Number, onset_rate: Number) -> Scalar:
+    """max(0, 1 + chi delta_rate/delta_rate_onset) [-]."""
+    damping = 1.0 + factor * penetration_rate / jnp.maximum(onset_rate, MINIMUM_ONSET_RATE)
+    return jnp.where(damping > 0, damping, 0.0)
 
 
 class Hertz(AbstractNormalLaw):
@@ -382,4 +387,44 @@ class ExactRestitution(AbstractHysteresisLaw):
     def hysteresis_factor(self) -> Scalar:
         """The root chi of the impact equation."""
         c_r: Any = self.restitution
-        return exact_hysteresis_factor(c_r)
+        # A known number needs no program: operation by operation it would take half a second to compile.
+        return exact_hysteresis_factor(c_r, np if is_concrete(c_r) else jnp)
+
+
+class _Factor(AbstractNormalLaw):
+    """What the equations of motion see of a law of impact: its factor, a number.
+
+    One compiled program serves all laws that differ in it alone; see `by_factor`.
+
+    Attributes:
+        factor: chi [-].
+        stiffness: K [N/m**n], or `None` for Eq. 24.
+        exponent: n [-].
+    """
+
+    factor: Number
+    stiffness: Number | None
+    exponent: Number
+    remembers_onset: ClassVar[bool] = True
+    never_adds_energy: ClassVar[bool] = True
+
+    def force(
+        self, penetration: Number, penetration_rate: Number, onset_rate: Number, stiffness: Number | PressedPair
+    ) -> Scalar:
+        """As of `AbstractHysteresisLaw` [N]."""
+        return self.elastic_force(penetration, stiffness) * _damped(self.factor, penetration_rate, onset_rate)
+
+    def requirements(self) -> list[Requirement]:
+        """None: the law that it stands for has been checked."""
+        return []
+
+
+BY_FACTOR = (HuntCrossley, LankaraniNikravesh, Gonthier, Flores, ExactRestitution)
+"""Laws of which nothing but the factor enters the force; not their subclasses, which may have a force of their own."""
+
+
+def by_factor(law: AbstractNormalLaw) -> AbstractNormalLaw:
+    """The law as a number, where its restitution is one; any other law as it is."""
+    if type(law) not in BY_FACTOR or callable(law.restitution):  # pyright: ignore[reportAttributeAccessIssue]
+        return law
+    return _Factor(law.hysteresis_factor(), law.stiffness, law.exponent)  # pyright: ignore
