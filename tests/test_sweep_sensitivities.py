@@ -37,7 +37,8 @@ RUNS = {name: values.ravel() for name, values in zip(GRID, np.meshgrid(*GRID.val
 
 def swept(**options):
     """The sweep that all tests look at: one program, made once."""
-    return sj.sweep(hanging, GRID, TS, record=RECORD, **{"chunk": 4, "workers": 1, "progress": False, **options})
+    given = {"record": RECORD, "chunk": 4, "workers": 1, "progress": False}
+    return sj.sweep(hanging, GRID, TS, **{**given, **options})
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,27 @@ def test_they_are_differences(result):
         differences = np.asarray(ends[name, shift] - ends[name, -shift]) / (2 * shift)
         found = result[SLOPES].sel(parameter=name).values.reshape(6, 3)
         assert np.max(np.abs(found - differences)) < 1e-3 * np.max(np.abs(differences)), name
+
+
+def test_they_have_a_tolerance_of_their_own(result, tmp_path):
+    """Fewer steps, and derivatives that are still near; the store of another tolerance is refused."""
+    path = tmp_path / "slopes.zarr"
+    coarse = swept(derivative_rtol=1e-6, store=path)
+    assert coarse.attrs["derivative_rtol"] == 1e-6
+    assert "derivative_rtol" not in result.attrs
+    assert np.all(coarse["n_steps"] < 0.8 * result["n_steps"])
+    change = np.abs(coarse[SLOPES] - result[SLOPES]).max() / np.abs(result[SLOPES]).max()
+    assert 0 < change < 1e-4
+    np.testing.assert_allclose(coarse[POSITION], result[POSITION], rtol=0, atol=1e-9)
+    with pytest.raises(sj.SceneError, match="store of another sweep: its derivative_rtol is 1e-06, not None"):
+        swept(store=path)
+
+
+def test_a_tolerance_of_nothing_is_refused():
+    with pytest.raises(sj.SceneError, match=r"derivative_rtol = 1e-06 is for sensitivities, and none is recorded"):
+        swept(record=["final position.bob"], derivative_rtol=1e-6)
+    with pytest.raises(sj.SceneError, match="derivative_rtol = -1 must be positive"):
+        swept(derivative_rtol=-1.0)
 
 
 def test_they_are_labelled(result):

@@ -75,6 +75,12 @@ def add_sweep(commands) -> None:
         "--t1", type=measured_in("s"), default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)"
     )
     how.add_argument("--rtol", type=real, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
+    how.add_argument(
+        "--derivative-rtol",
+        type=real,
+        metavar="X",
+        help="of sensitivities (default: twice --rtol, films 1000 times)",
+    )
     how.add_argument("--max-steps", type=whole, default=1_000_000, metavar="N", help="give a run up beyond")
     how.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
     how.add_argument("--chunk", type=whole, metavar="N", help="runs that are handed out, and stored, at a time")
@@ -117,6 +123,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
         np.linspace(0.0, options.t1, number_of_samples(options.samples)),
         record=[one.name for one in recorded],
         rtol=options.rtol,
+        derivative_rtol=options.derivative_rtol,
         max_steps=options.max_steps,
         solver=SOLVERS[options.solver]() if options.solver else None,
         workers=options.workers,

@@ -118,6 +118,8 @@ class JobKind:
         solver: a diffrax solver, without its arrays.
         with_rows: whether sensitivities are integrated beside the state.
         watch: names of quantities whose largest magnitudes are kept.
+        slack: how much larger the errors of sensitivities may be than the state's, where a run does not say; None for
+            what the method has.
     """
 
     structure: Structure
@@ -125,6 +127,7 @@ class JobKind:
     solver: diffrax.AbstractSolver
     with_rows: bool = False
     watch: tuple[str, ...] = ()
+    slack: float | None = None
 
     @property
     def n_contacts(self) -> int:
@@ -166,7 +169,7 @@ class JobKind:
 
     def _of_rows(self, problem: LaneProblem, solver: Any, rate) -> LaneProblem:
         """The same for the state and its sensitivities."""
-        watch, usual = problem.watch, slack_of(self.solver)
+        watch, usual = problem.watch, slack_of(self.solver) if self.slack is None else self.slack
 
         def slack(numbers):
             return usual if numbers.slack is None else numbers.slack

@@ -72,6 +72,7 @@ def simulate_many(
     track_work: bool = False,
     watch: tuple[str, ...] = (),
     by: tuple[str, ...] = (),
+    derivative_rtol: float | None = None,
     block: Block | None = None,
 ) -> Runs:
     """Simulate many scenes of one structure.
@@ -89,6 +90,7 @@ def simulate_many(
         by: names of parameters (entries of a mapping, one number for each run) whose sensitivities are integrated
             beside the states, with the errors of both controlled: `runs.slopes`. They need an explicit method, or a
             Rosenbrock one.
+        derivative_rtol: relative tolerance of these, as in `simulate`.
         block: how wide the block of lanes is; by default by the kind of device (`motion.widths`).
 
     Returns:
@@ -99,11 +101,11 @@ def simulate_many(
     """
     require_float64()
     ts = checked_times(ts)
-    check_tolerances(rtol, atol)
+    check_tolerances(rtol, atol, derivative_rtol)
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     n_runs = count_of_runs(parameters)
     method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
-    method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters)
+    method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
     warn_of_starts(build, parameters, ts)
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
     build = known_build(build, one, track_work, method.by)
@@ -167,13 +169,20 @@ def warn_of_starts(build: Build, parameters: Any, ts: Numeric) -> None:
         warnings.warn(change + at, StartWarning, stacklevel=3)
 
 
-def with_sensitivities(method: LaneMethod, by: tuple[str, ...], parameters: Any) -> LaneMethod:
-    """The method with sensitivities by some of the parameters.
+def with_sensitivities(
+    method: LaneMethod, by: tuple[str, ...], parameters: Any, derivative_rtol: float | None
+) -> LaneMethod:
+    """The method with sensitivities by some of the parameters, of a tolerance of their own where one is given.
 
     Raises:
-        SceneError: for a name that is no parameter, or a method that cannot integrate them.
+        SceneError: for a name that is no parameter, a method that cannot integrate them, a tolerance of nothing.
     """
     if not by:
+        if derivative_rtol is not None:
+            raise SceneError(
+                f"derivative_rtol = {derivative_rtol:.3g} is for sensitivities, and none is recorded; record "
+                'sj.Sensitivity(...) or "sensitivity final position.BODY", or leave it out'
+            )
         return method
     names = list(parameters) if isinstance(parameters, dict) else []
     for name in by:
@@ -187,7 +196,7 @@ def with_sensitivities(method: LaneMethod, by: tuple[str, ...], parameters: Any)
             f"sensitivities in lanes need an explicit or a Rosenbrock method, and these runs have another one "
             f"({method.choice.reason}); pass solver=diffrax.Dopri8() or solver=sj.Ros34PW2()"
         )
-    return method._replace(by=by)
+    return method._replace(by=by, derivative_rtol=None if derivative_rtol is None else float(derivative_rtol))
 
 
 @bounded_jit(what="runs in lanes")

@@ -37,6 +37,7 @@ class LaneMethod(NamedTuple):
         block: how wide the block of lanes is.
         watch: names of quantities whose largest magnitudes are kept.
         by: names of the parameters whose sensitivities are integrated as well.
+        derivative_rtol: relative tolerance of these; None for what the method has.
     """
 
     choice: SolverChoice
@@ -47,6 +48,7 @@ class LaneMethod(NamedTuple):
     block: Block
     watch: tuple[str, ...] = ()
     by: tuple[str, ...] = ()
+    derivative_rtol: float | None = None
 
 
 class PreparedRuns:
@@ -101,7 +103,8 @@ class PreparedRuns:
         plan, method = self.plan, self.method
         assert plan is not None
         arrays, solver = eqx.partition(method.choice.solver, eqx.is_array)
-        kind = JobKind(plan.structure, plan.scalar, solver, bool(method.by), method.watch)
+        slack = None if method.derivative_rtol is None else method.derivative_rtol / method.rtol
+        kind = JobKind(plan.structure, plan.scalar, solver, bool(method.by), method.watch, slack)
         return kind.problem(self.ts, (arrays, self.shared_tolerances, method.max_steps))
 
     def trajectory(self, start: Job, outcome: LaneOutcome) -> Trajectory:

@@ -54,6 +54,7 @@ def provenance(scene: Scene, grid: Grid, method: LaneMethod, ts: np.ndarray, wan
         "times": times_fingerprint(ts),
         "rtol": float(method.rtol),
         "atol": "by component" if method.atol is None else float(method.atol),
+        **({} if method.derivative_rtol is None else {"derivative_rtol": method.derivative_rtol}),
         "method": method.choice.reason,
         "max_steps": method.max_steps,
         "lanes": method.block.in_words,

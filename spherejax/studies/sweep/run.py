@@ -52,6 +52,7 @@ def sweep(
     rtol: float = 1e-8,
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
+    derivative_rtol: float | None = None,
     max_steps: int = 20_000_000,
     block: Block | None = None,
     chunk: int | None = None,
@@ -72,7 +73,7 @@ def sweep(
             Derivatives by the parameters: `"sensitivity final position.rocker"`, or `sj.Sensitivity`.
 
     Other args:
-        rtol, atol, solver, max_steps: as in `simulate`.
+        rtol, atol, solver, derivative_rtol, max_steps: as in `simulate`.
         block: lanes that run side by side on a core or an accelerator; by default by its kind (`motion.widths`).
         chunk: runs that are handed out at a time, to a core or an accelerator.
         workers: chunks that are computed at the same time in this process: all cores, or one for each device where
@@ -98,7 +99,7 @@ def sweep(
     require_float64()
     grid = as_grid(grid)
     times = np.asarray(checked_times(ts))
-    check_tolerances(rtol, atol)
+    check_tolerances(rtol, atol, derivative_rtol)
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     if chunk is not None:
         chunk = whole_number("chunk", chunk, "Leave it out for a size by memory and workers.")
@@ -117,7 +118,7 @@ def sweep(
         some = _some_runs(grid)
         warn_of_starts(build, _some_runs(grid, 16), times)
         method = method_for(build, some, rtol, atol, solver, max_steps, wanted.needs_work, lanes)
-        method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, some)
+        method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, some, derivative_rtol)
         build = known_build(build, grid.row(0), method.track_work, method.by)
         wanted = with_known_functions(wanted, build, method, grid, times)
         workers = workers or default_workers()

@@ -341,6 +341,9 @@ _DIGESTS = {
 
 SINCE_FORMAT_2 = ("program", "points", "functions")
 
+WHERE_ASKED_FOR = ("derivative_rtol",)
+"""What is said of a sweep only where it was asked for."""
+
 
 def _reopened(path: Path, identity) -> Store:
     group = opened(path)
@@ -354,10 +357,10 @@ def _reopened(path: Path, identity) -> Store:
             StoreWarning,
             stacklevel=5,
         )
-    different = [key for key in now if before.get(key) != now[key]]
+    different = [key for key in (*now, *WHERE_ASKED_FOR) if before.get(key) != now.get(key)]
     if different:
         key = different[0]
-        what = _DIGESTS.get(key, f"its {key} is {before.get(key)!r}, not {now[key]!r}")
+        what = _DIGESTS.get(key, f"its {key} is {before.get(key)!r}, not {now.get(key)!r}")
         raise SceneError(
             f"{str(path)!r} is the store of another sweep: {what}. Choose another path, or ask for the same sweep to "
             "go on with it"
