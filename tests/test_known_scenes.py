@@ -268,6 +268,25 @@ def test_another_law_of_impact_needs_no_other_program():
     assert prepared(other, False, None).structure != found[0].structure
 
 
+@pytest.mark.parametrize("law", [sj.LankaraniNikravesh, sj.ExactRestitution])
+@pytest.mark.parametrize("given", [0.9, np.float64(0.9), jnp.array(0.9)], ids=["a float", "of NumPy", "of JAX"])
+def test_the_factor_of_a_known_number_is_known_within_jit_too(law, given):
+    unknown, law = [], law(restitution=given)
+    factor = float(law.hysteresis_factor())
+
+    def look(clearance):
+        found = prepared(sj.gallery.four_bar(sj.Dry(clearance, normal=law)), False, None)
+        unknown.append(found.unknown)
+        return clearance
+
+    jax.jit(look)(1e-4)
+    alone = prepared(sj.gallery.four_bar(sj.Dry(1e-4, normal=law)), False, None)
+    assert not alone.unknown
+    (at,) = np.flatnonzero(np.abs(alone.theta - factor) < 1e-15)
+    assert unknown[0]
+    assert at not in unknown[0]
+
+
 def test_a_run_by_the_factor_is_that_by_the_law():
     """The array code's, which sees the law itself, with its derivative by the restitution."""
     law = sj.Flores(restitution=0.6)

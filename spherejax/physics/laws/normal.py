@@ -425,6 +425,10 @@ BY_FACTOR = (HuntCrossley, LankaraniNikravesh, Gonthier, Flores, ExactRestitutio
 
 def by_factor(law: AbstractNormalLaw) -> AbstractNormalLaw:
     """The law as a number, where its restitution is one; any other law as it is."""
-    if type(law) not in BY_FACTOR or callable(law.restitution):  # pyright: ignore[reportAttributeAccessIssue]
+    own: Any = law
+    if type(law) not in BY_FACTOR or callable(own.restitution):
         return law
-    return _Factor(law.hysteresis_factor(), law.stiffness, law.exponent)  # pyright: ignore
+    # By NumPy: within `jax.jit` what JAX computes of a known number is known no longer.
+    given = np.asarray(own.restitution, np.float64)[()] if is_concrete(own.restitution) else own.restitution
+    made: Any = type(own)(given)
+    return _Factor(made.hysteresis_factor(), own.stiffness, own.exponent)
