@@ -3,6 +3,7 @@
 import csv
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -82,6 +83,14 @@ def test_every_keeps_every_so_many_samples(ideal):
     ds = to_dataset(ideal, every=2)
     np.testing.assert_array_equal(ds.time, TS[::2])
     np.testing.assert_array_equal(ds.velocity.sel(body="rocker"), ideal.velocity("rocker")[::2])
+
+
+def test_what_is_kept_of_every_so_many_samples_is_what_there_is_at_them(dry):
+    seen = to_dataset(dry).isel(time=slice(None, None, 3))  # it has been observed at all of them now
+    xarray.testing.assert_identical(to_dataset(dry, every=3), seen)
+    fresh = eqx.tree_at(lambda run: run.ys, dry, np.array(dry.ys))
+    assert "observation" not in vars(fresh)
+    xarray.testing.assert_allclose(to_dataset(fresh, every=3), seen, rtol=1e-12, atol=1e-12)
 
 
 def test_a_batch_is_refused(ideal):

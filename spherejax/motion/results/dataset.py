@@ -4,6 +4,8 @@ import importlib.metadata
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
@@ -48,17 +50,14 @@ def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
         raise SceneError(
             "to_dataset takes a single run; take one lane of the batch first, e.g. jax.tree.map(lambda x: x[0], runs)"
         )
+    run = run if every == 1 else _thinned(run, every)
     columns = {**_of_bodies(run), **_of_joints(run), **_of_forces(run), **_of_the_whole(run)}
     variables = {
-        name: (
-            dims,
-            np.asarray(values)[::every] if dims[0] == "time" else np.asarray(values),
-            {"units": unit, "long_name": long_name},
-        )
+        name: (dims, np.asarray(values), {"units": unit, "long_name": long_name})
         for name, (dims, values, unit, long_name) in columns.items()
     }
     coordinates = {
-        "time": ("time", np.asarray(run.ts)[::every], {"units": "s", "long_name": "time"}),
+        "time": ("time", np.asarray(run.ts), {"units": "s", "long_name": "time"}),
         "body": list(run.system.bodies),
         "joint": list(run.system.joints),
         "axis": list(AXES),
@@ -66,6 +65,14 @@ def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
         **_joint_coordinates(run),
     }
     return xarray.Dataset(variables, coordinates, _attributes(run))
+
+
+def _thinned(run: Any, every: int) -> Any:
+    """The run at one of `every` samples. What has been observed at all of them is not evaluated again."""
+    few = eqx.tree_at(lambda each: (each.ts, each.ys), run, (np.asarray(run.ts)[::every], np.asarray(run.ys)[::every]))
+    if "observation" in vars(run):
+        vars(few)["observation"] = jax.tree.map(lambda values: np.asarray(values)[::every], run.observation)
+    return few
 
 
 def _spherical(run: Any) -> list[str]:
