@@ -288,7 +288,7 @@ def test_the_factor_of_a_known_number_is_known_within_jit_too(law, given):
 
 
 def test_a_run_by_the_factor_is_that_by_the_law():
-    """The array code's, which sees the law itself, with its derivative by the restitution."""
+    """Against the array code, which sees the law itself; derivatives of the force are in `test_laws_normal.py`."""
     law = sj.Flores(restitution=0.6)
     scene = sj.gallery.four_bar(sj.Dry(1e-4, normal=law))
     run = sj.simulate(scene, jnp.linspace(0.0, 0.05, 11), rtol=1e-9)

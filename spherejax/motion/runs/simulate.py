@@ -85,7 +85,7 @@ def simulate(
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
             traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
             their errors controlled at twice its tolerance (see `derivative_rtol`): through ten impacts they are good to
-            1e-6 at an `rtol` of 1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about six
+            1e-6 at an `rtol` of 1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about four
             plain runs. Explicit Runge-Kutta methods do so. Of Rosenbrock methods each step is differentiated beside the
             motion, and repeated only where the derivatives' errors are a thousand times its tolerance: those of the
             lubricated four-bar are right to 2e-4 at an `rtol` of 1e-8, to 1e-6 at 1e-10, for about eight values. With a
