@@ -24,7 +24,7 @@ from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration import jobs
+from spherejax.motion.integration import jobs, one_run
 from spherejax.motion.integration.lanes import landing
 
 RUN = """
@@ -42,7 +42,7 @@ scene = sj.gallery.simple_pendulum() if force is None else sj.Scene(
 )
 run = sj.simulate(scene, jnp.linspace(0.0, 0.3, 4))
 print(run.ys.tobytes().hex())
-print(any("integrated" in str(name) for name in traced), "state_rate" in traced, sep="\\n")
+print(any("gone_on_with" in str(name) for name in traced), "state_rate" in traced, sep="\\n")
 """
 
 
@@ -459,7 +459,7 @@ def test_a_loaded_program_serves_traces_too(folder):
         return sj.simulate(scene, jnp.array([0.0, 1e-3]), max_steps=200).position("rocker")[-1, 2]
 
     value = end(1e5)
-    jobs.integrated.clear()
+    one_run.integrated.clear()
     assert end(1e5) == value
     slope = jax.jvp(end, (1e5,), (1.0,))[1]
     assert np.isfinite(slope)

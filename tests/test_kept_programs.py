@@ -18,7 +18,7 @@ from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.fingerprints import program_fingerprint, value_fingerprint
 from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
-from spherejax.motion.integration.jobs import integrated
+from spherejax.motion.integration.one_run import gone_on_with, integrated, started
 from spherejax.motion.runs.many import many, simulate_many
 from spherejax.studies.sweep.chunks import _program
 
@@ -120,15 +120,20 @@ def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_pat
     """diffrax keeps a trace of its own of each integration, which held the functions of ours for ever."""
     monkeypatch.setattr(runtime, "_kept", [tmp_path] if is_kept else [])
     scene = pendulum(9.81, 1.0)
-    for programs, name, solver in ((integrated, "integrated", None), (integrate, "integrate", diffrax.Kvaerno5())):
+    of_diffrax = diffrax.Kvaerno5()
+    for programs, name, solver, lengths, n_programs in (
+        (integrated, "integrated", None, (1, 2), 2),
+        (gone_on_with, "gone_on_with", None, (3, 4), 1),
+        (integrate, "integrate", of_diffrax, (2, 3), 2),
+    ):
         programs.clear()
         gc.collect()
-        before, of_diffrax = _n_traces_of(name), _n_traces_of("diffeqsolve")
-        for n in (2, 3):
+        before, of_loops = _n_traces_of(name), _n_traces_of("diffeqsolve")
+        for n in lengths:
             sj.simulate(scene, np.linspace(0.0, 0.01, n), solver=solver)
-        assert programs.n_programs == 2
-        assert is_kept or _n_traces_of(name) == before + 2
-        assert _n_traces_of("diffeqsolve") == of_diffrax
+        assert programs.n_programs == n_programs
+        assert is_kept or _n_traces_of(name) == before + n_programs
+        assert _n_traces_of("diffeqsolve") == of_loops
         programs.clear()
         gc.collect()
         assert _n_traces_of(name) == before
@@ -150,7 +155,7 @@ def test_every_cache_is_bounded():
         text = path.read_text()
         assert not re.search(r"^[^#`\n]*(@|= )eqx\.filter_jit", text, re.M), path
         assert "maxsize=None" not in text, path
-    for cached in (integrate, integrated, many, _program):
+    for cached in (integrate, integrated, started, gone_on_with, many, _program):
         assert cached.n_programs <= 24
     assert made_program.cache_info().maxsize is not None
 

@@ -1,7 +1,7 @@
 """`eqx.filter_jit` with a bound: a program that has not been used for long is let go, and its memory with it.
 
 JAX keeps what it has compiled for as long as the process lives: 15 to 30 MB for a program of a four-bar, for each
-number of samples, each structure, each builder. A study that varies them grows until it is killed.
+structure, each builder, each number of samples where that matters. A study that varies them grows until it is killed.
 
 What was compiled is kept on disk too (`kept_on_disk`): another process neither traces nor compiles it again.
 """
@@ -73,11 +73,13 @@ class _Entry:
 
     Attributes:
         jitted: the program as it is traced; for use inside another one.
+        key: by what it is told.
         has_been_called: whether it was compiled here, by its first call.
         name: under which it is compiled.
     """
 
     def __init__(self, function: Callable, rest: Any, tree: Any, kinds: tuple, options: Mapping[str, Any]):
+        self.key: Any = None
         self.has_been_called = False
         self.name: str = getattr(function, "__name__", "program")
         self._results: Any = None
@@ -281,7 +283,18 @@ class BoundedJit:
     def bound(self, *arguments: Any) -> Callable[[], Any]:
         """A function that evaluates with these arguments, and looks for its program without taking them apart again."""
         key, make, leaves = self._key_for(arguments, {})
+        key = self._kept(key, make).key
         return lambda: self._called(self._kept(key, make), leaves)
+
+    def bound_but(self, n_last: int, *arguments: Any) -> Callable[..., Any]:
+        """A function of the last few arguments that evaluates with all the others as they are here.
+
+        What it is given are pytrees of arrays alone, NumPy's too, of the same shapes and types as those here.
+        """
+        key, make, leaves = self._key_for(arguments, {})
+        key = self._kept(key, make).key
+        first = leaves[: len(leaves) - len(jax.tree.leaves(arguments[-n_last:]))]
+        return lambda *last: self._called(self._kept(key, make), [*first, *jax.tree.leaves(last)])
 
     def _called(self, entry: _Entry, leaves: list) -> Any:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
@@ -347,6 +360,7 @@ class BoundedJit:
             entry = self._entries.get(key)
             if entry is None:
                 entry = self._entries[key] = make()
+                entry.key = key  # itself: to compare others with it takes longer
             self._entries.move_to_end(key)
             while len(self._entries) > self._n_programs:
                 self._let_go()

@@ -36,7 +36,7 @@ from spherejax.motion.integration.integrate import (
     samples,
     wrapped,
 )
-from spherejax.motion.integration.jobs import can_be_a_job, run_of, slopes_as_job
+from spherejax.motion.integration.one_run import can_be_a_job, run_of, slopes_as_job
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import (
     Linearized,

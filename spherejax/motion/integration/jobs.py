@@ -3,7 +3,6 @@
 With sensitivities as rows below the state, or without; see `sensitivity_rows` for their equations.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,11 +12,8 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
@@ -25,23 +21,18 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import magnitudes
 from spherejax.motion.integration.audit import Limits, limits_of
-from spherejax.motion.integration.compiling import in_machine_code, options_for
+from spherejax.motion.integration.compiling import in_machine_code
 from spherejax.motion.integration.implicit_rows import slack_of, solver_of_rows
 from spherejax.motion.integration.integrate import (
-    Options,
-    Outcome,
     Parameters,
     Plan,
     audit_of,
     beginning,
     contacts_of,
     correction_for,
-    integrate,
     room_of,
-    stages_of,
 )
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
-from spherejax.motion.integration.lanes.operation import runs
 from spherejax.motion.integration.longest_step import longest_step
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import (
@@ -54,10 +45,7 @@ from spherejax.motion.integration.sensitivity_rows import (
 )
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status
-from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.implicit import with_structure
-from spherejax.motion.solvers.joint_rates import fastest_in_clearance
-from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly
 from spherejax.motion.start.tolerances import controller_for
 
@@ -257,161 +245,6 @@ def with_slopes(
     job, slopes = linearized(job_of_values, values, directions)
     numbers = job.numbers._replace(slopes=slopes.numbers.value)
     return job._replace(numbers=numbers, y0=jnp.concatenate([job.y0[None], slopes.y0])), slopes.assembly
-
-
-# Runs of `simulate` ---------------------------------------------------------------------------------------------------
-
-
-def can_be_a_job(structure: Structure, options: Options) -> bool:
-    """Whether the lanes can make a run: with the step-size control that they have themselves."""
-    solver: Any = options.solver
-    return can_step_in_lanes(solver) and _rest(options.controller) == _own_rest(structure)
-
-
-@lru_cache(maxsize=64)
-def _own_rest(structure: Structure) -> Any:
-    return _rest(controller_for(structure, 1.0, 1.0))
-
-
-def _rest(controller) -> Any:
-    """What there is to a controller besides tolerances."""
-    if type(controller) is not diffrax.PIDController:
-        return controller
-    return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
-
-
-def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`: in a lane where it can be, else by diffrax. `jax.vmap` of a lane is a queue of runs."""
-    return bound_run(plan, options, values, known, ts, start, values_are_legal)()
-
-
-def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
-    """`run_of` these arguments, to be called again and again."""
-    if can_be_a_job(plan.structure, options):
-        return integrated.bound(plan, _Request.of(options), values, known, ts, start, values_are_legal)
-    return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
-
-
-class JobWithSlopes(NamedTuple):
-    """A run and its derivatives along directions in the traced numbers.
-
-    Attributes:
-        outcome: of the run.
-        ys: derivatives of its samples.
-        assembly: of its assembled start, with a leading axis of directions.
-    """
-
-    outcome: Outcome
-    ys: Float[Array, "k n size"]
-    assembly: Assembly
-
-
-def slopes_as_job(
-    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal
-) -> JobWithSlopes:
-    """A run and its derivatives in a lane; arguments as for `sensitivities.integrate_along`."""
-    return _with_slopes(plan, _Request.of(options), values, directions, known, ts, start, values_are_legal)
-
-
-class _Request(eqx.Module):
-    """How to integrate in a lane.
-
-    Attributes:
-        solver: its arrays.
-        shared: tolerances that are known, which all runs of a queue share, or None.
-        own: tolerances of a run, or None.
-        budget: largest number of steps.
-        rest: the solver without its arrays (static).
-        slack: how much larger the errors of sensitivities may be than the state's.
-        stiff: arrays of the solver of a run whose joints act faster than the limit when it starts.
-        stiff_rest: that solver without its arrays (static); None where there is no choice left.
-        limit: a rate [1/s] (static).
-    """
-
-    solver: Any
-    shared: Any
-    own: Any
-    budget: Any
-    rest: Any = eqx.field(static=True)
-    slack: Any = None
-    stiff: Any = None
-    stiff_rest: Any = eqx.field(static=True, default=None)
-    limit: float = eqx.field(static=True, default=math.inf)
-
-    @classmethod
-    def of(cls, options: Options) -> "_Request":
-        """From the options of a run that can be a job."""
-        solver, rest = eqx.partition(options.solver, eqx.is_array)
-        controller: Any = options.controller
-        tolerances = controller.rtol, controller.atol
-        budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
-        alike = all(is_concrete(each) for each in tolerances)
-        shared, own = (tolerances, None) if alike else (None, tolerances)
-        slack = np.asarray(slack_of(options.solver)) if options.slack is None else options.slack
-        given = solver, shared, own, budget, rest, slack
-        if options.at_start is None:
-            return cls(*given)
-        return cls(*given, *eqx.partition(options.at_start.solver, eqx.is_array), options.at_start.limit)
-
-    @property
-    def of_stiff(self) -> "_Request":
-        """The same with the other solver."""
-        return _Request(self.stiff, self.shared, self.own, self.budget, self.stiff_rest, self.slack)
-
-    def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
-        """The run as a job, from the traced numbers."""
-        theta = plan.theta(values, known)
-        return job_of(plan, self.rest, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
-
-    def limits(self, plan: Plan, theta) -> Limits:
-        """Of the audit."""
-        rtol, _ = self.own if self.shared is None else self.shared
-        return audit_limits(plan.structure.system(theta), rtol, self.rest)
-
-    def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:
-        """What comes of the job."""
-        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows)
-        job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
-        shared = self.solver, self.shared, self.budget
-        found = runs(kind, job.numbers, job.y0, ts, job.may_run, job.status, shared, block_for())
-        return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
-
-
-@bounded_jit(what="a run", options=options_for)
-def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`, in a lane.
-
-    Where the method is chosen by numbers that are seen only now, both are compiled, and the run is made by one: a lane
-    that may not run makes no step. So it is with many lanes, where `jax.lax.cond` would make each run twice.
-    """
-    job = request.job(plan, values, known, ts, start, values_are_legal)
-    if request.stiff_rest is None:
-        return _outcome(request, job, request.made(plan, job, ts, False))
-    is_stiff = fastest_in_clearance(plan.structure, plan.scalar, job.numbers.theta) > request.limit
-    outcomes = []
-    for each, is_taken in ((request, ~is_stiff), (request.of_stiff, is_stiff)):
-        numbers = job.numbers._replace(limits=each.limits(plan, job.numbers.theta))
-        taken = job._replace(numbers=numbers, may_run=job.may_run & is_taken)
-        outcomes.append(_outcome(each, taken, each.made(plan, taken, ts, False)))
-    return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
-
-
-@bounded_jit(what="a run and its derivatives", options=options_for)
-def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
-    def job_of_values(values):
-        return request.job(plan, values, known, ts, start, values_are_legal)
-
-    job, assembly = with_slopes(job_of_values, values, directions)
-    job = job._replace(numbers=job.numbers._replace(slack=request.slack))
-    made = request.made(plan, job, ts, True)
-    slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)
-    made = made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0])
-    return JobWithSlopes(_outcome(request, job, made), slopes, assembly)
-
-
-def _outcome(request: _Request, job: Job, made: LaneOutcome) -> Outcome:
-    stats = statistics(made, stages_of(request.rest))
-    return Outcome(made.ys, made.t_reached, made.y_reached, made.status, stats, job.assembly)
 
 
 def statistics(made: LaneOutcome, n_stages: int, explanation: str = "") -> Statistics:

@@ -1,29 +1,78 @@
 """What a run's states say: their parts by name, and everything that the equations of motion know at the samples."""
 
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.joined_rows import in_blocks
 from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.numerics import safe_norm
 from spherejax.motion.equations.observables import Observation, looked_up, observe
 from spherejax.motion.equations.programs import program_for
 from spherejax.physics.state import Layout, State, unpack
 
+BLOCK = 1024
+"""Samples that are evaluated in one call: one program for any number of them. One of a four-bar takes 0.4 us."""
 
-# Compiled, though it is little: by themselves a dozen kernels would be kept for each number of samples, 1.5 MB each.
-@bounded_jit(what="the state of a run")
-def unpacked(layout: Layout, ys) -> State:
+
+def state_of(layout: Layout, ys) -> State:
     """The states by name, with a leading axis of samples."""
-    return unpack(layout, ys)
+    return _taken(lambda ys: unpack(layout, ys), ys)
 
 
-@bounded_jit(what="the state of a body")
-def of_body(quantity, body: int):
+def body_of(quantity, body: int):
     """Of one body, by its number."""
-    return quantity[..., body, :]
+    return _taken(lambda quantity: quantity[..., body, :], quantity)
+
+
+def lengths_of(vectors):
+    """|v| of each row."""
+    return (
+        _taken(lambda v: np.sqrt(np.sum(v * v, axis=-1)), vectors)
+        if is_concrete(vectors)
+        else jax.vmap(safe_norm)(vectors)
+    )
+
+
+def _taken(take: Callable, array: Any) -> Any:
+    """What is taken from an array; from numbers without a program, which would be another for each number of rows."""
+    if not is_concrete(array):
+        return take(array)
+    with jax.ensure_compile_time_eval():
+        return jax.tree.map(jnp.asarray, take(np.asarray(array)))
+
+
+def observation_of(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
+    """All observables at all samples; of numbers block after block."""
+    if not _is_one_run((structure, theta, ts, ys), ys):
+        return observed(structure, use_scalars, theta, ts, ys)
+    return in_blocks(observed.bound_but(2, structure, use_scalars, theta, *_block(BLOCK, ys.shape[1])), BLOCK, ts, ys)
+
+
+def looked_up_of(structure, theta, ys) -> dict[str, dict[str, Array]]:
+    """What is looked up at all samples; of numbers block after block."""
+    if not _is_one_run((structure, theta, ys), ys):
+        return looked_up_at(structure, theta, ys)
+    return in_blocks(looked_up_at.bound_but(1, structure, theta, _block(BLOCK, ys.shape[1])[1]), BLOCK, ys)
+
+
+@lru_cache(maxsize=16)
+def _block(n: int, size: int) -> tuple[Array, Array]:
+    """Times and states like those of a block."""
+    return jnp.zeros(n), jnp.zeros((n, size))
+
+
+def _is_one_run(given: Any, ys) -> bool:
+    """Whether all that is given are numbers, of states with a row for each sample."""
+    return all(map(is_concrete, jax.tree.leaves(given))) and ys.ndim == 2 and ys.shape[0] > 0
 
 
 @bounded_jit(what="what is looked up of a run")

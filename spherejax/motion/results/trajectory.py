@@ -11,7 +11,6 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.numerics import safe_norm
 from spherejax.model.system import System, flatten_system, with_laws_by_factor
 from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
@@ -22,7 +21,7 @@ from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationErr
 from spherejax.motion.results.dataset import table_of, to_dataset
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
-from spherejax.motion.results.observed import looked_up_at, observed, of_body, unpacked
+from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of, observation_of, state_of
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
@@ -141,23 +140,23 @@ class Trajectory(eqx.Module, Reported):
     @property
     def state(self) -> State:
         """The state by name, with leading axis of samples."""
-        return unpacked(self.system.layout, self.ys)
+        return state_of(self.system.layout, self.ys)
 
     def position(self, body: str) -> Float[Array, "n 3"]:
         """Center of mass of a body, world axes [m]."""
-        return of_body(self.state.position, self._body(body))
+        return body_of(self.state.position, self._body(body))
 
     def quaternion(self, body: str) -> Float[Array, "n 4"]:
         """Orientation of a body, unit quaternion, scalar first."""
-        return of_body(self.state.quaternion, self._body(body))
+        return body_of(self.state.quaternion, self._body(body))
 
     def velocity(self, body: str) -> Float[Array, "n 3"]:
         """Velocity of a body's center of mass, world axes [m/s]."""
-        return of_body(self.state.velocity, self._body(body))
+        return body_of(self.state.velocity, self._body(body))
 
     def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
         """Angular velocity of a body, world axes [rad/s]."""
-        return of_body(self.state.angular_velocity, self._body(body))
+        return body_of(self.state.angular_velocity, self._body(body))
 
     # Observables -------------------------------------------------------------------------------------------------
 
@@ -165,15 +164,15 @@ class Trajectory(eqx.Module, Reported):
     def observation(self) -> Observation:
         """All observables at all samples, evaluated on first use."""
         structure, theta = flatten_system(with_laws_by_factor(self.system))
-        return observed(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
+        return observation_of(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
 
     def acceleration(self, body: str) -> Float[Array, "n 3"]:
         """Acceleration of a body's center of mass, world axes [m/s^2]."""
-        return self.observation.acceleration[:, self._body(body), :]
+        return body_of(self.observation.acceleration, self._body(body))
 
     def angular_acceleration(self, body: str) -> Float[Array, "n 3"]:
         """Angular acceleration of a body, world axes [rad/s^2]."""
-        return self.observation.angular_acceleration[:, self._body(body), :]
+        return body_of(self.observation.angular_acceleration, self._body(body))
 
     def reaction(self, joint: str) -> Float[Array, "n 3"]:
         """Force of a joint on its second body (of a spherical joint: the ball's), world axes [N]."""
@@ -206,11 +205,11 @@ class Trajectory(eqx.Module, Reported):
 
     def penetration(self, joint: str) -> Float[Array, " n"]:
         """Penetration |e| - c of ball and socket [m]; negative where they do not touch."""
-        return jax.vmap(safe_norm)(self.eccentricity(joint)) - self.clearance(joint)
+        return lengths_of(self.eccentricity(joint)) - self.clearance(joint)
 
     def eccentricity_ratio(self, joint: str) -> Float[Array, " n"]:
         """|e| / c, above 1 in contact."""
-        return jax.vmap(safe_norm)(self.eccentricity(joint)) / self.clearance(joint)
+        return lengths_of(self.eccentricity(joint)) / self.clearance(joint)
 
     def clearance(self, joint: str):
         """Radial clearance of a joint [m]."""
@@ -249,7 +248,7 @@ class Trajectory(eqx.Module, Reported):
     @cached_property
     def _looked_up(self) -> dict[str, dict[str, Array]]:
         structure, theta = flatten_system(with_laws_by_factor(self.system))
-        return looked_up_at(structure, jnp.asarray(theta), self.ys)
+        return looked_up_of(structure, jnp.asarray(theta), self.ys)
 
     def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:
         """Named results of a force element, e.g. `run.force("shock")["length"]` [m].

@@ -14,7 +14,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Plan, initial_state
-from spherejax.motion.integration.jobs import run_of
+from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.root_finder import with_converging_root_finder

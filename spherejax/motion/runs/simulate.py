@@ -23,7 +23,7 @@ from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivit
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
-from spherejax.motion.integration.jobs import bound_run, can_be_a_job
+from spherejax.motion.integration.one_run import bound_run, can_be_a_job
 from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call

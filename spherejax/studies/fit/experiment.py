@@ -23,7 +23,7 @@ from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.derivatives.sensitivities import integrate_along
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Outcome, Plan
-from spherejax.motion.integration.jobs import run_of
+from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.results.trajectory import Trajectory

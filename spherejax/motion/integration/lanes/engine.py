@@ -8,7 +8,7 @@ The pieces are diffrax's own: solver, step-size controller, interpolation. Array
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import diffrax
@@ -79,10 +79,10 @@ def steps_in_lanes(
 
 def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
     with machine_code.wanted(problem.in_machine_code):
-        return in_few_kernels(lambda: _Queue(problem, parameters, y0, *others).worked_off())()
+        return in_few_kernels(lambda: Queue(problem, parameters, y0, *others).worked_off())()
 
 
-class _Queue:
+class Queue:
     """The functions of one lane and of a block, with the queue at hand; lives while a program is traced."""
 
     def __init__(
@@ -91,6 +91,7 @@ class _Queue:
         self.problem = problem
         self.capacity, self.shares = capacity, tuple(shares)
         self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
+        self.t0, self.t_end = ts[0], ts[-1]
         self.n_jobs = y0.shape[0]
         self.width = min(block.width, max(1, self.n_jobs))
         self.narrow = self.width if block.narrow is None else min(block.narrow, self.width)
@@ -113,12 +114,6 @@ class _Queue:
         # most turns.
         self.samples_apart = self.n_jobs == 1 and ts.shape[0] > 1
         self.looks_back = self.looks or self.samples_apart
-        # The first step of every run, found for all runs at once; by looks where there are some.
-        looking = self.control.init_with_looks if self.looks and isinstance(self.control, Landing) else None
-        init = looking or partial(self.control.init, self.term)
-        self.first_steps = jax.vmap(partial(init, ts[0], ts[-1]))(y0, parameters)
-        # And what the audit and the peaks begin with: a lane that takes a job only fetches it.
-        self.begun = jax.vmap(self._begun)(y0, parameters)
         self.n_contacts = 0 if problem.contacts is None else len(problem.contacts.onset_entries)
         # A correction is as large as the right-hand side. The samples of one run are corrected after its loop, and the
         # start with them: one copy of it less, 14,000 operations of a robot arm's 58,000.
@@ -131,16 +126,22 @@ class _Queue:
         at = jnp.minimum(job, self.n_jobs - 1)
         return self._lane(job, jax.tree.map(lambda x: x[at], self._starts))
 
-    @property
+    @cached_property
     def _starts(self) -> tuple:
         """Of all jobs what a lane takes of one."""
-        return self.parameters, self.y0, self.may_run, self.status, self.first_steps, self.begun
+        # The first step of every run, found for all runs at once; by looks where there are some.
+        looking = self.control.init_with_looks if self.looks and isinstance(self.control, Landing) else None
+        init = looking or partial(self.control.init, self.term)
+        first_steps = jax.vmap(partial(init, self.t0, self.t_end))(self.y0, self.parameters)
+        # And what the audit and the peaks begin with: a lane that takes a job only fetches it.
+        watched = jax.vmap(self._watched_first)(self.y0, self.parameters)
+        return self.parameters, self.y0, self.may_run, self.status, first_steps, watched
 
     def _lane(self, job, start: tuple) -> Lane:
         """The lane at the start of a job, from its part of `_starts`."""
         parameters, y0, may_run, status, (t_next, state), (watch, peaks) = start
-        t0 = self.ts[0]
-        t_end = jnp.where((job < self.n_jobs) & may_run, self.ts[-1], t0)
+        t0 = self.t0
+        t_end = jnp.where((job < self.n_jobs) & may_run, self.t_end, t0)
         t_next = jnp.minimum(t_next, t_end)
         none = jnp.zeros((), jnp.int64)
         return Lane(
@@ -163,9 +164,9 @@ class _Queue:
             watch=watch,
         )
 
-    def _begun(self, y0, parameters) -> tuple[Watch | None, Array]:
+    def _watched_first(self, y0, parameters) -> tuple[Watch | None, Array]:
         """The audit and the watched numbers at the start of a run."""
-        audit, t0 = self.problem.audit, self.ts[0]
+        audit, t0 = self.problem.audit, self.t0
         watch = None
         if audit is not None:
             watch = Watch.of_nothing() if self.looks else audit.begun(parameters, t0, y0)
@@ -203,7 +204,8 @@ class _Queue:
             if self.looks:  # which leave the state at the start
                 begins = is_look & is_busy(lane, self.n_jobs)
                 watch = jax.tree.map(lambda new, old: jnp.where(begins, new, old), begun, watch)
-            told = jnp.where((told == Status.SUCCEEDED) & ~in_lanes(_is_sound)(watch), Status.AUDIT_FAILED, told)
+            is_sound = in_lanes(lambda watch: watch.is_sound)(watch)
+            told = jnp.where((told == Status.SUCCEEDED) & ~is_sound, Status.AUDIT_FAILED, told)
 
         return lane._replace(
             t=t,
@@ -242,12 +244,11 @@ class _Queue:
     def worked_off(self) -> tuple[LaneOutcome, StepLog | None]:
         """Run all jobs."""
         width, narrow = self.width, self.narrow
-        jobs = jnp.arange(width)
-        lanes = self.block_of(jobs) if self.refills else jax.vmap(self._lane, out_axes=-1)(jobs, self._starts)
-        is_start = (self.ts <= self.ts[0]).reshape(-1, *(1 for _ in self.y0.shape[1:]))
+        lanes = self.begun()
+        is_start = (self.ts <= self.t0).reshape(-1, *(1 for _ in self.y0.shape[1:]))
         correct = None if self.corrects_late else self.problem.correct
         # The start is corrected as all samples are; the integration begins with what it was given.
-        first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.ts[0], self.y0)
+        first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.t0, self.y0)
         ys = jnp.where(is_start, first[:, None], jnp.nan)
         account = AccountLayout.of(lanes)
         looks = Looks.of_nothing(lanes.y) if self.looks else None
@@ -255,7 +256,7 @@ class _Queue:
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
             log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan))
-        last = self._nothing_last(lanes)
+        last = self.nothing_last(lanes)
         rows = account.rows(self.n_jobs)
         carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last
 
@@ -266,7 +267,7 @@ class _Queue:
             # The narrow block goes on, it does not look.
             return is_wide if looks is None else is_wide | looks.is_looking
 
-        carry = self._gone_on(busy, carry)
+        carry = self.gone_on(busy, carry)
         if narrow < width:
             lanes, *rest, _, _ = carry
             order = jnp.argsort(~is_busy(lanes, self.n_jobs))[:narrow]
@@ -275,12 +276,18 @@ class _Queue:
             def still_busy(carry):
                 return jnp.any(is_busy(carry[0], self.n_jobs))
 
-            carry = self._gone_on(still_busy, (lanes, *rest, None, self._nothing_last(lanes)))
+            carry = self.gone_on(still_busy, (lanes, *rest, None, self.nothing_last(lanes)))
         log = carry[5]
         if log is not None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
         ys = self._with_corrected_samples(carry[3]) if self.corrects_late else carry[3]
         return account.outcome(carry[2], ys, carry[4]), log
+
+    def begun(self) -> Lane:
+        """The block at the start of the first jobs."""
+        jobs, starts = jnp.arange(self.width), self._starts
+        in_block = partial(jax.vmap, out_axes=-1)
+        return in_block(self.started)(jobs) if self.refills else in_block(self._lane)(jobs, starts)
 
     def _with_corrected_samples(self, ys):
         """The samples of the one run, of which the last is the end of a step, and corrected as such."""
@@ -289,7 +296,7 @@ class _Queue:
         inside = jax.lax.map(lambda row: correct(parameters, *row), (self.ts[:-1], ys[0, :-1]))
         return jnp.concatenate([inside, ys[0, -1:]])[None]
 
-    def _gone_on(self, busy: Callable, carry: tuple) -> tuple:
+    def gone_on(self, busy: Callable, carry: tuple) -> tuple:
         """Turn after turn while the block is busy; what comes seldom is done between two loops, not asked in each turn.
 
         XLA copies all lanes where a branch leaves them as they were, and puts so many copies at once on other threads:
@@ -302,7 +309,7 @@ class _Queue:
             if self.refills:
                 is_so = is_so & ~jnp.any(self._have_ended(lanes))
             if self.samples_apart:
-                is_so = is_so & ~jnp.any(self._is_due(lanes))
+                is_so = is_so & ~jnp.any(self.is_due(lanes))
             return is_so if looks is None else is_so & ~looks.is_new
 
         def stretch(carry):
@@ -312,25 +319,25 @@ class _Queue:
             if self.samples_apart and last is not None:
                 lanes, ys = self._with_samples(lanes, last, ys)
             if self.refills:
-                lanes, waiting, account = self._refilled(lanes, waiting, account)
+                lanes, waiting, account = self.refilled(lanes, waiting, account)
             return lanes, waiting, account, ys, n_lane_steps, log, looks, last
 
         def goes_on(carry):
-            # A job that may not be made has ended when a lane takes it, and is written down though nobody is busy.
-            return busy(carry) | (jnp.any(self._have_ended(carry[0])) if self.refills else False)
+            is_so = busy(carry)
+            if self.refills:  # a job that may not be made has ended when a lane takes it, and is written down
+                is_so = is_so | jnp.any(self._have_ended(carry[0]))
+            if self.samples_apart:  # those of a step that reached the end before the last window of samples
+                is_so = is_so | jnp.any(self.is_due(carry[0]))
+            return is_so
 
         lanes, waiting, account, *others = jax.lax.while_loop(goes_on, stretch, carry)
         if not self.refills:
-            lanes, waiting, account = self._refilled(lanes, waiting, account)
+            lanes, waiting, account = self.refilled(lanes, waiting, account)
         return lanes, waiting, account, *others
 
     def _have_ended(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
         """Which lanes hold a run that has ended, and has not been written down."""
         return ~is_busy(lanes, self.n_jobs) & (lanes.job < self.n_jobs)
-
-    def block_of(self, jobs) -> Lane:
-        """Lanes at the start of jobs."""
-        return jax.vmap(self.started, out_axes=-1)(jobs)
 
     def turn(self, carry):
         """One step of every lane."""
@@ -368,11 +375,11 @@ class _Queue:
         """After a look: the lanes with where the next look or the first step ends."""
         control: Any = self.control
         size, k = last.t_next - last.t, last.dense_info["k"][:2]
-        looks, t_next = control.looked(looks, self.ts[0], lanes.y, size, k, lanes.parameters)
+        looks, t_next = control.looked(looks, self.t0, lanes.y, size, k, lanes.parameters)
         t_next = jnp.where(looks.turn == N_LOOKS, jnp.minimum(t_next, lanes.t_end), t_next)
         return lanes._replace(t_next=t_next), looks
 
-    def _nothing_last(self, lanes: Lane) -> Last | None:
+    def nothing_last(self, lanes: Lane) -> Last | None:
         """The step made last before there was one; None where nobody looks back at it."""
         if not self.looks_back:
             return None
@@ -380,7 +387,7 @@ class _Queue:
         of_none = self.steps.nothing_made(zero, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump)
         return Last(zero, zero, zero, of_none)
 
-    def _is_due(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
+    def is_due(self, lanes: Lane) -> Bool[Array, " n_lanes"]:
         """Whether a lane has passed a sample time and has not written it down."""
         n = self.ts.shape[0]
         coming = jnp.maximum(lanes.n_samples, 1)
@@ -391,11 +398,11 @@ class _Queue:
         n = self.ts.shape[0]
 
         def any_due(carry):
-            return jnp.any(self._is_due(lanes._replace(n_samples=carry[0])))
+            return jnp.any(self.is_due(lanes._replace(n_samples=carry[0])))
 
         def write(carry):
             n_samples, ys = carry
-            is_due = self._is_due(lanes._replace(n_samples=n_samples))
+            is_due = self.is_due(lanes._replace(n_samples=n_samples))
             at = self.ts[jnp.minimum(n_samples, n - 1)]
             # The end of a step is the state itself, with its events; within it there are none.
             is_end = at >= lanes.t
@@ -429,17 +436,13 @@ class _Queue:
             with_rows_at(log.times, row, jnp.stack([*times, lanes.t], axis=-1)), with_rows_at(log.states, row, states)
         )
 
-    def _refilled(self, lanes: Lane, waiting, account) -> tuple:
+    def refilled(self, lanes: Lane, waiting, account) -> tuple:
         """Write results of the lanes that have ended, and give them the next jobs."""
         has_ended = self._have_ended(lanes)
         account = written(account, jnp.where(has_ended, lanes.job, self.n_jobs), lanes)
         if not self.refills:
             return lanes._replace(job=jnp.where(has_ended, self.n_jobs, lanes.job)), waiting, account
         jobs = jnp.minimum(waiting + jnp.cumsum(has_ended) - 1, self.n_jobs)
-        fresh = self.block_of(jnp.where(has_ended, jobs, self.n_jobs))
+        fresh = jax.vmap(self.started, out_axes=-1)(jnp.where(has_ended, jobs, self.n_jobs))
         lanes = jax.tree.map(lambda new, old: jnp.where(has_ended, new, old), fresh, lanes)
         return lanes, jnp.minimum(waiting + jnp.sum(has_ended), self.n_jobs), account
-
-
-def _is_sound(watch: Watch):
-    return watch.is_sound

@@ -1,0 +1,69 @@
+"""Arrays that are made some rows at a time, by programs of one shape, put together."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import numpy as np
+
+ALIGNMENT = 64
+"""Bytes on whose multiples an array begins that JAX takes as it is; others it copies."""
+
+
+def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
+    """The first n rows of parts one below the other.
+
+    Args:
+        parts: pytrees of arrays, all of the same shapes; one is read, and let go, before the next one is asked for.
+        n: rows of the whole.
+        shared: rows at the beginning of each part that stand for the last ones before it, and are left out.
+
+    Returns:
+        A pytree of JAX's arrays, in memory that nobody else writes to.
+    """
+    with jax.ensure_compile_time_eval():  # numbers are numbers, also where something is being traced
+        leaves, tree = jax.tree.flatten(next(parts))
+        if not leaves:
+            return jax.tree.unflatten(tree, leaves)
+        size = leaves[0].shape[0]
+        if n <= size:
+            rows = [np.asarray(leaf)[:n] for leaf in leaves]
+        else:
+            rows = [_room((n, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
+            for at in range(0, n - shared, size - shared):
+                new = shared if at else 0
+                for row, leaf in zip(rows, leaves, strict=True):
+                    row[at + new : at + size] = np.asarray(leaf)[new : n - at]
+                leaves = leaf = None  # what the next part is written to may be their memory
+                leaves = jax.tree.leaves(next(parts)) if at + size < n else []
+        return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=True))
+
+
+def in_blocks(function: Any, size: int, *arrays: Any) -> Any:
+    """A function of rows, evaluated block after block: one program for any number of rows.
+
+    Args:
+        function: of as many rows of each array; its results have a row for each.
+        size: rows of a block. The last one is filled up with its last row.
+        arrays: of numbers, with a row each for all that is evaluated.
+    """
+    rows = [np.asarray(array) for array in arrays]
+    n = len(rows[0])
+
+    def parts() -> Iterator[Any]:
+        for at in range(0, n, size):
+            blocks = [each[at : at + size] for each in rows]
+            missing = size - len(blocks[0])
+            if missing:
+                blocks = [np.concatenate([each, np.repeat(each[-1:], missing, axis=0)]) for each in blocks]
+            yield function(*blocks)
+
+    return joined_rows(parts(), n)
+
+
+def _room(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    size = np.dtype(dtype).itemsize * math.prod(shape)
+    room = np.empty(size + ALIGNMENT, np.uint8)
+    first = -room.ctypes.data % ALIGNMENT
+    return room[first : first + size].view(dtype).reshape(shape)

@@ -1,0 +1,182 @@
+"""One run whose samples are written down a window after the other: one program for any number of samples.
+
+A program is compiled for arrays of a shape. If it wrote all samples of a run, each number of them would be another
+program, seconds of compiling for nothing new. Here it writes those of a window, which is always as long; where there
+are more the run pauses when its window is full, in the middle of a step if need be, and goes on with the next one.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.few_kernels import in_few_kernels
+from spherejax.motion.integration.lanes.account import AccountLayout, written
+from spherejax.motion.integration.lanes.engine import Queue
+from spherejax.motion.integration.lanes.first_step import Looks
+from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, is_busy
+
+WINDOW = 2048
+"""Samples of a window. To begin a run and to pause it take some 0.2 ms each: with windows of 1024, 200,001 samples of a
+four-bar with friction cost a tenth more; with windows of 16,384, a run of few samples does."""
+
+
+class RunUnderWay(NamedTuple):
+    """A run between two windows, as the loop knows it.
+
+    Attributes:
+        lanes: a block of one.
+        n_lane_steps: steps so far.
+        looks: at the start, or None where the method does not look.
+        last: the step made last.
+    """
+
+    lanes: Lane
+    n_lane_steps: Array
+    looks: Looks | None
+    last: Last | None
+
+
+class Paused(NamedTuple):
+    """A run between two windows, as it is handed over: fifty small arrays cost more than a short motion.
+
+    Attributes:
+        vectors: the numbers, one vector of each type.
+        forms: a tree of what each array is (static).
+    """
+
+    vectors: dict[str, Array]
+    forms: Any
+
+    @classmethod
+    def of(cls, run: RunUnderWay) -> "Paused":
+        """A run that is under way."""
+        leaves, tree = jax.tree.flatten(run)
+        arrays = [jnp.asarray(leaf, jnp.result_type(leaf)) for leaf in leaves]
+        forms = [_ArrayForm(array.dtype.name, array.shape) for array in arrays]
+        of_kind = {form.kind: [a.reshape(-1) for a in arrays if a.dtype.name == form.kind] for form in forms}
+        vectors = {kind: jnp.concatenate(parts) for kind, parts in of_kind.items()}
+        return cls(vectors, jax.tree.unflatten(tree, forms))
+
+    @property
+    def run(self) -> RunUnderWay:
+        """The run under way."""
+        forms, tree = jax.tree.flatten(self.forms)
+        begin, arrays = dict.fromkeys(self.vectors, 0), []
+        for form in forms:
+            first = begin[form.kind]
+            begin[form.kind] = first + math.prod(form.shape)
+            arrays.append(self.vectors[form.kind][first : begin[form.kind]].reshape(form.shape))
+        return jax.tree.unflatten(tree, arrays)
+
+
+@dataclass(frozen=True)
+class _ArrayForm:
+    """What an array is."""
+
+    kind: str
+    shape: tuple[int, ...]
+
+
+def windows_of(ts: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " w"]]:
+    """The sample times in windows. Each begins with the last one of the window before, which is not written again; what
+    is left of the last window is infinite, and never comes."""
+    for first in range(0, max(1, len(ts) - 1), WINDOW - 1):
+        window = np.full(WINDOW, np.inf)
+        part = ts[first : first + WINDOW]
+        window[: len(part)] = part
+        yield window
+
+
+def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> Paused:
+    """A run before its first window.
+
+    Args:
+        problem: what is integrated.
+        parameters: of the run.
+        y0: state at the start.
+        ends: of the motion [s].
+        may_run: whether it is to be made.
+        status: what it reports otherwise.
+    """
+    parameters, y0, may_run, status = jax.tree.map(lambda x: jnp.asarray(x)[None], (parameters, y0, may_run, status))
+    # As many sample times as any window has; what they are is not asked before the run goes on.
+    times = jnp.full(WINDOW, ends[1]).at[0].set(ends[0])
+
+    def begin() -> RunUnderWay:
+        queue = Queue(problem, parameters, y0, times, may_run, status, Block())
+        lanes = queue.begun()
+        looks = Looks.of_nothing(lanes.y) if queue.looks else None
+        return RunUnderWay(lanes, jnp.zeros((), jnp.int64), looks, queue.nothing_last(lanes))
+
+    return Paused.of(_compiled(problem, begin))
+
+
+def gone_on(
+    problem: LaneProblem, paused: Paused, ends: Float[Array, "2"], window: Float[Array, " w"]
+) -> tuple[LaneOutcome, dict[str, Array]]:
+    """What a run is when its window is full, or it has ended, and the vectors of how it goes on; see `begun`."""
+
+    def go_on() -> tuple[LaneOutcome, RunUnderWay]:
+        run = paused.run
+        return _Windows(problem, run.lanes, ends, window).gone_on_from(run)
+
+    outcome, run = _compiled(problem, go_on)
+    return outcome, Paused.of(run).vectors
+
+
+def _compiled(problem: LaneProblem, function):
+    with machine_code.wanted(problem.in_machine_code):
+        return in_few_kernels(function)()
+
+
+class _Windows(Queue):
+    """A queue of one run that is under way."""
+
+    def __init__(self, problem: LaneProblem, lanes: Lane, ends, window):
+        parameters = jax.tree.map(lambda leaf: leaf[..., 0][None], lanes.parameters)
+        y0 = lanes.y[..., 0][None]
+        super().__init__(problem, parameters, y0, window, jnp.ones(1, bool), lanes.status, Block())
+        self.t0, self.t_end = ends
+
+    def gone_on_from(self, run: RunUnderWay) -> tuple[LaneOutcome, RunUnderWay]:
+        """See `gone_on`."""
+        lanes = run.lanes._replace(n_samples=jnp.zeros_like(run.lanes.n_samples))
+        account = AccountLayout.of(lanes)
+        ys = jnp.full((1, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
+
+        def busy(carry):
+            lanes, *_, looks, _ = carry
+            has_room = jnp.any(lanes.n_samples < self.ts.shape[0])
+            is_so = jnp.any(is_busy(lanes, self.n_jobs))
+            return has_room & (is_so if looks is None else is_so | looks.is_looking)
+
+        carry = lanes, jnp.asarray(1), account.rows(1), ys, run.n_lane_steps, None, run.looks, run.last
+        lanes, _, rows, ys, n_lane_steps, _, looks, last = self.gone_on(busy, carry)
+        if self.corrects_late:
+            ys = self._corrected(lanes, ys)
+        return account.outcome(rows, ys, n_lane_steps), RunUnderWay(lanes, n_lane_steps, looks, last)
+
+    def refilled(self, lanes: Lane, waiting, account) -> tuple:
+        """Write down how far the one run is, whether it has ended or not."""
+        return lanes, waiting, written(account, jnp.zeros(1, jnp.int64), lanes)
+
+    def _corrected(self, lanes: Lane, ys):
+        """The samples that were written, corrected but for the end of the motion, which is the end of a step."""
+        parameters = jax.tree.map(lambda x: x[0], self.parameters)
+        correct: Any = self.problem.correct
+
+        def one_more(carry):
+            i, rows = carry
+            found = jnp.where(self.ts[i] == self.t_end, rows[i], correct(parameters, self.ts[i], rows[i]))
+            return i + 1, jax.lax.dynamic_update_index_in_dim(rows, found, i, 0)
+
+        n = jnp.maximum(lanes.n_samples[0], 1)
+        _, rows = jax.lax.while_loop(lambda carry: carry[0] < n, one_more, (jnp.zeros((), jnp.int64), ys[0]))
+        return rows[None]

@@ -1,0 +1,261 @@
+"""Runs of `simulate`: each is a lane of its own, and `jax.vmap` of it a queue of runs.
+
+A run of numbers is two programs, its start and its windows of samples, which serve any number of samples. A run within
+`jax.jit`, and one with its derivatives, is a program for its samples.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.joined_rows import joined_rows
+from spherejax.model.system import Structure
+from spherejax.motion.integration.audit import Limits
+from spherejax.motion.integration.compiling import options_for
+from spherejax.motion.integration.implicit_rows import slack_of
+from spherejax.motion.integration.integrate import (
+    Options,
+    Outcome,
+    Plan,
+    integrate,
+    stages_of,
+)
+from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
+from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
+from spherejax.motion.integration.lanes.operation import runs
+from spherejax.motion.integration.lanes.windows import Paused, begun, gone_on, windows_of
+from spherejax.motion.integration.widths import block_for
+from spherejax.motion.solvers.joint_rates import fastest_in_clearance
+from spherejax.motion.solvers.traits import can_step_in_lanes
+from spherejax.motion.start.assembly import Assembly
+from spherejax.motion.start.tolerances import controller_for
+
+
+def can_be_a_job(structure: Structure, options: Options) -> bool:
+    """Whether the lanes can make a run: with the step-size control that they have themselves."""
+    solver: Any = options.solver
+    return can_step_in_lanes(solver) and _rest(options.controller) == _own_rest(structure)
+
+
+@lru_cache(maxsize=64)
+def _own_rest(structure: Structure) -> Any:
+    return _rest(controller_for(structure, 1.0, 1.0))
+
+
+def _rest(controller) -> Any:
+    """What there is to a controller besides tolerances."""
+    if type(controller) is not diffrax.PIDController:
+        return controller
+    return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
+
+
+def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
+    """As `integrate`: in a lane where it can be, else by diffrax. `jax.vmap` of a lane is a queue of runs."""
+    return bound_run(plan, options, values, known, ts, start, values_are_legal)()
+
+
+def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
+    """`run_of` these arguments, to be called again and again."""
+    if can_be_a_job(plan.structure, options):
+        request = _Request.of(options)
+        given = plan, request, values, known, ts, start, values_are_legal
+        return _in_windows(*given) if ts.shape[0] > 2 and _are_known(given) else integrated.bound(*given)
+    return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
+
+
+def _are_known(given: tuple) -> bool:
+    """Whether a run is made now, from numbers, by a method that is known."""
+    is_known = all(map(is_concrete, (*jax.tree.leaves(given), jnp.zeros(()))))
+    return is_known and given[1].stiff_rest is None
+
+
+def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
+    """A run of numbers, by programs that are the same for any number of samples."""
+    times = np.asarray(ts)
+    ends, windows = jnp.asarray(times[[0, -1]]), list(windows_of(times))
+    begin = started.bound(plan, request, values, known, ends, start, values_are_legal)
+    known_how: list[Callable] = []
+
+    def run() -> Outcome:
+        with jax.ensure_compile_time_eval():  # a run that is known is remembered, and may be asked for within a trace
+            (vectors, forms), assembly = begin()
+        if not known_how:  # the forms are known now
+            example = vectors, jnp.asarray(windows[0])
+            known_how.append(gone_on_with.bound_but(2, plan, request, ends, forms, *example))
+        (go_on,) = known_how
+        found: Any = None
+
+        def samples() -> Iterator[Array]:
+            nonlocal vectors, found
+            for window in windows:
+                ys, found, vectors = go_on(vectors, window)
+                yield ys
+
+        ys = joined_rows(samples(), len(times), shared=1)
+        t_reached, y_reached, status, stats = found
+        return Outcome(ys, t_reached, y_reached, status, stats, assembly)
+
+    return run
+
+
+class JobWithSlopes(NamedTuple):
+    """A run and its derivatives along directions in the traced numbers.
+
+    Attributes:
+        outcome: of the run.
+        ys: derivatives of its samples.
+        assembly: of its assembled start, with a leading axis of directions.
+    """
+
+    outcome: Outcome
+    ys: Float[Array, "k n size"]
+    assembly: Assembly
+
+
+def slopes_as_job(
+    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal
+) -> JobWithSlopes:
+    """A run and its derivatives in a lane; arguments as for `sensitivities.integrate_along`."""
+    return _with_slopes(plan, _Request.of(options), values, directions, known, ts, start, values_are_legal)
+
+
+class _Request(eqx.Module):
+    """How to integrate in a lane.
+
+    Attributes:
+        solver: its arrays.
+        shared: tolerances that are known, which all runs of a queue share, or None.
+        own: tolerances of a run, or None.
+        budget: largest number of steps.
+        rest: the solver without its arrays (static).
+        slack: how much larger the errors of sensitivities may be than the state's.
+        stiff: arrays of the solver of a run whose joints act faster than the limit when it starts.
+        stiff_rest: that solver without its arrays (static); None where there is no choice left.
+        limit: a rate [1/s] (static).
+    """
+
+    solver: Any
+    shared: Any
+    own: Any
+    budget: Any
+    rest: Any = eqx.field(static=True)
+    slack: Any = None
+    stiff: Any = None
+    stiff_rest: Any = eqx.field(static=True, default=None)
+    limit: float = eqx.field(static=True, default=math.inf)
+
+    @classmethod
+    def of(cls, options: Options) -> "_Request":
+        """From the options of a run that can be a job."""
+        solver, rest = eqx.partition(options.solver, eqx.is_array)
+        controller: Any = options.controller
+        tolerances = controller.rtol, controller.atol
+        budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
+        alike = all(is_concrete(each) for each in tolerances)
+        shared, own = (tolerances, None) if alike else (None, tolerances)
+        slack = np.asarray(slack_of(options.solver)) if options.slack is None else options.slack
+        given = solver, shared, own, budget, rest, slack
+        if options.at_start is None:
+            return cls(*given)
+        return cls(*given, *eqx.partition(options.at_start.solver, eqx.is_array), options.at_start.limit)
+
+    @property
+    def of_stiff(self) -> "_Request":
+        """The same with the other solver."""
+        return _Request(self.stiff, self.shared, self.own, self.budget, self.stiff_rest, self.slack)
+
+    def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
+        """The run as a job, from the traced numbers."""
+        theta = plan.theta(values, known)
+        return job_of(plan, self.rest, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
+
+    def limits(self, plan: Plan, theta) -> Limits:
+        """Of the audit."""
+        rtol, _ = self.own if self.shared is None else self.shared
+        return audit_limits(plan.structure.system(theta), rtol, self.rest)
+
+    @property
+    def of_all(self) -> Any:
+        """What all runs of a queue share."""
+        return self.solver, self.shared, self.budget
+
+    def problem(self, plan: Plan, ts) -> LaneProblem:
+        """What is integrated, without rows."""
+        return JobKind(plan.structure, plan.scalar, self.rest).problem(ts, self.of_all)
+
+    def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:
+        """What comes of the job."""
+        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows)
+        job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
+        found = runs(kind, job.numbers, job.y0, ts, job.may_run, job.status, self.of_all, block_for())
+        return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
+
+
+@bounded_jit(what="a run", options=options_for)
+def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
+    """As `integrate`, in a lane.
+
+    Where the method is chosen by numbers that are seen only now, both are compiled, and the run is made by one: a lane
+    that may not run makes no step. So it is with many lanes, where `jax.lax.cond` would make each run twice.
+    """
+    job = request.job(plan, values, known, ts, start, values_are_legal)
+    if request.stiff_rest is None:
+        return _outcome(request, job, request.made(plan, job, ts, False))
+    is_stiff = fastest_in_clearance(plan.structure, plan.scalar, job.numbers.theta) > request.limit
+    outcomes = []
+    for each, is_taken in ((request, ~is_stiff), (request.of_stiff, is_stiff)):
+        numbers = job.numbers._replace(limits=each.limits(plan, job.numbers.theta))
+        taken = job._replace(numbers=numbers, may_run=job.may_run & is_taken)
+        outcomes.append(_outcome(each, taken, each.made(plan, taken, ts, False)))
+    return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
+
+
+@bounded_jit(what="the start of a run", options=options_for)
+def started(plan: Plan, request: _Request, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
+    """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
+    job = request.job(plan, values, known, ends, start, values_are_legal)
+    run = begun(request.problem(plan, ends), job.numbers, job.y0, ends, job.may_run, job.status)
+    return run, job.assembly
+
+
+@bounded_jit(what="a run", options=options_for)
+def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, window) -> tuple:
+    """Samples of the next window, what else an `Outcome` says at its end but for the assembly, and the run's vectors.
+
+    Args:
+        plan, request, ends: as of `started`.
+        forms, vectors: of the run that is under way.
+        window: sample times [s].
+    """
+    made, vectors = gone_on(request.problem(plan, ends), Paused(vectors, forms), ends, window)
+    ys, t_reached, y_reached, status = (each[0] for each in (made.ys, made.t_reached, made.y_reached, made.status))
+    of_it = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
+    return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors
+
+
+@bounded_jit(what="a run and its derivatives", options=options_for)
+def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
+    def job_of_values(values):
+        return request.job(plan, values, known, ts, start, values_are_legal)
+
+    job, assembly = with_slopes(job_of_values, values, directions)
+    job = job._replace(numbers=job.numbers._replace(slack=request.slack))
+    made = request.made(plan, job, ts, True)
+    slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)
+    made = made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0])
+    return JobWithSlopes(_outcome(request, job, made), slopes, assembly)
+
+
+def _outcome(request: _Request, job: Job, made: LaneOutcome) -> Outcome:
+    stats = statistics(made, stages_of(request.rest))
+    return Outcome(made.ys, made.t_reached, made.y_reached, made.status, stats, job.assembly)

@@ -1,0 +1,200 @@
+"""Runs of numbers, whose samples are written window after window: one program for any number of samples."""
+
+import gc
+import weakref
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import FOUR_BAR_MODELS
+from controlling import sampled_motor
+
+import spherejax as sj
+from spherejax.foundations.kept.joined_rows import in_blocks, joined_rows
+from spherejax.motion.integration import one_run
+from spherejax.motion.integration.lanes import windows
+from spherejax.motion.integration.one_run import gone_on_with, integrated, started
+from spherejax.motion.results import observed as observing
+from spherejax.motion.results.observed import looked_up_at, observed
+from spherejax.motion.runs import known_scenes
+
+PROGRAMS = (started, gone_on_with, integrated, observed, looked_up_at)
+
+
+def at_once(monkeypatch, make):
+    """A run whose program is one for its number of samples."""
+    with monkeypatch.context() as patched:
+        patched.setattr(one_run, "_are_known", lambda given: False)
+        known_scenes._calls.clear()
+        run = make()
+    known_scenes._calls.clear()
+    return run
+
+
+def require_same(run, expected):
+    """All that is told of two runs, to rounding: XLA compiles other sizes to other orders of operations."""
+    np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(run.y_reached, expected.y_reached, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(run.t_reached, expected.t_reached, rtol=1e-12)
+    assert int(run.ended) == int(expected.ended)
+    for count in ("n_steps", "n_accepted", "n_rejected", "n_evaluations", "n_onsets"):
+        np.testing.assert_array_equal(getattr(run.stats, count), getattr(expected.stats, count))
+    np.testing.assert_allclose(run.stats.audit, expected.stats.audit, rtol=1e-3, atol=1e-9)
+
+
+@pytest.fixture
+def small_windows(monkeypatch):
+    """Of seven samples: most steps of a fine run end in one and have samples in the next."""
+    monkeypatch.setattr(windows, "WINDOW", 7)
+    known_scenes._calls.clear()
+
+
+def test_another_number_of_samples_needs_no_other_program():
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["friction"])
+    runs = {}
+    for n in (3, 40, 2048, 5001):
+        runs[n] = sj.simulate(scene, np.linspace(0.0, 0.02, n))
+        runs[n].parts("coupler_rocker")
+        if n == 3:
+            known = [program.n_programs for program in PROGRAMS]
+    assert [program.n_programs for program in PROGRAMS] == known
+    for n, run in runs.items():
+        assert run.ts.shape == (n,)
+        assert run.ys.shape[0] == run.kinetic_energy.shape[0] == run.penetration("coupler_rocker").shape[0] == n
+        np.testing.assert_array_equal(run.ys[-1], runs[3].ys[-1])
+        np.testing.assert_array_equal(run.kinetic_energy[-1], runs[3].kinetic_energy[-1])
+    np.testing.assert_array_equal(runs[5001].ys[::2500], runs[3].ys)
+
+
+@pytest.mark.parametrize(
+    "name", ["friction", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ideal", "lubricated", "bushing"))]
+)
+def test_windows_change_nothing(name, small_windows, monkeypatch):
+    """Many samples in a step, steps over the ends of windows, a last window that is full, and one that is not."""
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS[name])
+    for n in (7, 8, 199):
+
+        def made(n=n):
+            return sj.simulate(scene, np.linspace(0.0, 0.02, n), track_work=True)
+
+        require_same(made(), at_once(monkeypatch, made))
+
+
+@pytest.mark.slow
+def test_windows_change_nothing_of_what_is_corrected_at_its_samples(small_windows, monkeypatch):
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["dry"], drift=sj.PostStabilization())
+
+    def made():
+        return sj.simulate(scene, np.linspace(0.0, 0.02, 101))
+
+    require_same(made(), at_once(monkeypatch, made))
+
+
+@pytest.mark.slow
+def test_windows_change_nothing_of_forces_that_sample(small_windows, monkeypatch):
+    scene = sampled_motor(0.01)
+
+    def made():
+        return sj.simulate(scene, np.linspace(0.0, 0.1, 101))
+
+    require_same(made(), at_once(monkeypatch, made))
+
+
+def test_a_run_that_fails_fails_in_its_window(small_windows, monkeypatch):
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["bushing"])
+
+    def made():
+        with pytest.warns(sj.SimulationWarning):
+            return sj.simulate(scene, np.linspace(0.0, 0.01, 61), max_steps=30)
+
+    run = made()
+    require_same(run, at_once(monkeypatch, made))
+    assert run.status == sj.Status.TOO_MANY_STEPS
+    reached = np.asarray(run.ts) <= float(run.t_reached)
+    assert 7 < reached.sum() < 61
+    np.testing.assert_array_equal(np.isfinite(np.asarray(run.ys)).all(axis=1), reached)
+
+
+def test_a_known_run_is_numbers_where_something_else_is_traced():
+    scene = sj.gallery.simple_pendulum()
+    ts = np.linspace(0.0, 0.1, 5)
+    known = sj.simulate(scene, ts)
+
+    @jax.jit
+    def shifted(x):
+        run = sj.simulate(scene, ts)
+        body = next(iter(run.system.bodies))
+        return x + run.ys[-1, 0] + run.position(body)[0, 0] + 0 * run.kinetic_energy[0]
+
+    expected = 1.0 + known.ys[-1, 0] + known.ys[0, 0]
+    assert float(shifted(1.0)) == pytest.approx(float(expected), rel=1e-12)
+    np.testing.assert_allclose(jax.vmap(shifted)(jnp.ones(2)), expected, rtol=1e-12)
+
+
+def test_runs_of_fewer_samples_than_a_block_are_observed_as_those_of_more(monkeypatch):
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["friction"])
+    run = sj.simulate(scene, np.linspace(0.0, 0.02, 50))
+    expected = jax.tree.map(np.asarray, run.observation)
+    monkeypatch.setattr(observing, "BLOCK", 16)
+    again = sj.simulate(scene, np.linspace(0.0, 0.02, 50))
+    for one, other in zip(jax.tree.leaves(again.observation), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.max(np.abs(other), initial=0))
+
+
+# Rows -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 4, 5, 7, 8, 13])
+@pytest.mark.parametrize("shared", [0, 1])
+def test_rows_are_put_together(n, shared):
+    """Parts of four rows; the first ones of later parts are of nobody."""
+    whole = {"a": np.arange(26.0).reshape(13, 2), "b": np.arange(13)}
+
+    def parts():
+        for first in range(0, max(1, n - shared), 4 - shared):
+            rows = np.minimum(np.arange(first, first + 4), 12)
+            part = {name: values[rows].copy() for name, values in whole.items()}
+            for values in part.values():
+                values[: shared if first else 0] = -1
+            yield part
+
+    found = joined_rows(parts(), n, shared)
+    for name, values in whole.items():
+        assert isinstance(found[name], jax.Array)
+        np.testing.assert_array_equal(found[name], values[:n])
+    assert joined_rows(iter([{"nothing": {}}]), n) == {"nothing": {}}
+
+
+def test_a_part_is_let_go_before_the_next_one_is_made():
+    class Part(np.ndarray):
+        """Arrays of NumPy's own cannot be watched."""
+
+    made, alive = [], []
+
+    def parts():
+        for _ in range(10):
+            gc.collect()
+            alive.append(sum(part() is not None for part in made))
+            part = np.zeros((4, 2)).view(Part)
+            made.append(weakref.ref(part))
+            yield part
+            del part
+
+    joined_rows(parts(), 40)
+    assert alive == [0] * 10
+
+
+@pytest.mark.parametrize("n", [1, 4, 9])
+def test_functions_are_evaluated_in_blocks(n):
+    asked = []
+
+    def squares(x, y):
+        asked.append(x.shape)
+        return {"sum": x + y, "square": jnp.square(x)}
+
+    x, y = np.arange(1.0, n + 1), np.ones(n)
+    found = in_blocks(squares, 4, x, y)
+    assert set(asked) == {(4,)}
+    np.testing.assert_array_equal(found["sum"], x + 1)
+    np.testing.assert_array_equal(found["square"], x**2)
