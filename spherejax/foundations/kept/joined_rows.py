@@ -2,13 +2,28 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+
+from spherejax.foundations.checks import is_concrete
 
 ALIGNMENT = 64
 """Bytes on whose multiples an array begins that JAX takes as it is; others it copies."""
+
+
+@contextmanager
+def as_numbers() -> Iterator[None]:
+    """What is computed from numbers are numbers, also where something is being traced.
+
+    Elsewhere nothing is changed: a program that is traced in `jax.ensure_compile_time_eval` has its constants made by
+    small programs of their own, hundreds of them.
+    """
+    with nullcontext() if is_concrete(jnp.zeros(())) else jax.ensure_compile_time_eval():
+        yield
 
 
 def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
@@ -22,7 +37,7 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
     Returns:
         A pytree of JAX's arrays, in memory that nobody else writes to.
     """
-    with jax.ensure_compile_time_eval():  # numbers are numbers, also where something is being traced
+    with as_numbers():
         leaves, tree = jax.tree.flatten(next(parts))
         if not leaves:
             return jax.tree.unflatten(tree, leaves)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import joined_rows
+from spherejax.foundations.kept.joined_rows import as_numbers, joined_rows
 from spherejax.model.system import Structure
 from spherejax.motion.integration.audit import Limits
 from spherejax.motion.integration.compiling import options_for
@@ -87,7 +87,7 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
     known_how: list[Callable] = []
 
     def run() -> Outcome:
-        with jax.ensure_compile_time_eval():  # a run that is known is remembered, and may be asked for within a trace
+        with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
             (vectors, forms), assembly = begin()
         if not known_how:  # the forms are known now
             example = vectors, jnp.asarray(windows[0])

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import in_blocks
+from spherejax.foundations.kept.joined_rows import as_numbers, in_blocks
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.numerics import safe_norm
 from spherejax.motion.equations.observables import Observation, looked_up, observe
@@ -46,7 +46,7 @@ def _taken(take: Callable, array: Any) -> Any:
     """What is taken from an array; from numbers without a program, which would be another for each number of rows."""
     if not is_concrete(array):
         return take(array)
-    with jax.ensure_compile_time_eval():
+    with as_numbers():
         return jax.tree.map(jnp.asarray, take(np.asarray(array)))
 
 
