@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,9 @@ from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.reports import add_report, check_report, write_report
 
 if TYPE_CHECKING:
-    from spherejax.studies.subject import Comparison, ModelRow
+    from spherejax.motion.results.trajectory import Trajectory
+    from spherejax.studies.subject import Comparison, ModelRow, Subject
+    from spherejax.studies.workers import Report
 
 SAVED_SAMPLES = 2000
 """Samples of the netCDF files, about; the study itself uses a hundred times more."""
@@ -61,7 +64,7 @@ def add_compare(commands) -> None:
 def compare_models(options: argparse.Namespace) -> int:
     """Simulate, print the table, write everything."""
     from spherejax.output.paths import make_folder, require_free
-    from spherejax.studies.compare import compare
+    from spherejax.studies.compare import Meanwhile, compare
 
     folder = Path(options.out).expanduser()
     require_free(folder / "table.csv", overwrite=options.overwrite)
@@ -70,9 +73,13 @@ def compare_models(options: argparse.Namespace) -> int:
     start = time.perf_counter()
     subject = SUBJECTS[options.scene]
     subject = subject if options.film == "full" else subject.with_film(FILMS[options.film]())
+    writer = _Writer(folder)
+    meanwhile = Meanwhile(writer.ahead(subject), writer.data_of)
     with progress("comparing") as report:
-        comparison = compare(subject, quick=options.quick, report=lambda what, share: report(what, 0.9 * share))
-        names = _write(comparison, folder, report)
+        comparison = compare(
+            subject, quick=options.quick, report=lambda what, share: report(what, 0.9 * share), meanwhile=meanwhile
+        )
+        names = writer.write_rest(comparison, report)
     print_comparison(comparison)
     write_report(options, comparison, "")
     seconds = time.perf_counter() - start
@@ -99,25 +106,59 @@ def print_comparison(comparison: Comparison) -> None:
         print(remark)
 
 
-def _write(comparison: Comparison, folder: Path, report) -> list[str]:
-    """Table, netCDF files and figures; returns the figures' names."""
-    from spherejax.command_line.figures import figures_of
-    from spherejax.motion.results.dataset import to_dataset
-    from spherejax.output.io import save
+class _Writer:
+    """Writes figures and data as soon as there is what they show: Python draws while programs are compiled.
 
-    _write_table(comparison.rows, folder / "table.csv")
-    for name, run in comparison.runs.items():
-        dataset = to_dataset(run, every=max(1, len(run.ts) // SAVED_SAMPLES))
-        save(dataset, folder / f"{name}.nc", overwrite=True)
-    figures = figures_of(comparison)
-    for done, (name, draw) in enumerate(figures.items(), start=1):
-        path = folder / f"{name}.png"
+    Args:
+        folder: of all files.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.written: set[str] = set()
+
+    def ahead(self, subject: Subject) -> Iterator[None]:
+        """Figures that need no run, in steps."""
+        from spherejax.command_line.figures import figures_ahead
+
+        for name, draw in figures_ahead(subject).items():
+            self._draw(name, draw)
+            yield
+
+    def data_of(self, runs: Mapping[str, Trajectory]) -> Iterator[None]:
+        """The netCDF files of runs, in steps."""
+        from spherejax.motion.results.dataset import to_dataset
+        from spherejax.output.io import save
+
+        for name, run in runs.items():
+            file = f"{name}.nc"
+            if file not in self.written:
+                dataset = to_dataset(run, every=max(1, len(run.ts) // SAVED_SAMPLES))
+                save(dataset, self.folder / file, overwrite=True)
+                self.written.add(file)
+            yield
+
+    def write_rest(self, comparison: Comparison, report: Report) -> list[str]:
+        """All that has not been written yet, the table last; returns the names of all figures."""
+        from spherejax.command_line.figures import figures_of
+
+        for _ in self.data_of(comparison.runs):
+            pass
+        figures = figures_of(comparison)
+        for done, (name, draw) in enumerate(figures.items(), start=1):
+            if name not in self.written:
+                self._draw(name, draw)
+            report(f"drawn: {name}.png", 0.9 + 0.1 * done / len(figures))
+        _write_table(comparison.rows, self.folder / "table.csv")
+        return list(figures)
+
+    def _draw(self, name: str, draw: Callable) -> None:
+        path = self.folder / f"{name}.png"
         try:
             draw().savefig(path)
         except OSError as error:
             raise sj.SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
-        report(f"drawn: {path.name}", 0.9 + 0.1 * done / len(figures))
-    return list(figures)
+        self.written.add(name)
 
 
 def _write_table(rows: list[ModelRow], path: Path) -> None:

@@ -9,9 +9,10 @@ one of many that are equally right. `horizon` finds that instant from two runs.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
@@ -42,13 +43,28 @@ TIMED_SAMPLES = 201
 """Samples of the timed runs."""
 
 
-def compare(subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report = silent) -> Comparison:
+class Meanwhile(NamedTuple):
+    """Work for who waits for a comparison, in steps.
+
+    Attributes:
+        ahead: what needs no run.
+        of_runs: what needs the runs of the models, by short name.
+    """
+
+    ahead: Iterator[Any]
+    of_runs: Callable[[Mapping[str, Trajectory]], Iterator[Any]]
+
+
+def compare(
+    subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report = silent, meanwhile: Meanwhile | None = None
+) -> Comparison:
     """Simulate the joint models of a mechanism, the parameter studies and the limits.
 
     Args:
         subject: the mechanism, and what is looked at.
         quick: a shorter motion and fewer studies, as the subject says.
         report: called as the work goes on.
+        meanwhile: work for this thread while others compile; it may not be done when this returns.
 
     Returns:
         The comparison.
@@ -60,27 +76,35 @@ def compare(subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report 
     studies = subject.studies()[: length.n_studies]
     limits = subject.limits() if length.limits else []
     fixed = subject.fixed_solver if length.fixed else None
+    solvers = (None,) if fixed is None else (None, fixed)
     others = [case for case in _distinct(studies) if case not in models.values()]
-    n_of_models = (4 if fixed is None else 6) * len(models)
-    done = Progress(report, n_of_models + len(others) + len(limits))
+    ahead, of_runs = (None, lambda runs: None) if meanwhile is None else meanwhile
+    done = Progress(report, (2 + 2 * len(solvers)) * len(models) + len(others) + len(limits))
     with workers(done) as pool:
         # The slowest to compile first, so that no worker is left alone with one at the end.
         order = list(reversed(models))
-        found = pool.each([_piece("simulated", _curves, subject, models[name], ts) for name in order])
+        found = pool.each([_piece("simulated", _curves, subject, models[name], ts) for name in order], ahead)
         runs = {name: found[order.index(name)][0] for name in models}
         curves = {name: found[order.index(name)][1] for name in models}
-        for solver in (None, *(() if fixed is None else (fixed,))):
-            pieces = [_piece("prepared to be timed", _run_for_timing, subject, models[n], t_end, solver) for n in order]
-            pool.each(pieces)
-        apart = pool.each(
-            [_piece("compared with a smaller tolerance", horizon, subject, c, ts, runs[n]) for n, c in models.items()]
-        )
-        horizons = dict(zip(models, apart, strict=True))
-        known = {case: curves[name] for name, case in models.items()}
-        found = pool.each([_piece("simulated", _curves_only, subject, case, ts) for case in others])
-        known.update(zip(others, found, strict=True))
         t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
-        limit_results = pool.each([_piece("limit", _limit, subject, study, t_short) for study in limits])
+        # All that is left at once, what compiles first.
+        by_kind = [
+            [_piece("simulated", _curves_only, subject, case, ts) for case in others],
+            [_piece("limit", _limit, subject, study, t_short) for study in limits],
+            [
+                _piece("prepared to be timed", _run_for_timing, subject, models[name], t_end, solver)
+                for solver in solvers
+                for name in order
+            ],
+            [
+                _piece("compared with a smaller tolerance", horizon, subject, case, ts, runs[name])
+                for name, case in models.items()
+            ],
+        ]
+        answers = iter(pool.each([piece for pieces in by_kind for piece in pieces], of_runs(runs)))
+        found, limit_results, _, apart = ([next(answers) for _ in pieces] for pieces in by_kind)
+    horizons = dict(zip(models, apart, strict=True))
+    known = {case: curves[name] for name, case in models.items()} | dict(zip(others, found, strict=True))
     usual = _timed(subject, models, t_end, None, done)
     by_fixed = {} if fixed is None else _timed(subject, models, t_end, fixed, done)
     rows = [

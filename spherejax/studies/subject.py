@@ -110,6 +110,7 @@ class Subject:
         columns: of the table.
         measures: numbers of a run that its row shall hold, by name.
         figures: functions that draw the figures, by file name without suffix.
+        figures_ahead: those of them that need no run.
         summaries: further tables.
         remarks: sentences below the tables.
         studies: parameter studies.
@@ -131,6 +132,7 @@ class Subject:
     quick: Length
     columns: Sequence[TableColumn]
     figures: "Callable[[Comparison], dict[str, Callable]]"
+    figures_ahead: "Callable[[Subject], dict[str, Callable]]" = field(default=lambda subject: {})
     measures: Callable[[Trajectory, Curves], Mapping[str, float]] = field(default=lambda run, curves: {})
     summaries: "Callable[[Comparison], list[TableOf]]" = field(default=lambda comparison: [])
     remarks: "Callable[[Comparison], list[str]]" = field(default=lambda comparison: [])

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -39,18 +39,32 @@ class Progress:
         self.report(what, min(1.0, self.n_done / self.n_pieces))
 
 
+_NOTHING = object()
+
+
 class Pool:
     """Workers that compile and run at the same time; the results keep their order."""
 
     def __init__(self, executor: ThreadPoolExecutor, done: Progress):
         self.executor, self.done = executor, done
 
-    def each(self, pieces: Sequence[Piece]) -> list:
-        """The results of all pieces of work, reported as they come."""
+    def each(self, pieces: Sequence[Piece], meanwhile: Iterator[Any] | None = None) -> list:
+        """The results of all pieces of work, reported as they come.
+
+        Args:
+            pieces: the work.
+            meanwhile: work for the thread that waits; a step of it is made whenever there is nothing to report. What is
+                left of it when all pieces are done is left to the caller.
+        """
         futures = {self.executor.submit(piece.work): piece for piece in pieces}
-        for future in as_completed(futures):
-            future.result()
-            self.done(futures[future].what)
+        waiting, has_more = set(futures), meanwhile is not None
+        while waiting:
+            found, waiting = wait(waiting, timeout=0 if has_more else None, return_when=FIRST_COMPLETED)
+            for future in found:
+                future.result()
+                self.done(futures[future].what)
+            if waiting and has_more and meanwhile is not None:
+                has_more = next(meanwhile, _NOTHING) is not _NOTHING
         return [future.result() for future in futures]
 
 

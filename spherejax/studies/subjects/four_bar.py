@@ -41,7 +41,7 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     from spherejax.output.plot.style import MODEL_COLORS
 
     models, ideal, parameters = comparison.models, comparison.models["ideal"], comparison.subject.parameters
-    found: dict[str, Callable] = {**law_figures(), "fig09_mechanism": _mechanism}
+    found = figures_ahead(comparison.subject)
     for result in comparison.studies:
         found[_file_name(result)] = lambda result=result: study_figure(result, comparison)
     others = [one for name, one in models.items() if name != "ideal"]
@@ -70,6 +70,12 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
             f"Limits to the ideal joint, {comparison.t_limits:g} s of motion",
         )
     return found
+
+
+def figures_ahead(subject: Subject) -> dict[str, Callable]:
+    """Those of the figures that need no run."""
+    del subject
+    return {**law_figures(), "fig09_mechanism": _mechanism}
 
 
 def _mechanism():
@@ -134,6 +140,7 @@ FOUR_BAR = Subject(
     quick=Length(seconds=0.2, interval=1e-5, n_studies=1, limits=False),
     columns=COLUMNS,
     figures=figures,
+    figures_ahead=figures_ahead,
     studies=parameter_studies,
     limits=limit_studies,
     t_limits=0.5,  # dry motion is hardly chaotic until then

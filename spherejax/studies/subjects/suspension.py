@@ -150,7 +150,7 @@ def _times(comparison: "Comparison") -> TableOf:
 def figures(comparison: "Comparison") -> dict[str, Callable]:
     """Functions that draw the figures, by file name."""
     return {
-        "fig22_mechanism": lambda: _mechanism(comparison),
+        **figures_ahead(comparison.subject),
         "fig23_models": lambda: _models(comparison),
         "fig23_differences": lambda: _differences(comparison),
         "fig24_eccentricity": lambda: _eccentricity(comparison),
@@ -159,11 +159,16 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     }
 
 
-def _mechanism(comparison: "Comparison"):
+def figures_ahead(subject: Subject) -> dict[str, Callable]:
+    """That of the figures that needs no run."""
+    return {"fig22_mechanism": lambda: _mechanism(subject)}
+
+
+def _mechanism(subject: Subject):
     from spherejax.output.drawing import draw
 
     # As rods, leaf spring and tie rod can be seen.
-    scene = suspension(comparison.subject.models()["dry"].model(), link_mass=0.01)
+    scene = suspension(subject.models()["dry"].model(), link_mass=0.01)
     return draw(scene, view=(-35.0, 15.0), title="Right front suspension, at the start")
 
 
@@ -281,6 +286,7 @@ SUSPENSION = Subject(
     quick=Length(seconds=4.2, interval=1e-3, fine=(0.05, 1e-5), fixed=False),
     columns=COLUMNS,
     figures=figures,
+    figures_ahead=figures_ahead,
     measures=measures,
     summaries=summaries,
     remarks=remarks,
