@@ -17,6 +17,8 @@ from spherejax.motion.integration.lanes import windows
 from spherejax.motion.integration.one_run import gone_on_with, integrated, started
 from spherejax.motion.results import observed as observing
 from spherejax.motion.results.observed import looked_up_at, observed
+from spherejax.motion.results.steps import COMPARED, _compared
+from spherejax.motion.results.steps import _repeated as repeated
 from spherejax.motion.runs import known_scenes
 
 PROGRAMS = (started, gone_on_with, integrated, observed, looked_up_at)
@@ -140,6 +142,32 @@ def test_runs_of_fewer_samples_than_a_block_are_observed_as_those_of_more(monkey
     again = sj.simulate(scene, np.linspace(0.0, 0.02, 50))
     for one, other in zip(jax.tree.leaves(again.observation), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.max(np.abs(other), initial=0))
+
+
+@pytest.mark.slow
+def test_steps_are_told_of_any_number_of_samples_by_one_program():
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["friction"])
+    tables, known = {}, []
+    for n in (2, 20, 300):
+        tables[n] = sj.simulate(scene, np.linspace(0.0, 0.05, n)).impacts("coupler_rocker")
+        known.append(repeated.n_programs)
+    assert len(set(known)) == 1
+    assert tables[2].sizes["contact"] > 1
+    for n in (20, 300):
+        for name in ("onset", "peak_force", "energy_lost"):
+            np.testing.assert_allclose(tables[n][name], tables[2][name], rtol=1e-4)
+
+
+@pytest.mark.parametrize("n", [2, 3, 17, COMPARED - 1, COMPARED, COMPARED + 1, 1000, 200_001])
+def test_runs_are_compared_at_as_many_instants(n):
+    ts = np.sort(np.random.default_rng(n).random(n))
+    told, times, places = _compared(ts)
+    assert len(times) == COMPARED
+    assert np.all(np.diff(times) > 0)
+    np.testing.assert_array_equal(times[places], ts[told])
+    assert (told[0], told[-1]) == (0, n - 1)
+    assert len(np.unique(told)) == min(n, COMPARED)
+    assert (times[0], times[-1]) == (ts[0], ts[-1])
 
 
 # Rows -----------------------------------------------------------------------------------------------------------------

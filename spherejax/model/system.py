@@ -347,6 +347,11 @@ def with_laws_by_factor(system: System) -> System:
     )
 
 
+def flatten_by_factor(system: System):
+    """`flatten_system` of the system as its equations see it."""
+    return flatten_system(with_laws_by_factor(system))
+
+
 @lru_cache(maxsize=64)
 def example_of(structure: Structure) -> System:
     """A system of the structure, with shapes for numbers."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
-from spherejax.model.system import System, flatten_system, with_laws_by_factor
+from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.jobs import JobKind
 from spherejax.motion.integration.spans import Jobs, SpanKind, over_spans
@@ -31,7 +31,7 @@ def state_between(
             "a moment between samples is integrated anew, which this run's method does not allow (its tolerances were "
             "traced, a controller of its own judged them, or the solver is implicit); add the time to ts"
         )
-    structure, theta = flatten_system(with_laws_by_factor(system))
+    structure, theta = flatten_by_factor(system)
     tolerances = component_tolerances(system, asked.rtol) if asked.atol is None else None
     pair = (asked.rtol, asked.atol) if tolerances is None else (tolerances.rtol, tolerances.atol)
     arrays, rest = eqx.partition(solver, eqx.is_array)

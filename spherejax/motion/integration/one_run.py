@@ -21,7 +21,7 @@ from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.joined_rows import as_numbers, joined_rows
 from spherejax.model.system import Structure
 from spherejax.motion.integration.audit import Limits
-from spherejax.motion.integration.compiling import options_for
+from spherejax.motion.integration.compiling import SOON, options_for
 from spherejax.motion.integration.implicit_rows import slack_of
 from spherejax.motion.integration.integrate import (
     Options,
@@ -220,7 +220,7 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
     return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
 
 
-@bounded_jit(what="the start of a run", options=options_for)
+@bounded_jit(what="the start of a run", options=SOON)
 def started(plan: Plan, request: _Request, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
     """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
     job = request.job(plan, values, known, ends, start, values_are_legal)

@@ -16,7 +16,7 @@ import numpy as np
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.model.system import Structure, System, flatten_system, with_laws_by_factor
+from spherejax.model.system import Structure, System, flatten_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.asked import Asked
@@ -39,6 +39,9 @@ APART = 1e-3
 
 LENGTH = 1e-4
 """As if it were a clearance, where there is none [m]."""
+
+COMPARED = 256
+"""Samples at which a repeated run is compared with the first one."""
 
 LARGEST_LOG = 2**31
 """Bytes of steps that are kept."""
@@ -94,13 +97,13 @@ def steps_of(
             "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep"
         )
     asked = _repeatable(asked)
-    structure, theta = flatten_system(with_laws_by_factor(system))
+    structure, theta = flatten_by_factor(system)
     limits = audit_limits(system, asked.rtol, asked.solver)
     atol, rtol = asked.atol, asked.rtol
     tolerances = component_tolerances(system, rtol) if atol is None else None
     pair = (rtol, atol) if tolerances is None else (tolerances.rtol, tolerances.atol)
     arrays, solver = eqx.partition(asked.solver, eqx.is_array)
-    times = _at_least_three(np.asarray(ts, float))
+    told, times, places = _compared(np.asarray(ts, float))
     kind = JobKind(structure, scalar, solver)
     y0 = jnp.asarray(ys[0])
     capacity = _room_for(n_accepted)
@@ -114,9 +117,10 @@ def steps_of(
             break
         capacity = _room_for(n)
     ends, states = np.asarray(log.times[0, :n]), np.asarray(log.states[0, :n])
-    told = ends[:, -1] <= t_reached
-    _warn_where_they_part(system, np.asarray(ts), np.asarray(ys), times, np.asarray(outcome.ys[0]))
-    ends, states = ends[told], states[told]
+    repeated = np.asarray(outcome.ys[0])[places]
+    _warn_where_they_part(system, np.asarray(ts)[told], np.asarray(ys)[told], repeated)
+    is_reached = ends[:, -1] <= t_reached
+    ends, states = ends[is_reached], states[is_reached]
     return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1])
 
 
@@ -160,19 +164,31 @@ def _refuse_too_many(capacity: int, size: int) -> None:
         )
 
 
-def _at_least_three(ts: np.ndarray) -> np.ndarray:
-    """Sample times that ask for states inside of steps."""
-    if len(ts) == 1:
+def _compared(ts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which samples two runs are compared at, the times that are asked for, and where among them those samples are.
+
+    As many times for every run, so that another number of samples needs no other program: of more samples so many are
+    compared, and where there are fewer the states between them are asked for, too.
+    """
+    n = len(ts)
+    if n == 1:
         raise SceneError("a run of one instant has no steps; give ts an end")
-    return ts if len(ts) > 2 else np.array([ts[0], (ts[0] + ts[1]) / 2, ts[1]])
+    if n >= COMPARED:
+        told = np.linspace(0, n - 1, COMPARED).round().astype(int)
+        return told, ts[told], np.arange(COMPARED)
+    between = np.full(n - 1, (COMPARED - n) // (n - 1))
+    between[: (COMPARED - n) % (n - 1)] += 1
+    spans = zip(ts[:-1], ts[1:], between + 1, strict=True)
+    parts = [np.linspace(begin, end, m, endpoint=False) for begin, end, m in spans]
+    places = np.concatenate([[0], np.cumsum(between + 1)])
+    return np.arange(n), np.concatenate([*parts, ts[-1:]]), places
 
 
-def _warn_where_they_part(system: System, ts, ys, times, repeated) -> None:
-    at = np.searchsorted(times, ts)
+def _warn_where_they_part(system: System, ts, ys, repeated) -> None:
     models: list[Any] = [system.spherical(name).model for name in system.contact_joints]
     gaps = [float(model.clearance) for model in models]
     limit = APART * min([LENGTH, *gaps])
-    unpacked = (np.asarray(unpack(system.layout, jnp.asarray(each)).position) for each in (ys, repeated[at]))
+    unpacked = (np.asarray(unpack(system.layout, jnp.asarray(each)).position) for each in (ys, repeated))
     first, second = unpacked
     distance = np.abs(first - second).max(axis=(1, 2))
     parted = np.flatnonzero(~(distance <= limit) & np.isfinite(ys).all(axis=1))
@@ -191,7 +207,7 @@ def _warn_where_they_part(system: System, ts, ys, times, repeated) -> None:
 
 def seen_at(system: System, function, ts: np.ndarray, ys: np.ndarray, scalar: bool | None) -> Any:
     """`function(system, t, y)` at many states, a tree of arrays with a leading axis."""
-    structure, theta = flatten_system(with_laws_by_factor(system))
+    structure, theta = flatten_by_factor(system)
     n = len(ts)
     # Few different programs: as many rows as a power of two.
     rows = 1 << int(np.ceil(np.log2(max(n, 16))))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.model.system import System, flatten_system, with_laws_by_factor
+from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.asked import Asked
@@ -163,7 +163,7 @@ class Trajectory(eqx.Module, Reported):
     @cached_property
     def observation(self) -> Observation:
         """All observables at all samples, evaluated on first use."""
-        structure, theta = flatten_system(with_laws_by_factor(self.system))
+        structure, theta = flatten_by_factor(self.system)
         return observation_of(structure, self.scalar, jnp.asarray(theta), self.ts, self.ys)
 
     def acceleration(self, body: str) -> Float[Array, "n 3"]:
@@ -247,7 +247,7 @@ class Trajectory(eqx.Module, Reported):
 
     @cached_property
     def _looked_up(self) -> dict[str, dict[str, Array]]:
-        structure, theta = flatten_system(with_laws_by_factor(self.system))
+        structure, theta = flatten_by_factor(self.system)
         return looked_up_of(structure, jnp.asarray(theta), self.ys)
 
     def force(self, name: str) -> dict[str, Float[Array, "n ..."]]:

@@ -60,8 +60,10 @@ class Paused(NamedTuple):
         leaves, tree = jax.tree.flatten(run)
         arrays = [jnp.asarray(leaf, jnp.result_type(leaf)) for leaf in leaves]
         forms = [_ArrayForm(array.dtype.name, array.shape) for array in arrays]
-        of_kind = {form.kind: [a.reshape(-1) for a in arrays if a.dtype.name == form.kind] for form in forms}
-        vectors = {kind: jnp.concatenate(parts) for kind, parts in of_kind.items()}
+        parts: dict[str, list[Array]] = {}
+        for array, form in zip(arrays, forms, strict=True):
+            parts.setdefault(form.kind, []).append(array.reshape(-1))
+        vectors = {kind: jnp.concatenate(each) for kind, each in parts.items()}
         return cls(vectors, jax.tree.unflatten(tree, forms))
 
     @property
