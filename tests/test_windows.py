@@ -134,6 +134,17 @@ def test_a_known_run_is_numbers_where_something_else_is_traced():
     np.testing.assert_allclose(jax.vmap(shifted)(jnp.ones(2)), expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("looks_for", [jax.debug_nans, jax.debug_infs])
+def test_runs_go_on_where_jax_looks_for_nan_and_infinity(looks_for):
+    scene = sj.gallery.simple_pendulum()
+    expected = sj.simulate(scene, np.linspace(0.0, 0.1, 6))
+    known_scenes._calls.clear()
+    with looks_for(True):
+        run = sj.simulate(scene, np.linspace(0.0, 0.1, 6))
+        np.testing.assert_allclose(run.kinetic_energy, expected.kinetic_energy, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-9, atol=1e-12)
+
+
 def test_runs_of_fewer_samples_than_a_block_are_observed_as_those_of_more(monkeypatch):
     scene = sj.gallery.four_bar(FOUR_BAR_MODELS["friction"])
     run = sj.simulate(scene, np.linspace(0.0, 0.02, 50))
@@ -192,6 +203,14 @@ def test_rows_are_put_together(n, shared):
         assert isinstance(found[name], jax.Array)
         np.testing.assert_array_equal(found[name], values[:n])
     assert joined_rows(iter([{"nothing": {}}]), n) == {"nothing": {}}
+
+
+def test_a_few_rows_do_not_keep_the_part_that_they_are_of():
+    part = np.zeros((4096, 8))
+    few, many = (joined_rows(iter([part]), n) for n in (5, 4000))
+    begin, end = part.ctypes.data, part.ctypes.data + part.nbytes
+    assert not begin <= few.unsafe_buffer_pointer() < end
+    assert many.shape == (4000, 8)
 
 
 def test_a_part_is_let_go_before_the_next_one_is_made():

@@ -52,7 +52,8 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
                     row[at + new : at + size] = np.asarray(leaf)[new : n - at]
                 leaves = leaf = None  # what the next part is written to may be their memory
                 leaves = jax.tree.leaves(next(parts)) if at + size < n else []
-        return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=True))
+        # A few rows of a large part would keep all of it in memory: those are copied.
+        return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=2 * n > size))
 
 
 def in_blocks(function: Any, size: int, *arrays: Any) -> Any:

@@ -46,7 +46,7 @@ def key_for(*what: Any) -> str | None:
         *what: all that goes into it: functions of this package, values and static parts of arguments. Constants of the
             folders in `ROOMS` are part of the key as they are now, those of studies as they stand in the sources.
     """
-    if _folder() is None or _is_debugging():
+    if _folder() is None or is_debugging():
         return None
     values = known_fingerprint(what)
     constants = None if values is None else _constants()
@@ -117,7 +117,7 @@ def _is_own(file: os.stat_result) -> bool:
     return not hasattr(os, "getuid") or file.st_uid == os.getuid()
 
 
-def _is_debugging() -> bool:
+def is_debugging() -> bool:
     """Whether JAX is to do something else than usual with programs, or may run them in several places."""
     unusual = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
     is_debugged = any(getattr(jax.config, name) for name in unusual)

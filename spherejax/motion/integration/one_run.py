@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.joined_rows import as_numbers, joined_rows
+from spherejax.foundations.kept.kept_on_disk import is_debugging
 from spherejax.model.system import Structure
 from spherejax.motion.integration.audit import Limits
 from spherejax.motion.integration.compiling import SOON, options_for
@@ -74,9 +75,12 @@ def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are
 
 
 def _are_known(given: tuple) -> bool:
-    """Whether a run is made now, from numbers, by a method that is known."""
+    """Whether a run is made now, from numbers, by a method that is known.
+
+    Not where JAX looks for NaN and infinity in whatever a program returns: windows that are not full have both.
+    """
     is_known = all(map(is_concrete, (*jax.tree.leaves(given), jnp.zeros(()))))
-    return is_known and given[1].stiff_rest is None
+    return is_known and given[1].stiff_rest is None and not is_debugging()
 
 
 def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
@@ -90,8 +94,7 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
         with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
             (vectors, forms), assembly = begin()
         if not known_how:  # the forms are known now
-            example = vectors, jnp.asarray(windows[0])
-            known_how.append(gone_on_with.bound_but(2, plan, request, ends, forms, *example))
+            known_how.append(gone_on_with.bound_but(2, plan, request, ends, forms, vectors, windows[0]))
         (go_on,) = known_how
         found: Any = None
 
