@@ -8,6 +8,7 @@ and a violated requirement raises a `SceneError` that names the place; values th
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -52,6 +53,18 @@ class Requirement(NamedTuple):
 def is_concrete(value) -> bool:
     """Whether `value` holds numbers that Python can look at now (no tracer)."""
     return not isinstance(value, jax.core.Tracer)
+
+
+def is_tracing() -> bool:
+    """Whether a program is being traced: what is computed now, of numbers too, becomes a part of it."""
+    # The cheapest operation that there is: 5 us, where `jnp.zeros` takes 40.
+    return not is_concrete(jax.lax.stop_gradient(_a_number()))
+
+
+@cache
+def _a_number() -> jax.Array:
+    with jax.ensure_compile_time_eval():
+        return jnp.zeros(())
 
 
 def enforce(place: str, requirements: Iterable[Requirement]) -> list[Bool[Array, ""]]:

@@ -6,10 +6,9 @@ from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_tracing
 
 ALIGNMENT = 64
 """Bytes on whose multiples an array begins that JAX takes as it is; others it copies."""
@@ -22,7 +21,7 @@ def as_numbers() -> Iterator[None]:
     Elsewhere nothing is changed: a program that is traced in `jax.ensure_compile_time_eval` has its constants made by
     small programs of their own, hundreds of them.
     """
-    with nullcontext() if is_concrete(jnp.zeros(())) else jax.ensure_compile_time_eval():
+    with jax.ensure_compile_time_eval() if is_tracing() else nullcontext():
         yield
 
 
@@ -43,7 +42,8 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
             return jax.tree.unflatten(tree, leaves)
         size = leaves[0].shape[0]
         if n <= size:
-            rows = [np.asarray(leaf)[:n] for leaf in leaves]
+            # A few rows of a large part would keep all of it in memory: those are copied.
+            rows = [np.asarray(leaf)[:n] if 2 * n > size else np.asarray(leaf)[:n].copy() for leaf in leaves]
         else:
             rows = [_room((n, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
             for at in range(0, n - shared, size - shared):
@@ -52,8 +52,7 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
                     row[at + new : at + size] = np.asarray(leaf)[new : n - at]
                 leaves = leaf = None  # what the next part is written to may be their memory
                 leaves = jax.tree.leaves(next(parts)) if at + size < n else []
-        # A few rows of a large part would keep all of it in memory: those are copied.
-        return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=2 * n > size))
+        return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=True))
 
 
 def in_blocks(function: Any, size: int, *arrays: Any) -> Any:

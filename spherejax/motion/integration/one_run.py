@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.joined_rows import as_numbers, joined_rows
 from spherejax.foundations.kept.kept_on_disk import is_debugging
@@ -79,7 +79,7 @@ def _are_known(given: tuple) -> bool:
 
     Not where JAX looks for NaN and infinity in whatever a program returns: windows that are not full have both.
     """
-    is_known = all(map(is_concrete, (*jax.tree.leaves(given), jnp.zeros(()))))
+    is_known = all(map(is_concrete, jax.tree.leaves(given))) and not is_tracing()
     return is_known and given[1].stiff_rest is None and not is_debugging()
 
 

@@ -13,11 +13,10 @@ from typing import Any
 
 import diffrax
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
@@ -232,7 +231,7 @@ def _remembered(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Call
     # Without the lock: it may take seconds, and two threads that make the same do no harm.
     with collecting_later():
         made = make()
-    if not is_concrete(jnp.zeros(())):
+    if is_tracing():
         return made  # under `jax.jit` arrays belong to its trace, also those of known numbers
     with lock:
         found[key] = made
