@@ -26,9 +26,8 @@ DESCRIPTION = """\
 Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction,
 lubricated, bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity,
 steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each model,
-and figures that follow the numbering of the paper (figNN_*.png). The four-bar takes about two
-minutes on two free cores, the suspension one; later runs are faster, because compiled programs are
-kept.
+and figures that follow the numbering of the paper (figNN_*.png). A mechanism takes about a minute
+on two free cores; later runs are faster, because compiled programs are kept.
 """
 
 EPILOG = """examples:
