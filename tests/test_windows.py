@@ -11,6 +11,7 @@ from cases import FOUR_BAR_MODELS
 from controlling import sampled_motor
 
 import spherejax as sj
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.joined_rows import in_blocks, joined_rows
 from spherejax.motion.integration import one_run
 from spherejax.motion.integration.lanes import windows
@@ -236,12 +237,13 @@ def test_a_part_is_let_go_before_the_next_one_is_made():
 def test_functions_are_evaluated_in_blocks(n):
     asked = []
 
-    def squares(x, y):
+    @bounded_jit
+    def scaled(factor, x, y):
         asked.append(x.shape)
-        return {"sum": x + y, "square": jnp.square(x)}
+        return {"sum": x + y, "square": factor * jnp.square(x)}
 
     x, y = np.arange(1.0, n + 1), np.ones(n)
-    found = in_blocks(squares, 4, x, y)
-    assert set(asked) == {(4,)}
+    found = in_blocks(scaled, (jnp.asarray(2.0),), 4, x, y)
+    assert asked == [(4,)]  # compiled once
     np.testing.assert_array_equal(found["sum"], x + 1)
-    np.testing.assert_array_equal(found["square"], x**2)
+    np.testing.assert_array_equal(found["square"], 2 * x**2)

@@ -26,8 +26,8 @@ DESCRIPTION = """\
 Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction,
 lubricated, bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity,
 steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each model,
-and figures that follow the numbering of the paper (figNN_*.png). A mechanism takes about a minute
-on two free cores; later runs are faster, because compiled programs are kept.
+and figures that follow the numbering of the paper (figNN_*.png). A mechanism takes a minute or a minute
+and a half on two free cores; later runs are faster, because compiled programs are kept.
 """
 
 EPILOG = """examples:
@@ -138,9 +138,10 @@ class _Writer:
             yield
 
     def write_rest(self, comparison: Comparison, report: Report) -> list[str]:
-        """All that has not been written yet, the table last; returns the names of all figures."""
+        """All that has not been written yet; returns the names of all figures."""
         from spherejax.command_line.figures import figures_of
 
+        _write_table(comparison.rows, self.folder / "table.csv")  # first: it is not lost with a figure that fails
         for _ in self.data_of(comparison.runs):
             pass
         figures = figures_of(comparison)
@@ -148,7 +149,6 @@ class _Writer:
             if name not in self.written:
                 self._draw(name, draw)
             report(f"drawn: {name}.png", 0.9 + 0.1 * done / len(figures))
-        _write_table(comparison.rows, self.folder / "table.csv")
         return list(figures)
 
     def _draw(self, name: str, draw: Callable) -> None:

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from spherejax.foundations.checks import is_tracing
+from spherejax.foundations.kept.bounded_jit import BoundedJit
 
 ALIGNMENT = 64
 """Bytes on whose multiples an array begins that JAX takes as it is; others it copies."""
@@ -55,16 +56,18 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
         return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=True))
 
 
-def in_blocks(function: Any, size: int, *arrays: Any) -> Any:
-    """A function of rows, evaluated block after block: one program for any number of rows.
+def in_blocks(function: BoundedJit, fixed: tuple, size: int, *arrays: Any) -> Any:
+    """A compiled function of rows, evaluated block after block: one program for any number of rows.
 
     Args:
-        function: of as many rows of each array; its results have a row for each.
+        function: of what is fixed and as many rows of each array; its results have a row for each.
+        fixed: its first arguments.
         size: rows of a block. The last one is filled up with its last row.
-        arrays: of numbers, with a row each for all that is evaluated.
+        arrays: of numbers, with a row each for all that is evaluated; one row at least.
     """
     rows = [np.asarray(array) for array in arrays]
     n = len(rows[0])
+    evaluated = function.bound_but(len(rows), *fixed, *(np.zeros((size, *x.shape[1:]), x.dtype) for x in rows))
 
     def parts() -> Iterator[Any]:
         for at in range(0, n, size):
@@ -72,7 +75,7 @@ def in_blocks(function: Any, size: int, *arrays: Any) -> Any:
             missing = size - len(blocks[0])
             if missing:
                 blocks = [np.concatenate([each, np.repeat(each[-1:], missing, axis=0)]) for each in blocks]
-            yield function(*blocks)
+            yield evaluated(*blocks)
 
     return joined_rows(parts(), n)
 

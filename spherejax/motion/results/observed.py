@@ -1,7 +1,6 @@
 """What a run's states say: their parts by name, and everything that the equations of motion know at the samples."""
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -54,20 +53,14 @@ def observation_of(structure, use_scalars: bool | None, theta, ts, ys) -> Observ
     """All observables at all samples; of numbers block after block."""
     if not _is_one_run((structure, theta, ts, ys), ys):
         return observed(structure, use_scalars, theta, ts, ys)
-    return in_blocks(observed.bound_but(2, structure, use_scalars, theta, *_block(BLOCK, ys.shape[1])), BLOCK, ts, ys)
+    return in_blocks(observed, (structure, use_scalars, theta), BLOCK, ts, ys)
 
 
 def looked_up_of(structure, theta, ys) -> dict[str, dict[str, Array]]:
     """What is looked up at all samples; of numbers block after block."""
     if not _is_one_run((structure, theta, ys), ys):
         return looked_up_at(structure, theta, ys)
-    return in_blocks(looked_up_at.bound_but(1, structure, theta, _block(BLOCK, ys.shape[1])[1]), BLOCK, ys)
-
-
-@lru_cache(maxsize=16)
-def _block(n: int, size: int) -> tuple[Array, Array]:
-    """Times and states like those of a block."""
-    return jnp.zeros(n), jnp.zeros((n, size))
+    return in_blocks(looked_up_at, (structure, theta), BLOCK, ys)
 
 
 def _is_one_run(given: Any, ys) -> bool:

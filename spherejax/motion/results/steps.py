@@ -16,6 +16,7 @@ import numpy as np
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.joined_rows import in_blocks
 from spherejax.model.system import Structure, System, flatten_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -42,6 +43,9 @@ LENGTH = 1e-4
 
 COMPARED = 256
 """Samples at which a repeated run is compared with the first one."""
+
+SEEN_AT_ONCE = 256
+"""States that are looked at in one call."""
 
 LARGEST_LOG = 2**31
 """Bytes of steps that are kept."""
@@ -208,13 +212,8 @@ def _warn_where_they_part(system: System, ts, ys, repeated) -> None:
 def seen_at(system: System, function, ts: np.ndarray, ys: np.ndarray, scalar: bool | None) -> Any:
     """`function(system, t, y)` at many states, a tree of arrays with a leading axis."""
     structure, theta = flatten_by_factor(system)
-    n = len(ts)
-    # Few different programs: as many rows as a power of two.
-    rows = 1 << int(np.ceil(np.log2(max(n, 16))))
-    ts = np.concatenate([ts, np.full(rows - n, ts[-1] if n else 0.0)])
-    ys = np.concatenate([ys, np.broadcast_to(ys[-1], (rows - n, ys.shape[1]))])
-    found = _seen(structure, function, scalar, jnp.asarray(theta), jnp.asarray(ts), jnp.asarray(ys))
-    return jax.tree.map(lambda x: np.asarray(x)[:n], found)
+    found = in_blocks(_seen, (structure, function, scalar, jnp.asarray(theta)), SEEN_AT_ONCE, ts, ys)
+    return jax.tree.map(np.asarray, found)
 
 
 @bounded_jit(what="what is seen at the steps of a run")
