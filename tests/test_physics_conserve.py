@@ -1,5 +1,7 @@
 """What must not change: energy of ideal joints, momentum of free pairs, and the balance of energy in every model."""
 
+from functools import partial
+
 import cases
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from scipy.integrate import quad
 
 import spherejax as sj
 from spherejax.motion.equations.dynamics import state_rate
+from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import State, pack
 
 ENERGY = 0.05  # exchanged between weight and motion of the four-bar [J]
@@ -204,3 +207,26 @@ def test_bristles_of_two_joints_do_not_mix():
     sliding = (0.010 - cases.C - 0.5e-6) * 20.0  # the ball's point in contact, along y: (R_j - delta/2) w
     assert rates[system.memory_of("y_slides")] == pytest.approx([0.0, 0.0, sliding, 0.0], rel=1e-12)
     assert rates[system.memory_of("b_rests")] == pytest.approx(np.zeros(4), abs=1e-15)
+
+
+class Springy(sj.Dry):
+    """A joint of a user's own that stores more than its surfaces do."""
+
+    def respond(self, motion, memory):
+        found = super().respond(motion, memory)
+        return found._replace(elastic_energy=found.elastic_energy + 1.0)
+
+
+@pytest.mark.parametrize("kind", [sj.Dry, partial(sj.Lubricated, e_h0=1e-6, e_h1=2e-6), Springy])
+@pytest.mark.parametrize("friction", [None, sj.Threlfall(), sj.LuGre()], ids=repr)
+def test_what_a_joint_stores_is_told_without_the_rest_of_its_answer(kind, friction):
+    model = kind(cases.C, friction=friction)
+    still, upright = jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0])
+    memory = jnp.array([0.1, 1e-6, 0.0, 0.0])[: len(model.memory)]
+    stored = []
+    for depth in (-3e-5, 4e-7, 5e-6):
+        e = (cases.C + depth) * jnp.array([0.6, 0.0, 0.8])
+        motion = RelativeMotion(e, still, jnp.eye(3), upright, still, still)
+        stored.append(float(model.respond(motion, memory).elastic_energy))
+        assert float(model.stored_energy(motion, memory)) == stored[-1]
+    assert stored[0] < stored[1] < stored[2]

@@ -65,6 +65,12 @@ def _seen(leaf: Any, look: float) -> Any:
         inner = _inner(leaf)
         if inner is not None and _is_lane(leaf):
             at = place_of(look, inner.shape[leaf.batch_dim])
-            inner = jax.lax.index_in_dim(inner, at, leaf.batch_dim, keepdims=False)
+            # To JAX each look at numbers would be a program to compile.
+            is_number = is_concrete(inner)
+            inner = np.take(np.asarray(inner), at, leaf.batch_dim) if is_number else _row(inner, at, leaf.batch_dim)
         leaf = inner
     return None if leaf is None else np.asarray(leaf)
+
+
+def _row(tracer: Any, at: int, axis: int) -> Any:
+    return jax.lax.index_in_dim(tracer, at, axis, keepdims=False)

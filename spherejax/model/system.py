@@ -326,13 +326,17 @@ def flatten_system(system: System):
     # What is concrete is joined by NumPy: to JAX each shape would be a program to compile.
     parts: list[Any] = []
     for known, group in itertools.groupby(leaves, is_concrete):
-        if known:
-            parts.append(np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in group]))
-        else:
-            parts += [jnp.ravel(jnp.asarray(leaf, jnp.float64)) for leaf in group]
+        some = list(group)
+        parts += [np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in some])] if known else some
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
-    return structure, jnp.concatenate(parts)
+    return structure, _end_to_end(parts)
+
+
+@jax.jit
+def _end_to_end(arrays: list) -> Float[Array, " n"]:
+    """One vector of arrays; as one program, where `jax.vmap` would make one of each operation."""
+    return jnp.concatenate([jnp.ravel(jnp.asarray(each, jnp.float64)) for each in arrays])
 
 
 def with_laws_by_factor(system: System) -> System:

@@ -145,7 +145,7 @@ class _Entry:
             return None
         content, codes, shapes, (example, static) = found
         if b"lapack_" in content:
-            _make_lapack_known()
+            make_lapack_known()
         # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
         trees = jax.tree.structure((tuple(self._examples), {})), jax.tree.structure(tuple(shapes))
         try:
@@ -200,7 +200,7 @@ class _Entry:
 
 
 @cache
-def _make_lapack_known() -> None:
+def make_lapack_known() -> None:
     """JAX looks LAPACK's functions up (in SciPy) when it lowers the first program that calls one.
 
     A process that only loads such a program calls nothing at all: a segmentation fault (jaxlib 0.10.2).

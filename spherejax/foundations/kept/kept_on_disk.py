@@ -13,6 +13,7 @@ none is opened but the user's own.
 
 import hashlib
 import io
+import operator
 import os
 import pickle
 import sys
@@ -20,7 +21,7 @@ import tempfile
 import threading
 import time
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -166,13 +167,52 @@ def _constants() -> str | None:
         folder = name.split(".")[1]
         if folder not in ROOMS and folder != "studies":
             continue
-        for key, value in list(vars(sys.modules[name]).items()):
-            if type(value) in (int, float, bool, str, tuple):
-                if folder in ROOMS and key == key.upper():
-                    words.update(f"{name}.{key}={value!r}\0".encode())
-            elif not _is_original(value, name):
-                return None
+        found = _seen.get(name)
+        if found is None or not found.is_still_so():
+            found = _seen[name] = _SeenModule(name, with_constants=folder in ROOMS)
+        if found.words is None:
+            return None
+        words.update(found.words)
     return words.hexdigest()
+
+
+class _SeenModule:
+    """A module of this package when its names were last looked up: to look at all of them takes 8 ms each time.
+
+    Attributes:
+        words: its constants; None where a function of it has been replaced.
+    """
+
+    def __init__(self, name: str, with_constants: bool):
+        names = self._names = vars(sys.modules[name])
+        self._held = dict(names)
+        self._classes = [
+            (vars(value), dict(vars(value)))
+            for value in self._held.values()
+            if isinstance(value, type) and value.__module__ == name
+        ]
+        constants = []
+        self.words: bytes | None = None
+        for key, value in self._held.items():
+            if type(value) in (int, float, bool, str, tuple):
+                if with_constants and key == key.upper():
+                    constants.append(f"{name}.{key}={value!r}\0")
+            elif not _is_original(value, name):
+                return
+        self.words = "".join(constants).encode()
+
+    def is_still_so(self) -> bool:
+        """Whether all names stand for what they stood for then."""
+        return all(_is_same(now, then) for now, then in [(self._names, self._held), *self._classes])
+
+
+_seen: dict[str, _SeenModule] = {}
+
+
+def _is_same(now: Mapping[str, Any], then: dict[str, Any]) -> bool:
+    """Whether names stand for the same objects, in the same order."""
+    names, values = list(now), list(now.values())  # another thread may be importing something
+    return names == list(then) and all(map(operator.is_, values, then.values()))
 
 
 def _is_original(value: Any, module: str) -> bool:

@@ -16,7 +16,7 @@ import hashlib
 import os
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
@@ -124,10 +124,15 @@ def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: b
                 _load(name, content)
             line.called[key] = name
         name = line.called[key]
+    note_called([name])
+    return name
+
+
+def note_called(names: Iterable[str]) -> None:
+    """Programs that what is lowered now calls; see `listened`."""
     heard = getattr(_listening, "names", None)
     if heard is not None:
-        heard.add(name)
-    return name
+        heard.update(names)
 
 
 @contextmanager

@@ -135,6 +135,6 @@ def earlier_onset_rate(system: System, joint: str, motion: RelativeMotion, memor
     Limits: |delta_dot| at delta = 0, with derivative 0 where that vanishes as well.
     """
     rate = penetration_rate(motion)
-    energy = system.spherical(joint).model.respond(motion, memory).elastic_energy
+    energy = system.spherical(joint).model.stored_energy(motion, memory)
     masses = [system.bodies[name].mass for name in system.joints[joint].bodies if name in system.bodies]
     return safe_sqrt(rate * rate + 2 * energy * sum(1 / jnp.asarray(mass) for mass in masses))

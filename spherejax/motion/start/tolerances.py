@@ -5,6 +5,7 @@ difference of. Here each kind of component has a scale of its own, and positions
 against the clearance.
 """
 
+import itertools
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.model.system import Structure, System, example_of
 
@@ -69,8 +71,48 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
 
     A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
     """
+    is_known = is_concrete(rtol) and all(map(is_concrete, _measures(system)))
+    if is_known:
+        found = _numbers(system, rtol)
+    else:
+        found = _traced_numbers(system, np.asarray(rtol) if is_concrete(rtol) else rtol)
+        # What of it does not hang on what is traced is known.
+        if is_concrete(rtol) and not (system.force_joints and _has_traced_scales(system)):
+            found = found._replace(rtol=_lifted(rtol, rounding_floor(system)))
+    text = f"rtol {found.rtol:.0e}" if is_concrete(found.rtol) else "rtol traced"
+    if is_concrete(found.rtol) and found.rtol > rtol:
+        text = f"rtol {found.rtol:.0e} in place of {rtol:.0e}, which is below rounding"
+    if is_known:
+        text += (
+            f" (positions {found.rtol * float(found.fine):.0e}), "
+            f"atol {ABSOLUTE_SHARE * found.rtol * float(found.fine * found.length):.0e} m, "
+            f"{ABSOLUTE_SHARE * found.rtol * float(found.speed):.0e} m/s, "
+            f"{ABSOLUTE_SHARE * found.rtol * float(found.speed / found.length):.0e} rad/s"
+        )
+    return Tolerances(found.relative, found.absolute, text)
+
+
+class _Numbers(NamedTuple):
+    """What tolerances are made of.
+
+    Attributes:
+        rtol: relative, no less than rounding leaves.
+        fine: factor of that for positions.
+        length, speed: of the scene [m, m/s].
+        relative, absolute: of each entry of the flat state, shape (size,).
+    """
+
+    rtol: Any
+    fine: Any
+    length: Any
+    speed: Any
+    relative: Any
+    absolute: Any
+
+
+def _numbers(system: System, rtol: Number) -> _Numbers:
     length, speed, clearance = _scales(system)
-    asked, rtol = rtol, _lifted(rtol, rounding_floor(system))
+    rtol = _lifted(rtol, rounding_floor(system))
     masses = [body.mass for body in system.bodies.values()]
     xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance, *masses)) else jnp
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
@@ -86,15 +128,14 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     }
     memory = _memory_scales(system, xp, usual)
     scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, memory, energy)
-    text = f"rtol {rtol:.0e}" if is_concrete(rtol) else "rtol traced"
-    if is_concrete(rtol) and rtol > asked:
-        text = f"rtol {rtol:.0e} in place of {asked:.0e}, which is below rounding"
-    if xp is np:
-        text += (
-            f" (positions {rtol * float(fine):.0e}), atol {ABSOLUTE_SHARE * rtol * float(fine * length):.0e} m, "
-            f"{ABSOLUTE_SHARE * rtol * float(speed):.0e} m/s, {ABSOLUTE_SHARE * rtol * float(speed / length):.0e} rad/s"
-        )
-    return Tolerances(rtol * relative, ABSOLUTE_SHARE * rtol * scales, text)
+    return _Numbers(rtol, fine, length, speed, rtol * relative, ABSOLUTE_SHARE * rtol * scales)
+
+
+@bounded_jit(what="tolerances")
+def _traced_numbers(system: System, rtol) -> _Numbers:
+    """The same of numbers that are traced, as one program: under `jax.vmap` each operation would be one, fifty in all,
+    which took a tenth of the first call of many runs."""
+    return _numbers(system, rtol)
 
 
 def rounding_floor(system: System) -> Numeric:
@@ -153,15 +194,8 @@ def _memory_scales(system: System, xp, scales: dict[Any, Any]) -> Any:
 
 def _scales(system: System):
     """Length [m], speed [m/s] and smallest clearance [m] of a scene; the clearance is infinite where there is none."""
-    joints = list(system.joints.values())
-    places = [place for joint in joints for place in joint.points]
-    vectors = [body.position for body in system.bodies.values()] + places
-    velocities = [body.velocity for body in system.bodies.values()]
-    spins = [body.angular_velocity for body in system.bodies.values()]
-    models: list[Any] = [getattr(joint, "model", None) for joint in joints]
-    clearances = [model.clearance for model in models if model is not None and model.has_surfaces]
-    known = all(is_concrete(value) for value in [*vectors, *velocities, *spins, *clearances, system.gravity])
-    xp: Any = np if known else jnp
+    vectors, velocities, spins, clearances = _lengths_and_speeds(system)
+    xp: Any = jnp if _has_traced_scales(system) else np
 
     def largest(vectors):
         return xp.max(xp.stack([xp.sqrt(xp.sum(xp.asarray(v) ** 2)) for v in vectors]))
@@ -171,6 +205,35 @@ def _scales(system: System):
     speed = xp.where(speed > 0, speed, 1.0)
     clearance = xp.min(xp.stack([xp.asarray(c) for c in clearances])) if clearances else np.inf
     return length, speed, clearance
+
+
+def _lengths_and_speeds(system: System) -> tuple[list, list, list, list]:
+    """Places, velocities and angular velocities, and clearances of a scene."""
+    bodies, joints = system.bodies.values(), list(system.joints.values())
+    places = [place for joint in joints for place in joint.points]
+    models: list[Any] = [getattr(joint, "model", None) for joint in joints]
+    return (
+        [body.position for body in bodies] + places,
+        [body.velocity for body in bodies],
+        [body.angular_velocity for body in bodies],
+        [model.clearance for model in models if model is not None and model.has_surfaces],
+    )
+
+
+def _has_traced_scales(system: System) -> bool:
+    """Whether the scales of a scene hang on a number that is traced."""
+    return not all(map(is_concrete, [*itertools.chain(*_lengths_and_speeds(system)), system.gravity]))
+
+
+def _measures(system: System) -> list:
+    """All numbers that tolerances are made of, besides the relative one."""
+    scales = [entry.scale for slot in system.all_slots for entry in slot.contents if not isinstance(entry.scale, str)]
+    return [
+        *itertools.chain(*_lengths_and_speeds(system)),
+        system.gravity,
+        *(body.mass for body in system.bodies.values()),
+        *scales,
+    ]
 
 
 @lru_cache(maxsize=64)

@@ -179,6 +179,10 @@ class AbstractSphericalModel(eqx.Module):
         """Force and moment that answer a relative motion."""
         raise TypeError(f"{type(self).__name__} answers with constraints, not with a force")
 
+    def stored_energy(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar:
+        """The `elastic_energy` of the response [J]; a model may have it without the rest."""
+        return self.respond(motion, memory).elastic_energy
+
     def observed(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> dict[str, Array]:
         """More named parts beside those of the response: evaluated where someone looks, not at every step."""
         return {}

@@ -199,6 +199,11 @@ def contact_forces(
     return ContactForces(normal_force, traction - normal_force * n, traction, bristle_rate, velocity, bristle_energy)
 
 
+def has_bristles(model: Any) -> bool:
+    """Whether a model's friction law has bristles, which store energy beside the surfaces."""
+    return model.friction is not None and bool(model.friction.bristle_size)
+
+
 def contact_moments(motion: RelativeMotion, surfaces: Surfaces, friction: Vector3) -> tuple[Vector3, Vector3]:
     """Moments [N m] of the friction force about the ball's and the socket's center; the normal force has none."""
     ball_arm, socket_arm = contact_arms(motion, surfaces)

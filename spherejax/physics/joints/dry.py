@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.types import Number, Unit
+from spherejax.foundations.types import Number, Scalar, Unit
 from spherejax.physics.joints.base import Response
 from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
@@ -14,6 +14,7 @@ from spherejax.physics.joints.contact import (
     contact_forces,
     contact_law_requirements,
     contact_moments,
+    has_bristles,
     stiffness_of,
 )
 from spherejax.physics.laws.conformity import AbstractConformity
@@ -93,8 +94,7 @@ class Dry(AbstractClearanceModel):
             ball_moment=ball_moment,
             socket_moment=socket_moment,
             memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate]),
-            elastic_energy=self.normal.elastic_energy(penetration, stiffness_of(self.normal, surfaces))
-            + contact.bristle_energy,
+            elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
                 "normal_force": contact.normal_force,
@@ -102,3 +102,12 @@ class Dry(AbstractClearanceModel):
                 "sliding_velocity": contact.sliding_velocity,
             },
         )
+
+    def stored_energy(self, motion, memory):
+        """Of the pressed surfaces alone, where there are no bristles."""
+        if has_bristles(self) or type(self).respond is not Dry.respond:
+            return super().stored_energy(motion, memory)
+        return self._elastic_energy(self.penetration(motion))
+
+    def _elastic_energy(self, penetration: Scalar) -> Scalar:
+        return self.normal.elastic_energy(penetration, stiffness_of(self.normal, self.surfaces))

@@ -20,6 +20,7 @@ from spherejax.physics.joints.contact import (
     contact_forces,
     contact_law_requirements,
     contact_moments,
+    has_bristles,
     stiffness_of,
 )
 from spherejax.physics.kinematics import RelativeMotion
@@ -211,6 +212,12 @@ class Lubricated(AbstractClearanceModel):
                 "sliding_velocity": contact.sliding_velocity,
             },
         )
+
+    def stored_energy(self, motion, memory):
+        """Of the pressed surfaces alone, where there are no bristles: a film stores nothing."""
+        if has_bristles(self) or type(self).respond is not Lubricated.respond:
+            return super().stored_energy(motion, memory)
+        return self._elastic_energy(self.penetration(motion))
 
     def observed(self, motion, memory):
         """Largest pressure of the film's share [Pa], and the unit vector from the socket's center to its place."""
