@@ -1,6 +1,7 @@
 """From a scene to a system: only what the scene calls for, in a form ready for the equations of motion."""
 
 import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -316,18 +317,20 @@ def flatten_system(system: System):
 
     leaves, tree = jax.tree.flatten(system)
     shapes = tuple(np.shape(leaf) for leaf in leaves)
-    special, start = [], 0
-    for leaf, shape in zip(leaves, shapes, strict=True):
-        if is_concrete(leaf):
-            flat = np.asarray(leaf, np.float64).ravel()
-            special.extend((start + i, float(v)) for i, v in enumerate(flat) if v in SPECIAL_VALUES)
-        start += int(np.prod(shape))
-    structure = Structure(tree, shapes, tuple(special))
     # What is concrete is joined by NumPy: to JAX each shape would be a program to compile.
     parts: list[Any] = []
+    special, start = [], 0
     for known, group in itertools.groupby(leaves, is_concrete):
         some = list(group)
-        parts += [np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in some])] if known else some
+        if known:
+            flat = np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in some])
+            special += [(start + i, float(flat[i])) for i in np.flatnonzero(np.isin(flat, SPECIAL_VALUES)).tolist()]
+            parts.append(flat)
+            start += flat.size
+        else:
+            parts += some
+            start += sum(math.prod(np.shape(leaf)) for leaf in some)
+    structure = Structure(tree, shapes, tuple(special))
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
     return structure, _end_to_end(parts)

@@ -227,10 +227,10 @@ class Graph:
         """Any elementwise JAX primitive, evaluated now when all its arguments are constants."""
         if all(self.is_constant(a) for a in arguments):
             values = [np.asarray(self.value(a)) for a in arguments]
-            return self.constant(self._evaluated(primitive, values, parameters), dtype)
+            return self.constant(self.evaluated(primitive, values, parameters), dtype)
         return self.node(primitive, arguments, dtype, parameters)
 
-    def _evaluated(self, primitive: Any, values: list, parameters: Any) -> np.ndarray:
+    def evaluated(self, primitive: Any, values: list, parameters: Any) -> np.ndarray:
         """A primitive of known numbers: by NumPy where it has the same, for JAX compiles a program for each."""
         known = AS_NUMPY.get(primitive.name)
         if known is not None:
@@ -318,30 +318,6 @@ class Graph:
                     values[index] = operation.bind(*arguments, **dict(self.parameters[index]))
         return values
 
-    # Evaluation -------------------------------------------------------------------------------------------------
-
-    def compute(self, outputs: Sequence[int], read: Callable[[tuple[int, int]], float]) -> dict[int, float]:
-        """Evaluate the outputs with Python numbers, at once and without compiling anything."""
-        values: dict = {}
-        for index in self.needed(outputs):
-            operation = self.operations[index]
-            if operation == "constant":
-                values[index] = self.value(index).item()
-            elif operation == "input":
-                values[index] = read(self.parameters[index])
-            else:
-                arguments = [values[a] for a in self.arguments[index]]
-                values[index] = self._computed(operation, arguments, index)
-        return values
-
-    def _computed(self, operation: Any, arguments: list, index: int):
-        known = COMPUTE.get(operation if isinstance(operation, str) else operation.name)
-        if known is not None:
-            return known(*arguments)
-        dtypes = [self.dtypes[a] for a in self.arguments[index]]
-        operands = [np.asarray(a, dtype) for a, dtype in zip(arguments, dtypes, strict=True)]
-        return self._evaluated(operation, operands, self.parameters[index]).item()
-
 
 FREE = frozenset({"constant", "input", "marked"})
 """Names of nodes that cost nothing."""
@@ -377,25 +353,3 @@ AS_NUMPY: dict[str, Callable] = {
     "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "is_finite": np.isfinite, "neg": np.negative,
 }  # fmt: skip
 """Functions of NumPy that are those of JAX by these names, of float64, integers and truth values."""
-
-COMPUTE: dict[str, Callable] = {
-    "marked": lambda a: a,
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b if b else float(np.divide(a, b)),
-    "neg": lambda a: -a,
-    "pow": lambda a, b: float(np.power(a, b)),
-    "sqrt": lambda a: math.sqrt(a) if a >= 0 else math.nan,
-    "select": lambda predicate, on_false, on_true: on_true if predicate else on_false,
-    "root_guarded_at_zero": lambda a: math.sqrt(a) if a >= 0 else math.nan,
-    "sin": math.sin,
-    "cos": math.cos,
-    "atan2": math.atan2,
-    "abs": abs,
-    "lt": lambda a, b: a < b,
-    "le": lambda a, b: a <= b,
-    "gt": lambda a, b: a > b,
-    "ge": lambda a, b: a >= b,
-    "eq": lambda a, b: a == b,
-}

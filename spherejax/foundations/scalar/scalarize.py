@@ -9,6 +9,7 @@ only. The result is an ordinary JAX function: jit, vmap, jvp, grad work on it.
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -21,6 +22,7 @@ from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.scalar.c_source import c_functions
 from spherejax.foundations.scalar.graph import FLOAT, Graph, TooManyOperations
 from spherejax.foundations.scalar.interpreter import Interpreter
+from spherejax.foundations.scalar.numbers_now import NumbersNow
 from spherejax.foundations.scalar.straight_line import StraightLine, grouped, is_called
 
 
@@ -68,8 +70,8 @@ class ScalarProgram:
         return self._lines[key]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what JAX compiles; a tree of results stands for its structure."""
-        state = {name: value for name, value in vars(self).items() if name != "_lines"}
+        """Without what is made of it at its first use; a tree of results stands for its structure."""
+        state = {name: value for name, value in vars(self).items() if name not in ("_lines", "_numbers_now")}
         return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -114,9 +116,13 @@ class ScalarProgram:
         flat = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(arguments)]
         entries = [array.ravel().tolist() for array in flat]
         with np.errstate(all="ignore"):
-            values = self._graph.compute(self._flat_outputs, lambda position: entries[position[0]][position[1]])
-        outputs = [np.array([values[int(n)] for n in o.ravel()]).reshape(o.shape) for o in self._outputs]
+            values = iter(self._numbers_now(entries))
+        outputs = [np.array([next(values) for _ in range(o.size)]).reshape(o.shape) for o in self._outputs]
         return jax.tree.unflatten(self._tree, outputs)
+
+    @cached_property
+    def _numbers_now(self) -> NumbersNow:
+        return NumbersNow(self._graph, self._flat_outputs)
 
     def ahead(self, *leading) -> tuple[Array, ...]:
         """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""

@@ -20,7 +20,9 @@ from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.joined_rows import as_numbers, joined_rows
 from spherejax.foundations.kept.kept_on_disk import is_debugging
-from spherejax.model.system import Structure
+from spherejax.model.system import Structure, example_of
+from spherejax.motion.equations.contacts import crossings
+from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.audit import Limits
 from spherejax.motion.integration.compiling import SOON, options_for
 from spherejax.motion.integration.implicit_rows import slack_of
@@ -87,6 +89,10 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
     """A run of numbers, by programs that are the same for any number of samples."""
     times = np.asarray(ts)
     ends, windows = jnp.asarray(times[[0, -1]]), list(windows_of(times))
+    theta = np.array(known)
+    theta[list(plan.unknown)] = values
+    described = None if start is None else jnp.asarray(start.y)
+    start = _as_flying(plan, theta, times[0], start)
     begin = started.bound(plan, request, values, known, ends, start, values_are_legal)
     known_how: list[Callable] = []
 
@@ -106,9 +112,26 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
 
         ys = joined_rows(samples(), len(times), shared=1)
         t_reached, y_reached, status, stats = found
+        assembly = assembly if described is None else assembly._replace(y=described)
         return Outcome(ys, t_reached, y_reached, status, stats, assembly)
 
     return run
+
+
+def _as_flying(plan: Plan, theta: Float[np.ndarray, " p"], t: float, start: Assembly | None) -> Assembly | None:
+    """A start whose state has the memory of balls that fly, where all do: its program then need not find it.
+
+    With what leads a ball to a place beyond its socket's surface the program has twice as many operations.
+    """
+    system = example_of(plan.structure)
+    if start is None or not system.contact_joints or system.force_slots or len(start.y) == system.layout.size:
+        return start
+    crossing = program_for(crossings, plan.structure, plan.scalar, is_quiet=True)  # which the run needs as well
+    if crossing.scalar is None:
+        return start
+    y = np.concatenate([start.y, np.zeros(system.layout.size - len(start.y))])
+    values = crossing.compute(theta, t, y).value[: len(system.contact_joints)]
+    return start._replace(y=y) if np.all(values <= 0) else start
 
 
 class JobWithSlopes(NamedTuple):
