@@ -108,17 +108,27 @@ def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]) -> str:
     return called_text((lanes, axes), line, lambda: FunctionText(line, lanes, axes).written(), is_wide=bool(lanes))
 
 
-def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: bool) -> str:
-    """As `called`, for what is written for a line, told by a key; `is_wide` where most of it are long vectors."""
+def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: bool, is_optimised: bool = True) -> str:
+    """As `called`, for what is written for a line.
+
+    Args:
+        key: tells what is written from other things for the same line.
+        line: for which it is.
+        written: the text.
+
+    Other args:
+        is_wide: most of it are long vectors.
+        is_optimised: whether LLVM goes through it before it writes code.
+    """
     with _lock:
         if key not in line.called:
             text = written()
-            facts = "\0".join([text, *_machine(is_wide)])
+            facts = "\0".join([text, str(is_optimised), *_machine(is_wide)])
             name = "spherejax_" + hashlib.sha256(facts.encode()).hexdigest()[:32]
             if name not in _loaded:
                 kept = kept_on_disk.load(name)
                 text = text.replace(f"@{FUNCTION}", f"@{name}")
-                content = kept if isinstance(kept, bytes) else _compiled(text, is_wide)
+                content = kept if isinstance(kept, bytes) else _compiled(text, is_wide, is_optimised)
                 if kept is None:
                     kept_on_disk.save(name, content)
                 _load(name, content)
@@ -184,15 +194,16 @@ def _target_machine(is_wide: bool) -> Any:
     return target.create_target_machine(cpu=name, features=features, **how)
 
 
-def _compiled(text: str, is_wide: bool) -> bytes:
+def _compiled(text: str, is_wide: bool, is_optimised: bool) -> bytes:
     """Machine code of a text, by LLVM with few optimisations: more of them take longer and give nothing here."""
     import llvmlite.binding as llvm
 
     module = llvm.parse_assembly(text)
     machine = _target_machine(is_wide)
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
-    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
-    builder.getModulePassManager().run(module, builder)
+    if is_optimised:
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+        builder.getModulePassManager().run(module, builder)
     return machine.emit_object(module)
 
 

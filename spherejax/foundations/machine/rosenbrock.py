@@ -233,8 +233,10 @@ def _lowered(
 ) -> Sequence:
     given = _given(context.avals_in, steps, n_runs, shared)
     key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
+    # To optimise so long a straight line takes a third of its compiling (a second of a film's derivative) and gives
+    # nothing; a loop over stages would take a tenth longer without (`benchmarks/machine_code.py`).
     name = machine_code.called_text(
-        key, steps.solve.line, lambda: _text(steps, given, n_runs), is_wide=n_runs is not None
+        key, steps.solve.line, lambda: _text(steps, given, n_runs), is_wide=n_runs is not None, is_optimised=False
     )
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.foundations.checks import exits_as_errors
 from spherejax.foundations.machine import code as machine_code
@@ -235,7 +236,8 @@ def scalarize(
         ]
         inputs.append(np.array(names, np.int64).reshape(shape))
     interpreter = Interpreter(graph, maximum_operations, has_slopes=has_slopes)
-    outputs = interpreter.run(closed.jaxpr, closed.consts, inputs)
+    jaxpr, _ = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+    outputs = interpreter.run(jaxpr, closed.consts, inputs)
     tree = jax.tree.structure(output_shapes)
     program = ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)), n_ahead)
     if maximum_operations is not None and program.n_operations > maximum_operations:
