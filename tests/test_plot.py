@@ -8,6 +8,7 @@ from io import BytesIO
 
 import jax
 import jax.numpy as jnp
+import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -22,7 +23,7 @@ from spherejax.output.plot.limits import LimitCurve, limits_to_ideal
 from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
-from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, new_figure, number_decades, typeset_number
+from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, Picture, new_figure, number_decades, typeset_number
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, LimitResult, ModelRow, StudyResult
 from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures, study_figure
@@ -347,3 +348,32 @@ def test_a_picture_typesets_its_texts():
     figure.savefig(BytesIO(), format="png")
     assert figure.get_suptitle() == r"k = $10^{6}$ N/m, b = $2.5 \times 10^{-2}$ s, Rodas5P, v1e6"
     assert axes[0, 0].get_legend().get_texts()[0].get_text() == "k = $10^{5}$"
+
+
+def pixels(save, figure, **options):
+    data = BytesIO()
+    save(figure, data, format="png", **options)
+    return matplotlib.image.imread(BytesIO(data.getvalue()))
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda models: four_histories([models["friction"]], models["ideal"], "k = 1e+06 N/m", horizon=0.5),
+        lambda models: phase_portraits(models, "phase"),
+        lambda _: impact_loops({0.9: [sj.Hertz(), sj.Gonthier(0.9)]}, stiffness=1.5e11, mass=0.03, rate=0.1),
+    ],
+    ids=["histories", "portraits", "loops"],
+)
+def test_a_picture_is_laid_out_once_and_looks_as_it_did(draw, models, monkeypatch):
+    expected = pixels(Figure.savefig, draw(models))
+    figure = draw(models)
+    engine = figure.get_layout_engine()
+    counted = []
+    monkeypatch.setattr(Figure, "draw", lambda *given, original=Figure.draw: counted.append(1) or original(*given))
+    np.testing.assert_array_equal(pixels(Picture.savefig, figure), expected)
+    assert len(counted) == 1
+    assert figure.get_layout_engine() is engine
+    assert pixels(Picture.savefig, figure, dpi=50).shape[0] < expected.shape[0]
+    figure.savefig(data := BytesIO(), format="pdf")
+    assert data.getvalue().startswith(b"%PDF")

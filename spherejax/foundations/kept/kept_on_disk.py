@@ -163,13 +163,16 @@ def _constants() -> str | None:
     """Settings of JAX and constants of this package as they are; None where a function of it has been replaced."""
     words = hashlib.sha256(os.environ.get("XLA_FLAGS", "").encode())
     words.update(repr([getattr(jax.config, name) for name in _SETTINGS]).encode())
-    for name in sorted(name for name in sys.modules if name.startswith("spherejax.")):
+    # A list: another thread may be importing something.
+    for name in sorted(name for name in list(sys.modules) if name.startswith("spherejax.")):
         folder = name.split(".")[1]
         if folder not in ROOMS and folder != "studies":
             continue
-        found = _seen.get(name)
-        if found is None or not found.is_still_so():
-            found = _seen[name] = _SeenModule(name, with_constants=folder in ROOMS)
+        module, found = sys.modules.get(name), _seen.get(name)
+        if module is None:
+            continue
+        if found is None or not found.is_still_so(vars(module)):
+            found = _seen[name] = _SeenModule(name, vars(module), with_constants=folder in ROOMS)
         if found.words is None:
             return None
         words.update(found.words)
@@ -183,8 +186,7 @@ class _SeenModule:
         words: its constants; None where a function of it has been replaced.
     """
 
-    def __init__(self, name: str, with_constants: bool):
-        names = self._names = vars(sys.modules[name])
+    def __init__(self, name: str, names: dict[str, Any], with_constants: bool):
         self._held = dict(names)
         self._classes = [
             (vars(value), dict(vars(value)))
@@ -201,9 +203,9 @@ class _SeenModule:
                 return
         self.words = "".join(constants).encode()
 
-    def is_still_so(self) -> bool:
+    def is_still_so(self, names: dict[str, Any]) -> bool:
         """Whether all names stand for what they stood for then."""
-        return all(_is_same(now, then) for now, then in [(self._names, self._held), *self._classes])
+        return all(_is_same(now, then) for now, then in [(names, self._held), *self._classes])
 
 
 _seen: dict[str, _SeenModule] = {}
