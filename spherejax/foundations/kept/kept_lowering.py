@@ -37,10 +37,11 @@ def kept_lowering(function: Callable[..., tuple]) -> Callable[..., Sequence]:
         outer = context.module_context.module
         examples = [jax.ShapeDtypeStruct(each.shape, each.dtype) for each in context.avals_in]
         key = _key(context, function, examples, parameters)
-        with outer.context:
-            module = key and (_loaded(key) or _lowered(key, partial(function, **parameters), examples))
-            if key and module:
-                return _called(outer, f"kept_{key[:16]}", module, operands)
+        if key is not None:
+            with outer.context:
+                module = _loaded(key) or _lowered(key, partial(function, **parameters), examples)
+                if module is not None:
+                    return _called(outer, f"kept_{key[:16]}", module, operands)
         return anew(context, *operands, **parameters)
 
     return rule
@@ -80,6 +81,9 @@ def _lowered(key: str, function: Callable, examples: list) -> Any:
         module: Any = traced.lower().compiler_ir("stablehlo")
     with module.context:
         passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
+    main: Any = ir.SymbolTable(module.operation)["main"]
+    if len(main.type.inputs) != len(examples):  # JAX can be told to make arguments of constants
+        return None
     content = io.BytesIO()
     module.operation.write_bytecode(content)
     if not has_warned():
