@@ -309,3 +309,25 @@ def test_sensitivities_by_a_rosenbrock_method_follow_the_steps_of_the_motion(sol
         position = ends["final_position.ball"].values.reshape(2, 3)
         difference = (position[1] - position[0]) / (2 * h)
         np.testing.assert_allclose(slopes[:, i], difference, atol=2e-4 * np.abs(difference).max())
+
+
+@pytest.mark.parametrize(
+    "hessian", [jax.hessian, lambda f: jax.jit(jax.jacfwd(jax.jacfwd(f)))], ids=["hessian", "forward"]
+)
+def test_second_derivatives_of_what_is_smooth(hessian):
+    def place(numbers):
+        scene = sj.gallery.simple_pendulum(length=numbers[0], mass=numbers[1])
+        return sj.simulate(scene, jnp.linspace(0.0, 0.1, 3), rtol=1e-10).ys[-1, 1]
+
+    at, step = jnp.array([2.0, 1.0]), 1e-3
+    gradient = jax.grad(place)
+    differences = [(gradient(at + step * e) - gradient(at - step * e)) / (2 * step) for e in jnp.eye(2)]
+    np.testing.assert_allclose(hessian(place)(at), jnp.stack(differences), rtol=1e-5, atol=2e-11)
+
+
+def test_second_derivatives_through_contact_are_refused():
+    def height(clearance):
+        return sj.simulate(sj.gallery.four_bar(sj.Dry(clearance)), jnp.linspace(0.0, 0.01, 3)).ys[-1, 2]
+
+    with pytest.raises(sj.SceneError, match=r"differences of jax\.grad"):
+        jax.hessian(height)(1e-4)
