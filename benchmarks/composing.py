@@ -125,6 +125,14 @@ def of_calls() -> None:
         scene = sj.gallery.four_bar(model)
         seconds, first = timed(lambda scene=scene: sj.simulate(scene, short, rtol=RTOL).ys)
         add(case, "simulate of a microsecond, outside jit", seconds, 1e-3, 1.0, first)
+    for case, (scene_of, at) in {"dry with friction": (dry, 1e-4), "bushing k 1e6 b 1e-4": (bushing, 1e6)}.items():
+        numbers = iter(at * np.linspace(1.0, 2.0, 1000))
+
+        def of_twenty(scene_of=scene_of, numbers=numbers):
+            return [sj.simulate(scene_of(float(next(numbers))), short, rtol=RTOL).ys for _ in range(20)]
+
+        seconds, _ = timed(of_twenty)
+        add(case, "the same with another number each time, and its scene", seconds / 20, 1e-3, 1.0)
 
 
 def of_traced_stiffness() -> None:

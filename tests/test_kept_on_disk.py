@@ -479,7 +479,7 @@ def test_options_of_the_compiler_serve_programs_that_are_not_kept(monkeypatch):
 
 
 def test_other_threads_may_import_while_a_key_is_made(folder):
-    """`spherejax compare` failed so, one time of ten: the table of modules changed while it was gone through."""
+    """`spherejax compare` failed so, now and then: the table of modules changed while it was gone through."""
     is_done = threading.Event()
 
     def importing():

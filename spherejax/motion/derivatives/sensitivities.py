@@ -90,7 +90,8 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     def with_slopes_jvp(primals, tangents):
         # Second derivatives: lanes have none of their own.
         solver = eqx.combine(primals[1], others).decided.solver
-        if example_of(plan.structure).contact_joints and isinstance(solver, diffrax.AbstractERK):
+        example = example_of(plan.structure)
+        if (example.contact_joints or example.touching_forces) and isinstance(solver, diffrax.AbstractERK):
             raise SceneError(NO_SECOND_DERIVATIVES)
         return jax.jvp(lambda values: by_diffrax(values, *primals[1:]), primals[:1], tangents[:1])
 
@@ -125,9 +126,9 @@ def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
 
 
 NO_SECOND_DERIVATIVES = (
-    "second derivatives of a run with a clearance joint are not right: contact begins like the power 3/2 of time, and "
-    "they miss what happens at that instant (by 6 % on a dry four-bar). Take differences of jax.grad, which is right "
-    "through contact: with a step of a thousandth of a number they have four digits"
+    "second derivatives of a run with a clearance joint, a stop or a tyre are not right: they miss what happens when "
+    "contact begins (6 % on a dry four-bar). Take differences of jax.grad, which is right through contact: with a step "
+    "of a thousandth of a number they have four digits"
 )
 
 
