@@ -31,7 +31,7 @@ found = [*jax.jit(jax.value_and_grad(lambda c: height(c, 0.1)))(1e-4)]
 found += [*jax.vmap(lambda c: height(c, 0.2))(jnp.linspace(1e-4, 2e-4, 3))]
 found += [jax.jit(lambda c: height(c, 0.2, scalar=False, solver=sj.Rodas5P()))(1e-4)]
 print(*(float(each).hex() for each in found))
-print(sum("_made" in name for name in names))
+print(names.count("to_be_lowered"))
 """
 
 
@@ -77,7 +77,7 @@ jax.monitoring.register_event_duration_secs_listener(_heard)
 def n_lowered():
     """How many operations have been traced to be lowered; to replace a function would be code of a user's own."""
     _traced.clear()
-    return lambda: _traced.count("_made")
+    return lambda: _traced.count("to_be_lowered")
 
 
 def keys_of_lowered(folder):

@@ -74,8 +74,14 @@ def _lowered(key: str, function: Callable, examples: list) -> Any:
 
     Its `main` takes all operands and returns all results.
     """
+
+    def to_be_lowered(
+        *operands: Any,
+    ) -> Any:  # its name is heard, of a partial function not always
+        return function(*operands)
+
     with kept_on_disk.listened() as has_warned, machine_code.listened() as codes, collecting_later():
-        traced = jax.jit(function, keep_unused=True).trace(*examples)
+        traced = jax.jit(to_be_lowered, keep_unused=True).trace(*examples)
         if calls_python(traced.jaxpr.jaxpr):
             return None
         module: Any = traced.lower().compiler_ir("stablehlo")
