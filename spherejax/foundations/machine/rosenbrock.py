@@ -233,7 +233,7 @@ def _lowered(
 ) -> Sequence:
     given = _given(context.avals_in, steps, n_runs, shared)
     key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
-    # LLVM's passes over so long a straight line are a third of its compiling, and runs of films and their gradients take
+    # LLVM's passes over so long a line are a third of its compiling, and runs of films and their gradients take
     # as long without. Loops over stages do not: bushings 14 % longer, many dry runs 13 % (Intel Xeon).
     name = machine_code.called_text(
         key, steps.solve.line, lambda: _text(steps, given, n_runs), is_wide=n_runs is not None, is_optimised=False
