@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.model import scene as scenes
+from spherejax.model import system as systems
 from spherejax.model.system import compile_scene, with_laws_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.runs import known_scenes
@@ -174,9 +176,67 @@ def test_only_so_many_calls_are_kept(monkeypatch, counted):
 def test_leaves_go_straight_to_their_places_only_where_there_are_no_others(of, is_remembered):
     made = []
     function = known_scenes.again(lambda a, b: made.append(1) or of(a, b))
-    for a, b in ((1.0, [2.0, 3.0]), (4.0, [5.0, 6.0]), (7.0, [8.0, 9.0])):
+    for a, b in ((1.0, [2.0, 3.0]), (4.0, [5.0, 6.0]), (7.0, [8.0, 9.0]), (0.0, [1.0, 2.0])):
         assert function(a, b) == of(a, b)
-    assert len(made) == (2 if is_remembered else 6)
+    assert len(made) == (3 if is_remembered else 7)
+
+
+def test_parts_that_are_equal_are_looked_at_once(monkeypatch):
+    """Another number of one joint: the other parts are neither checked nor placed again."""
+    for module, name in ((scenes, "_right"), (systems, "_parts")):
+        monkeypatch.setattr(module, name, OrderedDict())
+    looked, placed = [], []
+    original = sj.Spherical.requirements, sj.Spherical.placed
+    monkeypatch.setattr(sj.Spherical, "requirements", lambda joint: looked.append(joint) or original[0](joint))
+    monkeypatch.setattr(sj.Spherical, "placed", lambda joint, *of: placed.append(joint) or original[1](joint, *of))
+
+    def compiled(stiffness, mass=0.12):
+        scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))
+        scene.bodies["crank"] = replace(scene.bodies["crank"], mass=mass)
+        return compile_scene(scene).system
+
+    first = compiled(1e6)
+    n = len(looked)
+    assert n == len(placed) == sum(isinstance(j, sj.Spherical) for j in sj.gallery.four_bar().joints.values())
+    second = compiled(2e6)
+    assert (len(looked), len(placed)) == (n + 1, n + 1)
+    assert float(second.joints["coupler_rocker"].model.law.stiffness) == 2e6
+    again = compiled(1e6)
+    assert (len(looked), len(placed)) == (n + 1, n + 1)
+    assert values_of(again) == values_of(first)
+    assert float(compiled(1e6, mass=0.5).bodies["crank"].mass) == 0.5
+    assert len(placed) == 2 * n + 1  # between other bodies
+    assert len(looked) == n + 1
+
+
+def test_what_is_written_into_a_part_changes_no_other_scene():
+    """Parts that are remembered belong to nobody: neither to the scene they were found in nor to a system."""
+
+    def place():
+        return np.array([-0.3, 0.0, 0.0])
+
+    def system(end):
+        rod = sj.Body(1.0, np.array([1e-2, 1e-2, 1e-3]), position=(0.3, 0.0, 0.0), points={"end": end})
+        joints = {"hinge": sj.Spherical("ground.pivot", "rod.end")}
+        return compile_scene(sj.Scene({"rod": rod}, joints, ground_points={"pivot": (0.0, 0.0, 0.0)})).system
+
+    end = place()
+    first, second = system(end), system(place())
+    before = values_of(first)
+    assert values_of(second) == before
+    end[:] = 0.0
+    for each in (first, second):
+        each.joints["hinge"].ball_place[:] = 7.0
+        each.bodies["rod"].inertia[:] = 7.0
+    assert values_of(system(place())) == before
+    assert values_of(system(end)) != before
+
+
+def test_a_part_in_the_wrong_place_is_refused_where_it_is_right_elsewhere():
+    body = pendulum().bodies["rod"]
+    height(pendulum())
+    with pytest.raises(sj.SceneError, match=r"(?s)joint 'hinge' = Body.* is no joint"):
+        compile_scene(sj.Scene({"rod": body}, {"hinge": body}))
 
 
 def test_a_scene_that_is_wrong_is_wrong_again(counted):

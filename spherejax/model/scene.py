@@ -1,7 +1,10 @@
 """A scene: bodies, joints and forces by name, as the user describes it, and the checks of it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -9,6 +12,7 @@ import numpy as np
 from spherejax.foundations.checks import Requirement, called, enforce, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import mapping_of, misformed, of_form
+from spherejax.foundations.kept.by_value import remembered, values_of
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.physics.bodies import GROUND, Body, numbers
@@ -89,11 +93,43 @@ def check_scene(scene: Scene) -> list:
     Raises:
         SceneError: naming the joint, body or force, the value and the remedy.
     """
-    _check_forms(scene)
+    new = [each for each in _parts(scene) if each.values is None or each.values not in _right]
+    _check_forms(scene, new)
     _check_drift(scene)
     _check_names(scene)
     _check_connected(scene)
-    return [condition for place, required in _requirements(scene) for condition in enforce(place, required)]
+    conditions = [condition for place, required in _requirements(scene) for condition in enforce(place, required)]
+    for kind, name, part, values in new:
+        found = enforce(f"{kind} {name!r}", called(part, "requirements"))
+        conditions += found
+        if not found and values is not None:
+            remembered(_right, _lock, N_PARTS, values, lambda: True)
+    return conditions
+
+
+class _Part(NamedTuple):
+    """A body, a joint or a force element; its kind and all that is in it, to be compared, None where it cannot be."""
+
+    kind: str
+    name: str
+    part: Any
+    values: Hashable | None
+
+
+def _parts(scene: Scene) -> Iterator[_Part]:
+    for kind, parts in (("body", scene.bodies), ("joint", scene.joints), ("force", scene.forces)):
+        for name, part in parts.items():
+            values = values_of(part)
+            yield _Part(kind, name, part, None if values is None else (kind, values))
+
+
+N_PARTS = 1024
+"""Parts that are remembered: who changes one number of a scene need not have all others looked at again."""
+
+_right: OrderedDict[Hashable, bool] = OrderedDict()
+"""Parts that were found to be as they must be."""
+
+_lock = threading.Lock()
 
 
 def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
@@ -109,26 +145,23 @@ def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
             for name, place in scene.ground_points.items()
         ],
     )
-    for name, body in scene.bodies.items():
-        yield f"body {name!r}", called(body, "requirements")
-    for name, joint in scene.joints.items():
-        yield f"joint {name!r}", called(joint, "requirements")
-    for name, force in scene.forces.items():
-        yield f"force {name!r}", called(force, "requirements")
 
 
-def _check_forms(scene: Scene) -> None:
+_KINDS: dict[str, tuple[type, str]] = {
+    "body": (Body, "sj.Body(mass, inertia)"),
+    "joint": (AbstractJoint, 'sj.Spherical("arm.tip", "rod.top", model) or sj.Revolute(...)'),
+    "force": (AbstractForce, "sj.SpringDamper(...)"),
+}
+"""What each kind of part is, and an example."""
+
+
+def _check_forms(scene: Scene, parts: Iterable[_Part]) -> None:
     """Every part is what its place is for, and holds numbers, names and objects where they belong."""
-    kinds = {
-        "body": (Body, "sj.Body(mass, inertia)", scene.bodies),
-        "joint": (AbstractJoint, 'sj.Spherical("arm.tip", "rod.top", model) or sj.Revolute(...)', scene.joints),
-        "force": (AbstractForce, "sj.SpringDamper(...)", scene.forces),
-    }
-    for kind, (family, example, parts) in kinds.items():
-        for name, part in parts.items():
-            if not isinstance(part, family):
-                raise SceneError(f"{kind} {name!r} = {shown(part)} is no {kind}; give an object, e.g. {example}")
-            enforce(f"{kind} {name!r}", misformed(part))
+    for kind, name, part, _ in parts:
+        family, example = _KINDS[kind]
+        if not isinstance(part, family):
+            raise SceneError(f"{kind} {name!r} = {shown(part)} is no {kind}; give an object, e.g. {example}")
+        enforce(f"{kind} {name!r}", misformed(part))
     for name in ("gravity", "ground_points"):
         enforce("scene", of_form(name, getattr(scene, name), type(scene).__annotations__[name]))
 

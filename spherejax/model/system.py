@@ -2,9 +2,11 @@
 
 import itertools
 import math
-from collections.abc import Mapping
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,10 +17,11 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import called, is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.kept.by_value import own_arrays, remembered, values_of
 from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
-from spherejax.model.scene import Scene, check_scene
+from spherejax.model.scene import N_PARTS, Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.remembering import ActingForce, is_sampled, memory_entries, recalling
@@ -195,12 +198,10 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> CompiledScene:
     conditions = check_scene(scene)
     # JAX sorts the keys of a dict when it takes it apart: a system is sorted from the start, so that the order of the
     # state is the same inside and outside a compiled program.
-    bodies = {name: _with_array_fields(scene.bodies[name]) for name in sorted(scene.bodies)}
-    drawn = {name: body.in_reference for name, body in scene.bodies.items()}
-    find = partial(called, scene, "find")
-    joints = {name: called(scene.joints[name], "placed", drawn, find) for name in sorted(scene.joints)}
-    forces = {name: called(scene.forces[name], "placed", drawn, find) for name in sorted(scene.forces)}
-    _check_leaves({**{f"joint {n!r}": j for n, j in joints.items()}, **{f"force {n!r}": f for n, f in forces.items()}})
+    bodies = {name: _known("body", scene.bodies[name], (), _with_array_fields) for name in sorted(scene.bodies)}
+    place = _placing(scene)
+    joints = {name: place("joint", name, scene.joints[name]) for name in sorted(scene.joints)}
+    forces = {name: place("force", name, scene.forces[name]) for name in sorted(scene.forces)}
     slots = _slots({name: joint.memory for name, joint in joints.items()}, 0)
     force_slots = _slots({name: memory_entries(force) for name, force in forces.items()}, _end_of(slots))
     twice = {slot.joint for slot in slots} & {slot.joint for slot in force_slots}
@@ -231,15 +232,58 @@ def _end_of(slots: tuple[MemorySlot, ...]) -> int:
     return slots[-1].entries.stop if slots else 0
 
 
-def _check_leaves(parts: dict[str, Any]) -> None:
+def _placing(scene: Scene) -> Callable[[str, str, Any], Any]:
+    """A function that places joints and force elements between the bodies of a scene.
+
+    Those that were placed before, between equal bodies, are not placed again: who changes one number of one joint and
+    runs the scene anew need not wait for all the others.
+    """
+    around = values_of((scene.bodies, scene.ground_points))
+    drawn = cache(lambda: {name: _known("drawn", each, (), _in_reference) for name, each in scene.bodies.items()})
+    find = partial(called, scene, "find")
+
+    def place(kind: str, name: str, part: Any) -> Any:
+        def placed(part: Any) -> Any:
+            made = called(part, "placed", drawn(), find)
+            _check_leaves(f"{kind} {name!r}", made)
+            return made
+
+        return _known(kind, part, around, placed)
+
+    return place
+
+
+def _in_reference(body: Body) -> Body:
+    return body.in_reference
+
+
+def _known(what: str, part: Any, around: Hashable | None, make: Callable[[Any], Any]) -> Any:
+    """What is made of a part, remembered by the values of the part and of what else it is made of.
+
+    None in place of these: they cannot be compared. What is handed out has arrays of its own, in which a user may write
+    as in those of the scene.
+    """
+    values = values_of(part)
+    if values is None or around is None:
+        return make(part)
+    key = what, values, around
+    return own_arrays(remembered(_parts, _lock, N_PARTS, key, lambda: own_arrays(make(part))))
+
+
+_parts: OrderedDict[Hashable, Any] = OrderedDict()
+"""What was made of parts of scenes."""
+
+_lock = threading.Lock()
+
+
+def _check_leaves(place: str, part: Any) -> None:
     """Parts that a user has written hold numbers; names and functions are structure."""
-    for place, part in parts.items():
-        for leaf in jax.tree.leaves(part):
-            if isinstance(leaf, str) or callable(leaf):
-                raise SceneError(
-                    f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
-                    "with equinox.field(static=True), or wrap a network: sj.Network(module)"
-                )
+    for leaf in jax.tree.leaves(part):
+        if isinstance(leaf, str) or callable(leaf):
+            raise SceneError(
+                f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
+                "with equinox.field(static=True), or wrap a network: sj.Network(module)"
+            )
 
 
 LARGE_MASS_RATIO = 1e4

@@ -139,8 +139,10 @@ def refuse_unsolvable_friction(system: System, t: float, start: Float[np.ndarray
     Raises:
         SceneError: naming the joint and the remedy.
     """
+    if not system.friction_passes:
+        return
     structure, theta = flatten_system(system)
-    if not system.friction_passes or not is_concrete(theta):
+    if not is_concrete(theta):
         return
     layout = system.layout
     y = np.concatenate([np.asarray(start), np.zeros(layout.n_memory + layout.n_work)])

@@ -5,7 +5,7 @@ longer than the motion itself. Scenes are told by value, not by identity: whoeve
 within an array, has another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
 """
 
-import struct
+import itertools
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -16,8 +16,8 @@ import jax
 import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
-from spherejax.foundations.checks import is_concrete, is_tracing
-from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.kept.by_value import own, own_arrays, remembered, values_of
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system, with_laws_by_factor
@@ -61,7 +61,7 @@ class PreparedScene:
         self._seen = with_laws_by_factor(self._system)
         self.structure, self.theta = flatten_system(self._seen)
         self.path = path_of(self.structure, scalar)
-        self.known, self.unknown = split(self._seen)
+        self.known, self.unknown = (self.theta, ()) if is_concrete(self.theta) else split(self._seen)
         self.conditions = compiled.conditions
         # On the array path the linear systems of a stiff method are dense.
         self._explicit_only = self.path.scalar is False and scalar is None
@@ -74,7 +74,7 @@ class PreparedScene:
 
     def leaves(self) -> list:
         """Those of the system."""
-        return list(map(_own, self._leaves))
+        return list(map(own, self._leaves))
 
     def system_of(self, leaves: list) -> System:
         """The system of its leaves."""
@@ -104,7 +104,7 @@ class PreparedScene:
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
         key = None if self.unknown else values_of(numbers)
-        return make() if key is None else _remembered(self._answers, self._lock, N_ANSWERS, (what, key), make)
+        return make() if key is None else remembered(self._answers, self._lock, N_ANSWERS, (what, key), make)
 
 
 def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
@@ -116,7 +116,7 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
     key = values_of(scene)
     if key is None:
         return PreparedScene(scene, track_work, scalar)
-    return _remembered(
+    return remembered(
         _scenes, _lock, N_SCENES, (key, track_work, scalar), lambda: PreparedScene(scene, track_work, scalar)
     )
 
@@ -130,38 +130,7 @@ def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], An
     if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return make()
     key = values_of((scene, ts, options))
-    return make() if key is None else _remembered(_calls, _lock, N_CALLS, key, make)
-
-
-def values_of(tree: Any) -> Hashable | None:
-    """All there is in a pytree, to be compared; None where something in it is traced, or cannot be compared."""
-    leaves, structure = jax.tree.flatten(tree)
-    values = []
-    for leaf in leaves:
-        kind = type(leaf)
-        if kind is float:
-            values.append((kind, _DOUBLE.pack(leaf)))  # -0.0 is not 0.0, and NaN is NaN
-            continue
-        if kind is int or kind is bool:
-            values.append((kind, leaf))
-            continue
-        if not is_concrete(leaf) or not isinstance(leaf, bool | int | float | np.ndarray | np.generic | jax.Array):
-            return None
-        array = np.asarray(leaf)
-        if array.dtype.hasobject:
-            return None
-        # A number and an array of no dimension are not the same to whoever checks them.
-        values.append((kind, array.dtype.str, array.shape, array.tobytes()))
-    try:
-        hash(structure)
-    except TypeError:  # something static in it is not hashable
-        return None
-    return structure, tuple(values)
-
-
-def own_arrays(tree: Any) -> Any:
-    """The same, in arrays and containers of its own."""
-    return jax.tree.map(_own, tree)
+    return make() if key is None else remembered(_calls, _lock, N_CALLS, key, make)
 
 
 class _Mark:
@@ -174,7 +143,7 @@ class _Mark:
 
 
 def again(make: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that puts leaves of its arguments into a pytree, remembered: from its second call on the leaves go
+    """A function that puts leaves of its arguments into a pytree, remembered: from its third call on the leaves go
     straight to their places, where making an object of many fields costs more than all that is in them.
 
     Args:
@@ -182,8 +151,11 @@ def again(make: Callable[..., Any]) -> Callable[..., Any]:
             well nothing is remembered.
     """
     known: list = []
+    calls = itertools.count()
 
     def made(*arguments: Any) -> Any:
+        if next(calls) == 0:  # most are called once
+            return make(*arguments)
         leaves, structure = jax.tree.flatten(arguments)
         for places, tree, of in known:
             if of == structure:
@@ -196,10 +168,6 @@ def again(make: Callable[..., Any]) -> Callable[..., Any]:
         return make(*arguments)
 
     return made
-
-
-def _own(leaf: Any) -> Any:
-    return leaf.copy() if isinstance(leaf, np.ndarray) else leaf
 
 
 def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
@@ -216,25 +184,6 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     return np.concatenate(known), tuple(unknown)
 
 
-_DOUBLE = struct.Struct("d")
-
 _scenes: OrderedDict[Hashable, PreparedScene] = OrderedDict()
 _calls: OrderedDict[Hashable, Any] = OrderedDict()
 _lock = threading.Lock()
-
-
-def _remembered(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Callable[[], Any]) -> Any:
-    with lock:
-        if key in found:
-            found.move_to_end(key)
-            return found[key]
-    # Without the lock: it may take seconds, and two threads that make the same do no harm.
-    with collecting_later():
-        made = make()
-    if is_tracing():
-        return made  # under `jax.jit` arrays belong to its trace, also those of known numbers
-    with lock:
-        found[key] = made
-        while len(found) > n:
-            found.popitem(last=False)
-    return made

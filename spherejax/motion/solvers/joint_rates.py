@@ -103,10 +103,18 @@ def _rates_under_load(structure: Structure, numbers: bytes, patience: float) -> 
 
 def _described(structure: Structure, theta: Numeric) -> Numeric:
     """The flat state of the start as the scene describes it, at rest."""
-    system = structure.system(theta)
-    places = [part for body in system.bodies.values() for part in (body.position, body.quaternion)]
+    places, n_others = _places(structure)
     xp = np if is_concrete(theta) else jnp
-    return xp.concatenate([*map(xp.asarray, places), xp.zeros(system.layout.size - system.layout.n_position)])
+    return xp.concatenate([theta[places], xp.zeros(n_others)])
+
+
+@lru_cache(maxsize=64)
+def _places(structure: Structure) -> tuple[np.ndarray, int]:
+    """Which numbers of a system are positions and quaternions of bodies; and how long the rest of a state is."""
+    n_numbers = sum(int(np.prod(shape)) for shape in structure.shapes)
+    system = structure.system(np.arange(n_numbers))
+    places = [part for body in system.bodies.values() for part in (body.position, body.quaternion)]
+    return np.concatenate(places), system.layout.size - system.layout.n_position
 
 
 class JointActions(NamedTuple):

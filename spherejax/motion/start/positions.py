@@ -4,6 +4,8 @@ Newton's method closes a mechanism from far away too, but then in another branch
 put it. Small corrections, of printed digits, pass without a word.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from spherejax.foundations.checks import is_concrete
@@ -28,20 +30,27 @@ FAR_TURNED = 5e-3
 """Bodies are turned far from this angle on [rad]; quaternions of three digits leave up to 2e-3."""
 
 
-def far_distance(system: System, geometry: System) -> float:
+def far_distance(system: System, structure: Structure, numbers: np.ndarray) -> float:
     """From where on a body is moved far [m]: half the smallest clearance, within 1e-4 and 2e-3 of the largest body.
 
     Args:
         system: the system; clearances that are traced are not looked at.
-        geometry: the same as if its joints were ideal, with known numbers.
+        structure, numbers: the system as if its joints were ideal, taken apart; the numbers are known.
     """
-    size = max(SMALLEST_LENGTH, *(_size(geometry, name) for name in geometry.bodies))
+    size = _largest_body(structure, numbers.tobytes())
     models = [getattr(joint, "model", None) for joint in system.joints.values()]
     clearances = [getattr(model, "clearance", np.inf) for model in models]
     smallest = min((float(c) for c in clearances if is_concrete(c)), default=np.inf)
     if size == SMALLEST_LENGTH and np.isfinite(smallest):
         return CLEARANCE_SHARE * smallest
     return float(np.clip(CLEARANCE_SHARE * smallest, PRINTED_SHARE * size, FAR_SHARE * size))
+
+
+@lru_cache(maxsize=64)
+def _largest_body(structure: Structure, numbers: bytes) -> float:
+    """Kept, as the start itself: it takes longer than all else that is looked at in a start that was met before."""
+    geometry = structure.system(np.frombuffer(numbers))
+    return max(SMALLEST_LENGTH, *(_size(geometry, name) for name in geometry.bodies))
 
 
 def _size(geometry: System, name: str) -> float:
@@ -65,11 +74,11 @@ def moved_bodies(system: System, structure: Structure, numbers, t: float, start:
         start: the consistent start.
     """
     moved, turned = np.asarray(start.displacement), np.asarray(start.rotation)
-    geometry = structure.system(numbers)
-    far = far_distance(system, geometry)
+    far = far_distance(system, structure, numbers)
     shares = np.maximum(moved / far, turned / FAR_TURNED)
     if not shares.max(initial=0.0) > 1:
         return ""
+    geometry = structure.system(numbers)
     gaps = program_for(gaps_described, structure).compute(numbers, t, np.zeros(geometry.layout.size))
     size_of = {name: float(np.abs(gap).max()) for name, gap in gaps.items() if not geometry.joints[name].is_driven}
     if system.is_driven and not max(size_of.values(), default=0.0) > far:

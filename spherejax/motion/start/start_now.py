@@ -12,7 +12,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.friction_judgement import refuse_unsolvable_friction
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble_now
 from spherejax.motion.start.fighting_drivers import REMEDY, fighting_at, refuse_fighting_drivers
@@ -82,7 +82,7 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
     if system.is_driven:
         refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
     refuse_unsolvable_friction(system, t, np.asarray(start.y))
-    return KnownStart(start, start_changes(system, t, start))
+    return KnownStart(start, _changes(system, structure, theta, t, start))
 
 
 def start_changes(system: System, t: float, start: Assembly) -> tuple[str, ...]:
@@ -93,7 +93,11 @@ def start_changes(system: System, t: float, start: Assembly) -> tuple[str, ...]:
         t: time of the start [s]; what is not driven starts alike at any time.
         start: the consistent start.
     """
-    structure, theta = flatten_system(as_ideal(system))
+    return _changes(system, *flatten_system(as_ideal(system)), t, start)
+
+
+def _changes(system: System, structure: Structure, theta, t: float, start: Assembly) -> tuple[str, ...]:
+    """`start_changes` of a system as if its joints were ideal, taken apart."""
     common = system, structure, theta, t, start
     return tuple(filter(None, (moved_bodies(*common), removed_velocities(*common))))
 

@@ -111,8 +111,8 @@ class _Numbers(NamedTuple):
 
 
 def _numbers(system: System, rtol: Number) -> _Numbers:
-    length, speed, clearance = _scales(system)
-    rtol = _lifted(rtol, rounding_floor(system))
+    length, speed, clearance = scales = _scales(system)
+    rtol = _lifted(rtol, rounding_floor(system, scales))
     masses = [body.mass for body in system.bodies.values()]
     xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance, *masses)) else jnp
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
@@ -138,7 +138,7 @@ def _traced_numbers(system: System, rtol) -> _Numbers:
     return _numbers(system, rtol)
 
 
-def rounding_floor(system: System) -> Numeric:
+def rounding_floor(system: System, scales: tuple | None = None) -> Numeric:
     """The relative tolerance below which steps follow rounding, and their number grows without gain.
 
     A ball's place in its gap is the difference of positions of the length L: it is known to some eps L/c of the
@@ -147,7 +147,7 @@ def rounding_floor(system: System) -> Numeric:
     """
     if not system.force_joints:
         return LEAST_ROUNDING
-    length, _, clearance = _scales(system)
+    length, _, clearance = _scales(system) if scales is None else scales
     xp: Any = np if is_concrete(length) and is_concrete(clearance) else jnp
     return xp.maximum(ELASTIC_ROUNDING, 3 * ROUNDING * length / clearance)
 
@@ -198,7 +198,7 @@ def _scales(system: System):
     xp: Any = jnp if _has_traced_scales(system) else np
 
     def largest(vectors):
-        return xp.max(xp.stack([xp.sqrt(xp.sum(xp.asarray(v) ** 2)) for v in vectors]))
+        return xp.max(xp.sqrt(xp.sum(xp.stack([xp.asarray(v) for v in vectors]) ** 2, axis=1)))
 
     length = xp.maximum(largest(vectors), SMALLEST_LENGTH)
     speed = xp.sqrt(largest([system.gravity]) * length) + largest(velocities) + largest(spins) * length

@@ -1,6 +1,7 @@
 """Velocities that a start cannot keep: what the joints, or a concentric start, remove of them is said aloud."""
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -39,12 +40,17 @@ def removed_velocities(system: System, structure: Structure, numbers, t: float, 
     given = np.array([[*np.asarray(body.velocity), *np.asarray(body.angular_velocity)] for body in bodies])
     places, velocities = np.split(np.asarray(start.y), [POSITION_SIZE * len(bodies)])
     taken = velocities.reshape(given.shape)
-    # Not of the system itself, whose clearances may be traced.
-    radius = float(length_scale(structure.system(numbers)))
+    radius = _length_of(structure, numbers.tobytes())
     if not _largest_speed(taken - given, radius) > NOTICEABLE * _largest_speed(given, radius) > 0:
         return ""
     violations = program_for(velocity_violations, structure).compute(numbers, t, np.append(places, given))
     return _message(system, violations, given, taken, radius)
+
+
+@lru_cache(maxsize=64)
+def _length_of(structure: Structure, numbers: bytes) -> float:
+    """The length of a mechanism [m]: not of the system itself, whose clearances may be traced."""
+    return float(length_scale(structure.system(np.frombuffer(numbers))))
 
 
 def velocity_violations(system: System, t: Scalar, y: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:
