@@ -19,8 +19,9 @@ import pytest
 import spherejax as sj
 from spherejax import runtime
 from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.bounded_jit import bounded_jit, found_by_jax
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.fingerprints import known_fingerprint, value_fingerprint
+from spherejax.foundations.kept.program import found_by_jax
 from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
@@ -330,7 +331,7 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
 def test_only_what_was_compiled_here_is_kept(folder, monkeypatch, found, n_traced, is_kept):
     """What JAX has loaded from its own cache cannot be written again: it is compiled under another name."""
     keyed_by(monkeypatch, "key")
-    monkeypatch.setattr("spherejax.foundations.kept.bounded_jit.found_by_jax", lambda: nullcontext(lambda: found))
+    monkeypatch.setattr("spherejax.foundations.kept.program.found_by_jax", lambda: nullcontext(lambda: found))
     traced = []
 
     def halved(x):

@@ -4,12 +4,20 @@
 are in world axes [rad/s].
 """
 
+from typing import Any
+
 import jax.numpy as jnp
+import numpy as np
 
 from spherejax.foundations.types import Matrix3, Quaternion, Vector3
 
 _SMALL_ANGLE = 1e-4
 """Half angles below this [rad] use a series: its first neglected term, x^4 / 120, is below float64's resolution."""
+
+
+def _namespace(*arrays: Any) -> Any:
+    """NumPy for its own arrays: what is known at once needs no compiler."""
+    return np if all(isinstance(array, np.ndarray) for array in arrays) else jnp
 
 
 def rotation_matrix(quaternion: Quaternion) -> Matrix3:
@@ -23,7 +31,7 @@ def rotation_matrix(quaternion: Quaternion) -> Matrix3:
     p0, p1, p2, p3 = quaternion
     twice = 2 / (p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
     t1, t2, t3 = twice * p1, twice * p2, twice * p3
-    return jnp.array(
+    return _namespace(quaternion).array(
         [
             [1 - (t2 * p2 + t3 * p3), t1 * p2 - t3 * p0, t1 * p3 + t2 * p0],
             [t1 * p2 + t3 * p0, 1 - (t1 * p1 + t3 * p3), t2 * p3 - t1 * p0],
@@ -50,7 +58,7 @@ def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
     """Quaternion of the rotation `right` followed by the rotation `left`."""
     a0, a1, a2, a3 = left
     b0, b1, b2, b3 = right
-    return jnp.array(
+    return _namespace(left, right).array(
         [
             a0 * b0 - a1 * b1 - a2 * b2 - a3 * b3,
             a0 * b1 + a1 * b0 + a2 * b3 - a3 * b2,
@@ -62,12 +70,13 @@ def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
 
 def conjugate(quaternion: Quaternion) -> Quaternion:
     """Quaternion of the inverse rotation."""
-    return quaternion * jnp.array([1.0, -1.0, -1.0, -1.0])
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def normalized(quaternion: Quaternion) -> Quaternion:
     """The quaternion divided by its norm. Limits: undefined for the zero quaternion."""
-    return quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion))
+    xp = _namespace(quaternion)
+    return quaternion / xp.sqrt(xp.sum(quaternion * quaternion))
 
 
 def rotation_vector(quaternion: Quaternion) -> Vector3:

@@ -227,7 +227,7 @@ class _Request(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
 
 
-@bounded_jit(what="a run", options=options_for)
+@bounded_jit(what="a run", many="runs in lanes", options=options_for)
 def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
     """As `integrate`, in a lane.
 
@@ -269,7 +269,7 @@ def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, windo
     return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors
 
 
-@bounded_jit(what="a run and its derivatives", options=options_for)
+@bounded_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)
 def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
     def job_of_values(values):
         return request.job(plan, values, known, ts, start, values_are_legal)

@@ -21,7 +21,6 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.kept import kept_on_disk
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.collecting import collecting_later
-from spherejax.foundations.kept.kept_lowering import kept_lowering
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes.engine import run_in_lanes
 from spherejax.motion.integration.lanes.lane import Block, LaneOutcome, LaneProblem
@@ -147,4 +146,4 @@ _runs.multiple_results = True
 _runs.def_impl(lambda *operands, form: _made_now(form, operands))
 _runs.def_abstract_eval(_shapes)
 batching.primitive_batchers[_runs] = _batched
-mlir.register_lowering(_runs, kept_lowering(_made))
+mlir.register_lowering(_runs, mlir.lower_fun(_made, multiple_results=True))

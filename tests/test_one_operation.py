@@ -1,9 +1,12 @@
-"""A user's program takes in the runs in it as another process has lowered them, and computes the same."""
+"""A user's program holds the runs in it as operations, takes them in as another process has lowered them, and computes
+the same."""
 
+import hashlib
 import os
 import subprocess
 import sys
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import my_laws
@@ -12,7 +15,10 @@ import pytest
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations.kept import kept_lowering, kept_on_disk
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.fingerprints import program_fingerprint
+from spherejax.motion.integration import one_run
 
 TS = jnp.linspace(0.0, 0.01, 4)
 
@@ -57,9 +63,16 @@ def test_the_next_process_lowers_no_run_and_computes_the_same_bits(tmp_path):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder of this process."""
+    """An empty folder of this process, which has no runs yet."""
     monkeypatch.setattr(runtime, "_kept", [tmp_path])
+    forget()
     return tmp_path
+
+
+def forget():
+    """Let the runs of this process go."""
+    one_run.integrated.clear()
+    one_run._with_slopes.clear()
 
 
 _traced: list[str] = []
@@ -83,9 +96,11 @@ def n_lowered():
 def keys_of_lowered(folder):
     """Of what was kept in a folder."""
     kept = {file.name: kept_on_disk.load(file.name) for file in (folder / "kept").iterdir()}
-    return [
-        key for key, each in kept.items() if isinstance(each, tuple) and len(each) == 2 and each[0].startswith(b"ML")
-    ]
+    return [key for key, each in kept.items() if isinstance(each, tuple) and len(each) == 2 and _is_lowered(each[0])]
+
+
+def _is_lowered(value):
+    return isinstance(value, tuple) and len(value) == 3 and value[0].startswith(b"ML")
 
 
 def place(length, ts=TS, **options):
@@ -97,6 +112,7 @@ def test_a_run_within_a_program_is_lowered_once(folder, n_lowered):
     expected = place(2.0)
     assert n_lowered() == 0
     for _ in range(2):  # JAX traces the second one anew, and remembers nothing of the first
+        forget()
         assert float(jax.jit(lambda length: place(length))(2.0)) == pytest.approx(float(expected), rel=1e-12)
     assert n_lowered() == 1
     jax.jit(lambda length: place(length, TS[:3]))(2.0)
@@ -110,7 +126,10 @@ def test_runs_of_several_kinds_are_taken_in_side_by_side(folder, n_lowered):
         many = jax.vmap(place)(jnp.stack([length, 3 * length]))
         return jnp.stack([first, again, slopes, *many])
 
-    found = [jax.jit(lambda length: both(length))(2.0) for _ in range(2)]
+    found = []
+    for _ in range(2):
+        found.append(jax.jit(lambda length: both(length))(2.0))
+        forget()
     np.testing.assert_array_equal(*found)
     assert n_lowered() == len(keys_of_lowered(folder)) == 3
     np.testing.assert_allclose(found[0], both(jnp.array(2.0)), rtol=1e-9, atol=1e-12)
@@ -136,9 +155,11 @@ def test_what_cannot_be_read_is_lowered_anew(folder, n_lowered, damage):
     jax.jit(lambda length: place(length))(2.0)
     (key,) = keys_of_lowered(folder)
     if damage is None:
-        kept_on_disk.save(key, (b"ML", {}))
+        (_, codes, shapes), static = kept_on_disk.load(key)
+        kept_on_disk.save(key, ((b"ML", codes, shapes), static))
     else:
         (folder / "kept" / key).write_bytes(damage)
+    forget()
     found = jax.jit(lambda length: place(length))(2.0)
     assert n_lowered() == 2
     assert keys_of_lowered(folder) == [key]
@@ -160,9 +181,82 @@ def test_without_a_folder_and_with_code_of_a_users_own_all_is_lowered_as_before(
     assert keys_of_lowered(folder) == []
 
 
-def test_what_calls_python_stays_in_its_process(folder):
-    def called(x):
-        return (jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), jnp.float64), x),)
+def digest(text):
+    return hashlib.sha256(text.encode()).hexdigest()
 
-    assert kept_lowering._lowered("key", called, [jax.ShapeDtypeStruct((), jnp.float64)]) is None
+
+@pytest.fixture
+def operation(folder, monkeypatch):
+    """A function of a number and a vector, with something static among its results, that is an operation."""
+    monkeypatch.setattr(kept_on_disk, "key_for", lambda *what: digest(str(what)))  # as if it were ours
+
+    @bounded_jit(many="many")
+    def scaled(a, x, word):
+        return {"product": a * x, "word": word, "largest": jnp.max(x)}
+
+    return scaled
+
+
+def in_whole(operation, a, x):
+    found = operation(a, x, "said")
+    assert found["word"] == "said"
+    return jnp.sum(found["product"]) + found["largest"]
+
+
+X = jnp.array([1.0, -2.0, 0.5])
+
+WAYS = {
+    "jit": (jax.jit, (2.0, X)),
+    "vmap": (lambda f: jax.vmap(f, (0, None)), (X, X)),
+    "vmap of both": (jax.vmap, (X, jnp.stack([X, 2 * X, 3 * X]))),
+    "vmap along the last axis": (lambda f: jax.vmap(f, (None, 1)), (2.0, jnp.stack([X, 2 * X], 1))),
+    "nested": (lambda f: jax.vmap(jax.vmap(f, (0, None)), (None, 0)), (X, jnp.stack([X, 2 * X]))),
+    "jit of nested": (lambda f: jax.jit(jax.vmap(jax.vmap(f, (None, 0)), (0, None))), (X, jnp.stack([X, 2 * X]))),
+    "derivatives": (lambda f: jax.jit(lambda a, x: jax.jvp(f, (a, x), (3.0, X))), (2.0, X)),
+    "gradient": (jax.grad, (2.0, X)),
+    "gradients of many": (lambda f: jax.jit(jax.vmap(jax.grad(f, 1), (0, None))), (X, X)),
+    "loop": (lambda f: jax.jit(lambda a, x: jax.lax.scan(lambda c, b: (f(c, b), c), a, jnp.stack([x, x]))), (2.0, X)),
+    "condition": (lambda f: jax.jit(lambda a, x: jax.lax.cond(a > 0, f, lambda a, _: a, a, x)), (2.0, X)),
+    "recomputed": (lambda f: jax.grad(jax.checkpoint(f)), (2.0, X)),
+}
+"""Transformations of a function, and where they are evaluated."""
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_an_operation_is_its_function_under_every_transformation(operation, way):
+    transformed, arguments = WAYS[way]
+
+    def plain(a, x):
+        return jnp.sum(a * x) + jnp.max(x)
+
+    for _ in range(2):  # traced, then as it was kept
+        found = transformed(lambda a, x: in_whole(operation, a, x))(*arguments)
+        jax.tree.map(np.testing.assert_array_equal, found, transformed(plain)(*arguments))
+        operation.clear()
+
+
+def test_an_operation_is_told_by_what_it_computes_and_not_by_what_was_found_out(folder):
+    def fingerprint(**options):
+        return program_fingerprint(lambda length: place(length, **options), jax.ShapeDtypeStruct((), jnp.float64))
+
+    before, other = fingerprint(), fingerprint(solver=diffrax.Tsit5())
+    assert before != other
+    jax.jit(lambda length: place(length))(2.0)
+    assert fingerprint() == before
+    forget()
+    assert (fingerprint(), fingerprint(solver=diffrax.Tsit5())) == (before, other)
+
+
+def test_a_run_is_one_operation_of_a_program(folder):
+    made = jax.make_jaxpr(jax.vmap(jax.grad(place)))(jnp.array([1.0, 2.0]))
+    assert str(made).count("within[") == 1
+
+
+def test_what_calls_python_stays_in_its_process(folder, monkeypatch):
+    def called(x):
+        return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), jnp.float64), x)
+
+    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: "0" * 64)  # as if it were of this package
+    sine = bounded_jit(called, many="sines")
+    assert float(jax.jit(lambda x: sine(x) + 1)(0.5)) == 1 + np.sin(0.5)
     assert not (folder / "kept").exists()

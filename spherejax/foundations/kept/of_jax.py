@@ -1,0 +1,36 @@
+"""What JAX does not say of programs by itself: whether they call Python, and what they need to be loaded."""
+
+from collections.abc import Iterable, Iterator
+from functools import cache
+from typing import Any
+
+import jax
+from jax.extend import core as jex
+
+
+@cache
+def make_lapack_known() -> None:
+    """JAX looks LAPACK's functions up (in SciPy) when it lowers the first program that calls one.
+
+    A process that only loads such a program calls nothing at all: a segmentation fault (jaxlib 0.10.2).
+    """
+    jax.jit(jax.numpy.linalg.inv).lower(jax.ShapeDtypeStruct((2, 2), jax.numpy.float64))
+
+
+def calls_python(jaxpr: Any) -> bool:
+    """Whether a traced program calls Python when it runs, as no other process could."""
+    return any(
+        "callback" in equation.primitive.name
+        or any(getattr(each, "calls_python", False) for each in equation.params.values())  # operations of our own
+        or any(map(calls_python, _programs_in(equation.params.values())))
+        for equation in jaxpr.eqns
+    )
+
+
+def _programs_in(parameters: Iterable) -> Iterator[Any]:
+    """Those within an operation: the branches of a condition, the body of a loop."""
+    for value in parameters:
+        if isinstance(value, tuple | list):
+            yield from _programs_in(value)
+        elif isinstance(value, jex.ClosedJaxpr | jex.Jaxpr):
+            yield value.jaxpr if isinstance(value, jex.ClosedJaxpr) else value

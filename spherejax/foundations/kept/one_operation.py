@@ -1,0 +1,254 @@
+"""Compiled functions of this package within other programs: each is one operation of JAX.
+
+A user's function around `simulate` is traced and lowered in every process: nobody can tell what is in it. The runs in
+it are most of that, and they are known. So each is an operation of which only its results' shapes are needed while the
+user's function is traced; it is traced and lowered apart, once for all processes (see `kept_on_disk`), and the user's
+program takes it in as a function that it calls. Then the program as a whole is the same as in the process before, and
+JAX finds what it has compiled of it.
+
+Under `jax.vmap` it becomes the operation of many, which is one program too where nothing is jitted.
+"""
+
+import hashlib
+import io
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.extend.mlir import ir, passmanager
+from jax.extend.mlir.dialects import func
+from jax.interpreters import ad, batching, mlir
+
+from spherejax.foundations.kept import kept_on_disk
+from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.foundations.kept.of_jax import calls_python, make_lapack_known
+from spherejax.foundations.machine import code as machine_code
+
+
+class Operable(Protocol):
+    """A function that can be an operation: of arrays, to a tuple of arrays and something static.
+
+    Attributes:
+        made_from: all that tells it from others.
+        static: what it returns besides arrays, as it can be kept; known once it was traced, or else to be set.
+    """
+
+    made_from: tuple
+    static: Any
+
+    @property
+    def examples(self) -> list[jax.ShapeDtypeStruct]:
+        """Its arguments, as shapes and types."""
+        ...
+
+    def traced(self, *leaves: Any) -> tuple:
+        """Its results, from tracers."""
+        ...
+
+    def now(self, *leaves: Any) -> Sequence:
+        """Its results, from numbers."""
+        ...
+
+    def mapped(self, axes: tuple[int | None, ...], n: int) -> "Operation":
+        """The same of n at once, those arguments stacked whose axis is 0."""
+        ...
+
+
+class _Lowered(NamedTuple):
+    """A function as it is kept: its module, the machine code it calls, and its results' shapes."""
+
+    content: bytes
+    codes: dict[str, bytes]
+    shapes: list
+
+
+class Operation:
+    """A function as it stands in other programs; told by identity, as their parameter has to be.
+
+    Attributes:
+        key: by what it is told from others; None where it may not be kept.
+    """
+
+    def __init__(self, function: Operable, key: str | None):
+        self._function = function
+        self.key, self._key_within = key, None if key is None else _digest(key)
+        self._lowered: _Lowered | None = None
+        self._traced: Any = None  # by JAX, not lowered yet
+        self._has_warned = False
+        self._lock = threading.RLock()
+
+    def __call__(self, *leaves: Any) -> Sequence:
+        """The results, within another program."""
+        return _within.bind(*leaves, operation=self)
+
+    def told_by(self) -> tuple:
+        """What `fingerprints` takes for it: not what has been found out about it."""
+        return self._function.made_from
+
+    @property
+    def calls_python(self) -> bool:
+        """Whether it calls Python when it runs; then it is not kept."""
+        return self._traced is not None and calls_python(self._traced.jaxpr.jaxpr)
+
+    @property
+    def shapes(self) -> list:
+        """Of the results."""
+        with self._lock:
+            if self._lowered is None and self._traced is None and not self._load():
+                self._trace()
+            if self._lowered is None:
+                traced: Any = self._traced
+                return jax.tree.leaves(traced.out_info)
+            return self._lowered.shapes
+
+    @property
+    def jaxpr(self) -> Any:
+        """What it computes, as JAX traces it, for whoever wants to look into it."""
+        return jax.make_jaxpr(self.traced)(*self._function.examples).jaxpr
+
+    def module(self) -> Any:
+        """What it computes, as a module of StableHLO whose function `name` takes all arguments and returns all results;
+        None where it calls Python. In the MLIR context of the caller."""
+        with self._lock:
+            with suppress(Exception):  # whatever is wrong with what was kept: it is lowered anew
+                if self._lowered is not None or (self._traced is None and self._load()):
+                    return self._read()
+            if self._traced is None:
+                self._trace()
+            return self._read() if self._lower() else None
+
+    def _load(self) -> bool:
+        found = kept_on_disk.load(self._key_within)
+        try:
+            lowered, static = found
+            self._lowered, self._function.static = _Lowered(*lowered), static
+        except Exception:  # nothing, or nothing of ours
+            return False
+        return True
+
+    def _trace(self) -> None:
+        def to_be_lowered(*leaves: Any) -> tuple:  # its name is heard
+            return self._function.traced(*leaves)
+
+        with kept_on_disk.listened() as has_warned, collecting_later():
+            self._traced = jax.jit(to_be_lowered, keep_unused=True).trace(*self._function.examples)
+        self._has_warned = has_warned()
+
+    def _lower(self) -> bool:
+        if self.calls_python:
+            return False
+        with kept_on_disk.listened() as has_warned, machine_code.listened() as codes, collecting_later():
+            module: Any = self._traced.lower().compiler_ir("stablehlo")
+        with module.context:
+            passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
+        main: Any = ir.SymbolTable(module.operation)["main"]
+        if len(main.type.inputs) != len(self._function.examples):  # JAX can be told to make arguments of constants
+            return False
+        with module.context:
+            _rename(module, self.name)
+        content = io.BytesIO()
+        module.operation.write_bytecode(content)
+        self._lowered = _Lowered(content.getvalue(), codes(), jax.tree.leaves(self._traced.out_info))
+        if not (self._has_warned or has_warned()):
+            kept_on_disk.save(self._key_within, (tuple(self._lowered), self._function.static))
+        self._traced = None
+        return True
+
+    def _read(self) -> Any:
+        assert self._lowered is not None
+        content, codes, _ = self._lowered
+        module = ir.Module.parse(content)
+        machine_code.make_known(codes)
+        machine_code.note_called(codes)
+        if b"lapack_" in content:
+            make_lapack_known()
+        return module
+
+    def traced(self, *leaves: Any) -> tuple:
+        """As a part of what is traced now."""
+        return self._function.traced(*leaves)
+
+    def now(self, *leaves: Any) -> Sequence:
+        """Of numbers."""
+        return self._function.now(*leaves)
+
+    def mapped(self, axes: tuple[int | None, ...], n: int) -> "Operation":
+        """Of many at once."""
+        return self._function.mapped(axes, n)
+
+    @property
+    def name(self) -> str:
+        """Of the function in a program that takes it in."""
+        return f"kept_{self._key_within or id(self):.16}"
+
+
+def _digest(key: str) -> str:
+    """Another key: as it stands in other programs, a function is not what is kept of it for numbers."""
+    return hashlib.sha256(f"within {key}".encode()).hexdigest()
+
+
+_within = Primitive("within")
+_within.multiple_results = True
+
+
+def _now(*leaves: Any, operation: Operation) -> Sequence:
+    return operation.now(*leaves)
+
+
+def _shapes(*_: Any, operation: Operation) -> list[ShapedArray]:
+    return [ShapedArray(s.shape, s.dtype, weak_type=getattr(s, "weak_type", False)) for s in operation.shapes]
+
+
+def _batched(leaves: Sequence, dims: Sequence, *, operation: Operation) -> tuple[Sequence, list[int]]:
+    n = next(leaf.shape[dim] for leaf, dim in zip(leaves, dims, strict=True) if dim is not None)
+    front = [leaf if not dim else jnp.moveaxis(leaf, dim, 0) for leaf, dim in zip(leaves, dims, strict=True)]
+    found = operation.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
+    return found, [0] * len(found)
+
+
+def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: Operation) -> tuple:
+    return jax.jvp(operation.traced, tuple(leaves), tuple(map(ad.instantiate_zeros, tangents)))
+
+
+def _lowering(context: Any, *operands: Any, operation: Operation) -> Sequence:
+    outer = context.module_context.module
+    if tuple(context.module_context.platforms) == ("cpu",):
+        with outer.context:
+            module = operation.module()
+            if module is not None:
+                return _called(outer, operation.name, module, operands)
+    return mlir.lower_fun(operation.traced, multiple_results=True)(context, *operands)
+
+
+_within.def_impl(_now)
+_within.def_abstract_eval(_shapes)
+batching.primitive_batchers[_within] = _batched
+ad.primitive_jvps[_within] = _differentiated
+mlir.register_lowering(_within, _lowering)
+
+
+def _called(outer: Any, name: str, module: Any, operands: Sequence) -> Sequence:
+    """The results of a call of a module's function; the outer module takes all of the module's functions in."""
+    if name not in ir.SymbolTable(outer.operation):
+        for operation in list(module.body.operations):
+            outer.body.append(operation)
+    function: Any = ir.SymbolTable(outer.operation)[name]
+    return func.CallOp(function.type.results, ir.FlatSymbolRefAttr.get(name), list(operands)).results
+
+
+def _rename(module: Any, name: str) -> None:
+    """Give a module's functions names of their own, `main` the name alone, so that another module can take them in."""
+    for operation in module.body.operations:
+        old = operation.sym_name.value
+        new = name if old == "main" else f"{name}_{old}"
+        ir.SymbolTable.replace_all_symbol_uses(old, new, module.operation)
+        ir.SymbolTable.set_symbol_name(operation, new)
+        ir.SymbolTable.set_visibility(operation, "private")
+        for each in ("arg_attrs", "res_attrs"):  # of a program's arguments, which say nothing of a function's
+            if each in operation.attributes:
+                del operation.attributes[each]
