@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import called, is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.by_value import own_arrays, remembered, values_of
+from spherejax.foundations.kept.own_code import own_code
 from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
@@ -328,15 +329,17 @@ class Structure:
         tree: the tree structure of the system's leaves.
         shapes: the leaves' shapes.
         special: entries that are known to be one of `SPECIAL_VALUES`, as (flat index, value).
+        code: fingerprint of code of a user's own in it, as it was when it was found; empty without.
     """
 
     tree: Any
     shapes: tuple[tuple[int, ...], ...]
     special: tuple[tuple[int, float], ...]
+    code: str = ""
 
     @cached_property
     def _hash(self) -> int:
-        return hash((self.tree, self.shapes, self.special))
+        return hash((self.tree, self.shapes, self.special, self.code))
 
     def __hash__(self) -> int:
         return self._hash
@@ -374,7 +377,7 @@ def flatten_system(system: System):
         else:
             parts += some
             start += sum(math.prod(np.shape(leaf)) for leaf in some)
-    structure = Structure(tree, shapes, tuple(special))
+    structure = Structure(tree, shapes, tuple(special), own_code(tree))
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
     return structure, _end_to_end(parts)

@@ -18,6 +18,7 @@ import jax
 import jax.core
 
 from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.foundations.kept.own_code import own_code
 from spherejax.foundations.kept.program import N_PROGRAMS, KeptProgram, Options
 from spherejax.foundations.terminals import waiting_for
 
@@ -110,7 +111,7 @@ class BoundedJit:
         leaves, tree = jax.tree.flatten(arrays)
         static, static_tree = jax.tree.flatten(rest)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
-        key = _Key(static_tree, tuple(static), tree, kinds)
+        key = _Key(static_tree, own_code(static_tree), tuple(static), tree, kinds)
 
         def made() -> KeptProgram:
             return KeptProgram.of(self._function, rest, tree, kinds, self._what, self._options)

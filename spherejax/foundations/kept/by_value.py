@@ -13,10 +13,12 @@ import numpy as np
 
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.foundations.kept.own_code import own_code
 
 
 def values_of(tree: Any) -> Hashable | None:
-    """All there is in a pytree, to be compared; None where something in it is traced, or cannot be compared."""
+    """All there is in a pytree, to be compared, code of a user's own as it is now; None where something in it is
+    traced, or cannot be compared."""
     leaves, structure = jax.tree.flatten(tree)
     values = []
     for leaf in leaves:
@@ -38,7 +40,7 @@ def values_of(tree: Any) -> Hashable | None:
         hash(structure)
     except TypeError:  # something static in it is not hashable
         return None
-    return structure, tuple(values)
+    return structure, own_code(structure), tuple(values)
 
 
 def own_arrays(tree: Any) -> Any:

@@ -7,6 +7,7 @@ they use of their modules. Addresses and the order of sets are left out, so that
 """
 
 import dataclasses
+import dis
 import enum
 import functools
 import hashlib
@@ -81,6 +82,25 @@ def known_fingerprint(value: Any) -> str | None:
     return None if words.is_bound else words.fingerprint
 
 
+def own_parts(value: Any) -> tuple:
+    """Classes, functions and objects in a value that no version tells: code of a user's own, not looked into."""
+    words = _Words(is_collecting=True)
+    words.value(value)
+    return tuple(words.foreign.values())
+
+
+def code_fingerprint(parts: tuple, *, with_state: bool = True) -> str:
+    """What code of a user's own is now, with what it looks up, but for names that it assigns to itself.
+
+    Args:
+        parts: classes, functions and objects, as `own_parts` finds them.
+        with_state: with lists, arrays and objects that it looks up; else with functions, classes and numbers alone.
+    """
+    words = _Words(is_of_code=True, with_state=with_state)
+    words.value(parts)
+    return words.fingerprint
+
+
 class _ForeignError(Exception):
     """Something that no version tells."""
 
@@ -97,19 +117,32 @@ def _digest(content: bytes) -> str:
 class _Words:
     """Words that are hashed one after the other."""
 
-    def __init__(self, is_known_only: bool = False):
+    def __init__(
+        self,
+        is_known_only: bool = False,
+        *,
+        is_collecting: bool = False,
+        is_of_code: bool = False,
+        with_state: bool = True,
+    ):
         self._hash = hashlib.sha256()
         self._is_known_only = is_known_only
+        self._is_collecting, self._is_of_code, self._with_state = is_collecting, is_of_code, with_state
         self.is_bound = False
+        self.foreign: dict[int, Any] = {}  # what no version tells, where that is collected
         self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
 
     @property
     def fingerprint(self) -> str:
         return self._hash.hexdigest()[:32]
 
-    def _meets(self, is_foreign: bool) -> None:
+    def _meets(self, is_foreign: bool, value: Any) -> bool:
+        """Note what no version tells; whether it is not to be looked into."""
         if is_foreign and self._is_known_only:
             raise _ForeignError
+        if is_foreign and self._is_collecting:
+            self.foreign[id(value)] = value
+        return is_foreign and self._is_collecting
 
     def word(self, *words: object) -> None:
         for each in words:
@@ -240,28 +273,34 @@ class _Words:
         try:
             example = jax.tree.unflatten(tree, range(tree.num_leaves))
         except Exception:  # a class of a user's own that does not take numbers for its leaves
-            self._meets(True)
-            self._text(tree)
+            if not self._meets(True, tree):
+                self._text(tree)
             return
         self.value(("tree", tree.num_leaves, example))
 
     def _text(self, value: Any) -> None:
         text = repr(value)
         without = _without_addresses(text)
-        self._meets(without != text)
+        self._meets(without != text, value)
         self.word(without)
 
     def _class(self, kind: type) -> None:
         self.word("class", _name_of(kind))
-        self._meets(not _is_versioned(kind.__module__))
-        if is_installed(kind.__module__, None):
+        if self._meets(not _is_versioned(kind.__module__), kind) or is_installed(kind.__module__, None):
             return
         self.value([base for base in kind.__bases__ if base is not object])
         own = {name: each for name, each in vars(kind).items() if not name.startswith("__") or name == "__call__"}
-        self.value({name: each for name, each in own.items() if not name.startswith("_abc")})
+        own = {name: each for name, each in own.items() if not name.startswith("_abc")}
+        if not self._is_of_code:
+            self.value(own)
+            return
+        for name in sorted(own):
+            self.word(name)
+            self._used(own[name])
 
     def _function(self, function: types.FunctionType) -> None:
-        self._meets(not _is_versioned(function.__module__))
+        if self._meets(not _is_versioned(function.__module__), function):
+            return
         if is_installed(function.__module__, function.__code__.co_filename):
             self.word("function", _name_of(function))
             if _top(function.__module__) == _OWN:
@@ -269,17 +308,31 @@ class _Words:
             return
         self._code(function.__code__, function.__doc__)
         self._closed_over(function)
+        assigned = _assigned_in(function.__code__) if self._is_of_code else frozenset()
+        for name, used in _used_of_modules(function) if self._is_of_code else ():
+            self.word(name)
+            self._used(used)
         for name, used in _used_globals(function):
             self.word(name)
-            self.value(used)
+            if name not in assigned:
+                self._used(used)
 
     def _closed_over(self, function: types.FunctionType) -> None:
         self.value([function.__defaults__, function.__kwdefaults__])
-        for cell in function.__closure__ or ():
+        assigned = _assigned_in(function.__code__) if self._is_of_code else frozenset()
+        for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             try:
-                self.value(cell.cell_contents)
+                if name not in assigned:
+                    self._used(cell.cell_contents)
             except ValueError:  # a cell that has not been filled yet
                 self.word("empty")
+
+    def _used(self, value: Any) -> None:
+        """Something that code looks up."""
+        if self._with_state or isinstance(value, (*_STATELESS, jax.Array)):
+            self.value(value)
+        else:
+            self.word("state", _name_of(type(value)))
 
     def _code(self, code: types.CodeType, doc: str | None) -> None:
         """Operations, constants and names of what is looked up; not the names of variables, lines, or the docstring."""
@@ -301,6 +354,41 @@ def _used_globals(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
         yield name, used
         if isinstance(used, types.ModuleType) and not is_installed(used.__name__, getattr(used, "__file__", None)):
             yield from ((f"{name}.{inner}", getattr(used, inner)) for inner in names if hasattr(used, inner))
+
+
+def _used_of_modules(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """What a function may look up in modules of the user's that it closes over, or imports itself."""
+    names = _names_in(function.__code__)
+    inside = [cell.cell_contents for cell in function.__closure__ or () if _is_filled(cell)]
+    modules = [*inside, *(sys.modules.get(name) for name in names if name not in function.__globals__)]
+    for module in modules:
+        if isinstance(module, types.ModuleType) and not is_installed(
+            module.__name__, getattr(module, "__file__", None)
+        ):
+            yield from ((f"{module.__name__}.{name}", getattr(module, name)) for name in names if hasattr(module, name))
+
+
+def _is_filled(cell: types.CellType) -> bool:
+    try:
+        return cell.cell_contents is not cell
+    except ValueError:
+        return False
+
+
+_STATELESS = (
+    type(None), bool, int, float, complex, str, bytes, tuple, type, types.ModuleType, types.FunctionType,
+    types.BuiltinFunctionType, functools.partial, property, staticmethod, classmethod,
+)  # fmt: skip
+"""What does not change by being used."""
+
+
+@functools.lru_cache(maxsize=1024)
+def _assigned_in(code: types.CodeType) -> frozenset[str]:
+    """Names outside a function that it, or one within it, assigns to."""
+    words = ("STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF")
+    names = {str(each.argval) for each in dis.get_instructions(code) if each.opname in words}
+    inner = (_assigned_in(constant) for constant in code.co_consts if isinstance(constant, types.CodeType))
+    return frozenset(names.union(*inner))
 
 
 def _names_in(code: types.CodeType) -> list[str]:

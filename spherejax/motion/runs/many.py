@@ -19,6 +19,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.foundations.kept.bounded_jit import bounded_jit
+from spherejax.foundations.kept.own_code import looked_at_once
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import compile_scene
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
@@ -104,12 +105,13 @@ def simulate_many(
     check_tolerances(rtol, atol, derivative_rtol)
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     n_runs = count_of_runs(parameters)
-    method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
-    method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
-    warn_of_starts(build, parameters, ts)
-    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
-    build = known_build(build, one, track_work, method.by)
-    runs = many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
+    with looked_at_once():
+        method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
+        method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
+        warn_of_starts(build, parameters, ts)
+        one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
+        build = known_build(build, one, track_work, method.by)
+        runs = many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
     stats, status = runs.trajectories.stats, runs.trajectories.status
     if is_concrete(stats.audit) and (said := cautions(np.asarray(stats.audit)[np.asarray(status) == Status.SUCCEEDED])):
         warnings.warn(said, OutOfRangeWarning, stacklevel=2)

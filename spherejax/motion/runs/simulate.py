@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
+from spherejax.foundations.kept.own_code import looked_at_once
 from spherejax.foundations.lanes import rows_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
@@ -117,10 +118,12 @@ def simulate(
     """
     require_float64()
     asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
-    call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
-    for change in call.changes:
-        warnings.warn(change, StartWarning, stacklevel=2)
-    return _reported(call.run(), throw)
+    with looked_at_once():
+        call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
+        for change in call.changes:
+            warnings.warn(change, StartWarning, stacklevel=2)
+        run = call.run()
+    return _reported(run, throw)
 
 
 class _Call(NamedTuple):

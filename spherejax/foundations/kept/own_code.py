@@ -1,0 +1,93 @@
+"""Code of a user's own in what is simulated, told by what it is now.
+
+A law, a force or a function is traced once, and its program is kept. In a notebook the helpers of a user's own law and
+the constants that it looks up are written anew again and again: a program that was traced before computes what they
+were then. So whatever is kept of something with such code is told by a fingerprint of that code as it is now, with all
+that it looks up: a cell that is run again is seen, and what it changes is traced anew.
+
+What code counts or collects while it is traced would make it another one each time. Names that it assigns to do not
+count; and where a run is seen to change what its code looks up, in lists and objects say, only functions, classes and
+numbers count from then on.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
+
+from spherejax.foundations.kept.fingerprints import code_fingerprint, own_parts
+
+N_TREES = 1024
+"""Trees of which it is remembered whether there is code of a user's own in them."""
+
+
+def own_code(tree: Any) -> str:
+    """The fingerprint of the code of a user's own that the tree of a pytree holds; empty where there is none.
+
+    Args:
+        tree: what `jax.tree.structure` returns.
+    """
+    parts = _parts_of(tree)
+    if not parts:
+        return ""
+    seen = getattr(_looking, "seen", None)
+    if seen is None:
+        return _told(parts)
+    if parts not in seen:
+        seen[parts] = _told(parts), code_fingerprint(parts, with_state=False)
+    return seen[parts][0]
+
+
+@contextmanager
+def looked_at_once() -> Iterator[None]:
+    """Code is looked at once in this context, and again at its end: whether what was traced has changed what it looks
+    up itself. May be nested."""
+    if getattr(_looking, "seen", None) is not None:
+        yield
+        return
+    seen = _looking.seen = {}
+    try:
+        yield
+    finally:
+        _looking.seen = None
+        for parts, (told, code) in seen.items():
+            if _told(parts) != told and code_fingerprint(parts, with_state=False) == code:
+                _by_code[parts, code] = told
+
+
+_looking = threading.local()
+
+_by_code: dict[tuple, str] = {}
+"""What code is told by, where tracing it changes what it looks up: by what it was before that."""
+
+
+def _told(parts: tuple) -> str:
+    if any(parts == changing for changing, _ in _by_code):
+        code = code_fingerprint(parts, with_state=False)
+        return _by_code.get((parts, code), code)
+    return code_fingerprint(parts)
+
+
+class _Same:
+    """Told by identity, whatever it is."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __hash__(self) -> int:
+        return id(self.value)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.value is other.value
+
+    def told_by(self) -> Any:
+        """What `fingerprints` takes for it."""
+        return self.value
+
+
+@lru_cache(maxsize=N_TREES)
+def _parts_of(tree: Any) -> tuple[_Same, ...]:
+    return tuple(map(_Same, own_parts(tree)))

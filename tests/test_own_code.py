@@ -1,0 +1,197 @@
+"""Code of a user's own is simulated as it is now: helpers, constants and methods that were written anew are seen."""
+
+import importlib
+import sys
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.foundations.kept.own_code import own_code
+from spherejax.model.system import compile_scene, flatten_system
+
+TS = np.linspace(0.0, 0.1, 4)
+GAIN = 3.0
+TABLE = {"gain": 3.0}
+SEEN: list[float] = []
+n_calls = 0
+
+
+def helper(x):
+    """What the magnet looks up."""
+    return GAIN * x
+
+
+class Own(sj.AbstractForce):
+    """Pulls a body to the ground, by what is looked up in this module."""
+
+    body: str = eqx.field(static=True)
+    stiffness: float
+    factor = 1.0
+
+    def wrenches(self, t, motions):
+        lift = -self.factor * self.stiffness * helper(motions[self.body].position[2]) * TABLE["gain"] / 3.0
+        return {self.body: sj.Wrench(jnp.stack([0.0 * lift, 0.0 * lift, lift]), jnp.zeros(3))}
+
+
+class Counting(Own):
+    """The same, which counts how often it is traced."""
+
+    def wrenches(self, t, motions):
+        global n_calls
+        n_calls += 1
+        return super().wrenches(t, motions)
+
+
+class Collecting(Own):
+    """The same, which collects what it is traced with."""
+
+    def wrenches(self, t, motions):
+        SEEN.append(len(SEEN))
+        return super().wrenches(t, motions)
+
+
+def scene(stiffness=10.0, kind=Own):
+    body = sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 1.0))
+    return sj.Scene({"bob": body}, {}, {"magnet": kind("bob", stiffness)}, gravity=(0.0, 0.0, 0.0))
+
+
+def height(stiffness=10.0, kind=Own, **options):
+    """After 0.1 s [m]: cos(0.1 w) with w^2 = 3 stiffness, as the module stands when it is imported."""
+    return float(sj.simulate(scene(stiffness, kind), TS, **options).ys[-1, 2])
+
+
+def expected(stiffness=10.0, gain=3.0):
+    return pytest.approx(np.cos(0.1 * np.sqrt(gain * stiffness)), rel=1e-8)
+
+
+def heights(stiffnesses):
+    found = sj.simulate_many(lambda k: scene(k), {"k": jnp.asarray(stiffnesses)}, TS)
+    return np.asarray(found.trajectories.ys[:, -1, 2])
+
+
+THIS = sys.modules[__name__]
+
+CHANGES = {
+    "helper": lambda patch: patch.setattr(THIS, "helper", lambda x: 60.0 * x),
+    "constant": lambda patch: patch.setattr(THIS, "GAIN", 60.0),
+    "entry of a table": lambda patch: patch.setitem(TABLE, "gain", 60.0),
+    "constant of the class": lambda patch: patch.setattr(Own, "factor", 20.0),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_what_was_written_anew_is_simulated(what, monkeypatch):
+    """With the same numbers and with others, one by one and many at once, the scene itself and what is read of it."""
+    made = scene()
+    assert height() == expected()
+    np.testing.assert_allclose(heights([10.0, 20.0])[0], np.cos(0.1 * np.sqrt(30.0)), rtol=1e-8)
+    with monkeypatch.context() as patch:
+        CHANGES[what](patch)
+        assert height() == expected(gain=60.0)
+        assert height(11.0) == expected(11.0, gain=60.0)
+        run = sj.simulate(made, TS)
+        assert float(run.ys[-1, 2]) == expected(gain=60.0)
+        assert float(run.acceleration("bob")[0, 2]) == pytest.approx(-600.0)
+        np.testing.assert_allclose(heights([10.0, 20.0])[0], np.cos(0.1 * np.sqrt(600.0)), rtol=1e-8)
+    assert height() == expected()
+    assert float(sj.simulate(made, TS).ys[-1, 2]) == expected()
+
+
+def test_a_method_that_was_replaced_is_called(monkeypatch):
+    def wrenches(self, t, motions):
+        lift = -100.0 * self.stiffness * motions[self.body].position[2]
+        return {self.body: sj.Wrench(jnp.stack([0.0 * lift, 0.0 * lift, lift]), jnp.zeros(3))}
+
+    assert height() == expected()
+    monkeypatch.setattr(Own, "wrenches", wrenches)
+    assert height() == expected(gain=100.0)
+
+
+def test_checks_that_were_written_anew_are_made(monkeypatch):
+    def requirements(self):
+        return [sj.Requirement("stiffness", self.stiffness, self.stiffness > 50.0, "be large", "Give more.")]
+
+    assert height() == expected()
+    monkeypatch.setattr(Own, "requirements", requirements)
+    with pytest.raises(sj.SceneError, match="force 'magnet': stiffness = 10 must be large"):
+        height()
+    monkeypatch.undo()
+    assert height() == expected()
+
+
+@pytest.mark.parametrize("is_imported_inside", [False, True])
+def test_a_module_that_was_loaded_again_is_seen(is_imported_inside, tmp_path, monkeypatch):
+    file = tmp_path / "helpers_of_mine.py"
+    file.write_text("def pull(x):\n    return 3.0 * x\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.delitem(sys.modules, "helpers_of_mine", raising=False)
+    helpers = importlib.import_module("helpers_of_mine")
+
+    def imported(x):
+        from helpers_of_mine import pull  # pyright: ignore
+
+        return pull(x)
+
+    monkeypatch.setattr(THIS, "helper", imported if is_imported_inside else lambda x: helpers.pull(x))
+    assert height() == expected()
+    file.write_text("def pull(x):\n    return 45.0 * x\n")
+    importlib.reload(helpers)
+    assert height() == expected(gain=45.0)
+
+
+def test_a_function_that_closes_over_a_number_is_told_by_it():
+    """An adjustable closure: the function is the same object."""
+    level = 2.0
+
+    def force(t):
+        return jnp.stack([0.0 * t, 0.0 * t, level + 0.0 * t])
+
+    body = sj.Body(1.0, (1e-3, 1e-3, 1e-3))
+    pushed = sj.Scene({"bob": body}, {}, {"push": sj.AppliedWrench("bob", force=force)}, gravity=(0.0, 0.0, 0.0))
+    assert float(sj.simulate(pushed, TS).ys[-1, 2]) == pytest.approx(0.01)
+    level = 4.0
+    assert float(sj.simulate(pushed, TS).ys[-1, 2]) == pytest.approx(0.02)
+
+
+def test_a_solver_of_a_users_own_is_the_one_that_it_is_now(monkeypatch):
+    class Mine(diffrax.Tsit5):
+        def order(self, terms):
+            return 5
+
+    def steps(**options):
+        return int(sj.simulate(scene(), TS, solver=Mine(), **options).stats.n_steps)
+
+    before = steps(rtol=1e-9)
+    monkeypatch.setattr(Mine, "order", lambda self, terms: 2)  # the step-size control goes by it
+    assert steps(rtol=1e-9) != before
+
+
+@pytest.mark.parametrize("kind", [Counting, Collecting])
+@pytest.mark.parametrize("options", [{}, {"scalar": False}], ids=["scalar", "arrays"])
+def test_code_that_counts_how_often_it_is_traced_is_traced_once(kind, options, monkeypatch):
+    def n_traced():
+        return n_calls + len(SEEN)
+
+    assert height(kind=kind, **options) == expected()
+    height(kind=kind, **options)
+    traced = n_traced()
+    for stiffness in (10.0, 11.0, 12.0):
+        assert height(stiffness, kind=kind, **options) == expected(stiffness)
+    assert n_traced() == traced
+    monkeypatch.setattr(THIS, "GAIN", 60.0)  # and is looked at all the same
+    assert height(kind=kind, **options) == expected(gain=60.0)
+    assert n_traced() > traced
+
+
+def test_scenes_without_such_code_have_none():
+    for made in (sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall())), sj.gallery.car_axis()):
+        structure, _ = flatten_system(compile_scene(made).system)
+        assert structure.code == own_code(jax.tree.structure(made)) == ""
+    structure, _ = flatten_system(compile_scene(scene()).system)
+    assert structure.code == own_code(jax.tree.structure(scene())) != ""
