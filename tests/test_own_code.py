@@ -102,6 +102,29 @@ def test_what_was_written_anew_is_simulated(what, monkeypatch):
     assert float(sj.simulate(made, TS).ys[-1, 2]) == expected()
 
 
+def test_studies_see_it_too(monkeypatch):
+    """Gradients, equilibria and modes: the body hangs in a guide, 1 / (gain stiffness) below the ground."""
+    guide = sj.Prismatic(("ground", "bob"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+    def hanging():
+        body = sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 1.0))
+        return sj.Scene({"bob": body}, {"guide": guide}, {"magnet": Own("bob", 10.0)}, gravity=(0.0, 0.0, -1.0))
+
+    def found():
+        rest = sj.equilibrium(hanging()).scene
+        slope = jax.grad(lambda k: sj.simulate(scene(k), TS).ys[-1, 2])(10.0)
+        frequency = sj.linearize(rest).modes().to_xarray()["frequency"].values.max()
+        return float(slope), float(rest.bodies["bob"].position[2]), float(frequency)
+
+    def expected_for(gain):
+        rate = np.sqrt(10.0 * gain)
+        return pytest.approx((-0.1 * np.sin(0.1 * rate) * gain / (2 * rate), -1 / (10.0 * gain), rate / 2 / np.pi))
+
+    assert found() == expected_for(3.0)
+    monkeypatch.setattr(THIS, "GAIN", 12.0)
+    assert found() == expected_for(12.0)
+
+
 def test_a_method_that_was_replaced_is_called(monkeypatch):
     def wrenches(self, t, motions):
         lift = -100.0 * self.stiffness * motions[self.body].position[2]

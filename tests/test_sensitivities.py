@@ -11,6 +11,7 @@ import reduction
 from bouncing import SCALE, VALUES
 
 import spherejax as sj
+from spherejax.motion.derivatives import sensitivities
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
 
 IMPACTS = (1, 2, 10)
@@ -337,6 +338,18 @@ def height_on_a_stop(stiffness):
         ground_points={"floor": (0.0, 0.0, 0.0)},
     )
     return sj.simulate(scene, jnp.linspace(0.0, 0.055, 3)).ys[-1, 2]
+
+
+def test_second_derivatives_that_would_take_all_memory_are_refused(monkeypatch):
+    """Andrews' mechanism has 13,000 operations: its process was killed."""
+    monkeypatch.setattr(sensitivities, "MOST_FOR_SECOND", 10)
+
+    def place(length):
+        return sj.simulate(sj.gallery.simple_pendulum(length=length), jnp.linspace(0.0, 0.05, 3)).ys[-1, 0]
+
+    with pytest.raises(sj.SceneError, match=r"has \d+ scalar operations take more memory .* differences of jax\.grad"):
+        jax.hessian(place)(2.0)
+    assert np.isfinite(jax.grad(place)(2.0))
 
 
 @pytest.mark.parametrize(("height", "at"), [(height_in_a_socket, 1e-4), (height_on_a_stop, 1e4)])

@@ -93,6 +93,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         example = example_of(plan.structure)
         if (example.contact_joints or example.touching_forces) and isinstance(solver, diffrax.AbstractERK):
             raise SceneError(NO_SECOND_DERIVATIVES)
+        _refuse_large(plan)
         return jax.jvp(lambda values: by_diffrax(values, *primals[1:]), primals[:1], tangents[:1])
 
     @jax.custom_jvp
@@ -123,6 +124,24 @@ def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
     `implicit_rows`. Of diffrax's implicit methods the whole run is differentiated step by step, errors unseen.
     """
     return isinstance(solver, diffrax.AbstractERK | AbstractRosenbrock)
+
+
+MOST_FOR_SECOND = 5_000
+"""Scalar operations of a right-hand side up to which second derivatives are taken. To compile them takes 40 s for a
+pendulum (400 operations), two to five minutes for mechanisms of 2,000, 14 minutes and 5 GB for a chain of 3,200; at
+13,000 (Andrews' mechanism) the process was killed for its 24 GB."""
+
+
+def _refuse_large(plan: Plan) -> None:
+    """Refuse second derivatives that no usual machine can compile: it would end the process, without a word."""
+    program = program_for(state_rate, plan.structure, plan.scalar)
+    n = np.inf if program.too_large else 0 if program.scalar is None else program.scalar.n_operations
+    if n > MOST_FOR_SECOND:
+        raise SceneError(
+            f"second derivatives of a run whose right-hand side has {n:,.0f} scalar operations take more memory to "
+            f"compile than most machines have (up to {MOST_FOR_SECOND:,} it takes minutes). Take "
+            "differences of jax.grad: with a step of a thousandth of a number they have four to six digits"
+        )
 
 
 NO_SECOND_DERIVATIVES = (
