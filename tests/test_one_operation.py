@@ -235,6 +235,14 @@ def test_an_operation_is_its_function_under_every_transformation(operation, way)
         operation.clear()
 
 
+def test_where_nothing_can_be_kept_any_more_many_are_computed_all_the_same(operation, monkeypatch):
+    """A source file that is written while a program is traced, say."""
+    keys = iter(["1" * 64])
+    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: next(keys, None))
+    found = jax.jit(jax.vmap(lambda a: in_whole(operation, a, X)))(X)
+    np.testing.assert_array_equal(found, X * jnp.sum(X) + 1.0)
+
+
 def test_an_operation_is_told_by_what_it_computes_and_not_by_what_was_found_out(folder):
     def fingerprint(**options):
         return program_fingerprint(lambda length: place(length, **options), jax.ShapeDtypeStruct((), jnp.float64))

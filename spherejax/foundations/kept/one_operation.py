@@ -184,7 +184,7 @@ class Operation:
     @property
     def name(self) -> str:
         """Of the function in a program that takes it in."""
-        return f"kept_{self._key_within or id(self):.16}"
+        return f"kept_{str(self._key_within or id(self))[:16]}"
 
 
 def _digest(key: str) -> str:
