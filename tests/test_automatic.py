@@ -168,9 +168,7 @@ def test_the_rate_at_the_start_of_a_traced_run_is_that_of_a_known_one(k, b):
 
 
 def test_both_methods_are_in_a_run_that_chooses_at_its_start(monkeypatch):
-    monkeypatch.setattr(
-        runtime, "_kept", [None]
-    )  # a run that is kept is one operation
+    monkeypatch.setattr(runtime, "_kept", [None])  # a run that is kept is one operation
 
     def simulated(stiffness, solver=None):
         scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))

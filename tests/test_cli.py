@@ -446,7 +446,7 @@ def test_compare_writes_table_files_and_figures(tmp_path, capsys, monkeypatch):
     def compared(subject, *, quick, report, meanwhile):
         """One of the figures that need no run has been drawn when this returns, and one of the files written."""
         next(meanwhile.ahead)
-        next(meanwhile.of_runs(found.runs))
+        next(meanwhile.as_found(lambda: found))
         report("done", 1.0)
         return found
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from spherejax.studies.workers import Piece, Progress, silent, workers
+from spherejax.studies.workers import NOTHING_YET, Piece, Progress, silent, workers
 
 
 def doubled(i, gate):
@@ -32,6 +32,26 @@ def test_who_waits_works_meanwhile_step_by_step():
     assert steps == [(step, threading.main_thread()) for step in range(3)]
     assert sorted(what for what, _ in told) == [f"piece {i}" for i in range(4)]
     assert [share for _, share in told] == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_who_waits_hears_what_is_done_and_waits_where_there_is_nothing_to_do():
+    gate, heard, steps = threading.Event(), {}, []
+
+    def meanwhile():
+        while True:
+            steps.append(dict(heard))
+            gate.set()  # the first piece waits for the first step
+            yield NOTHING_YET
+
+    def slow():
+        time.sleep(0.3)
+        return "slow"
+
+    with workers(Progress(silent, 2)) as pool:
+        found = pool.each([doubled(1, gate), Piece("slow", slow)], meanwhile(), heard.__setitem__)
+    assert found == [2, "slow"]
+    assert heard == {0: 2, 1: "slow"}
+    assert steps == [{}, {0: 2}]
 
 
 def test_what_is_left_when_all_is_done_is_left_to_the_caller():

@@ -7,7 +7,7 @@ import csv
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import spherejax as sj
 from spherejax.command_line.catalog import FILMS, SUBJECTS
@@ -73,7 +73,7 @@ def compare_models(options: argparse.Namespace) -> int:
     subject = SUBJECTS[options.scene]
     subject = subject if options.film == "full" else subject.with_film(FILMS[options.film]())
     writer = _Writer(folder)
-    meanwhile = Meanwhile(writer.ahead(subject), writer.data_of)
+    meanwhile = Meanwhile(writer.ahead(subject), writer.as_found)
     with progress("comparing") as report:
         comparison = compare(
             subject, quick=options.quick, report=lambda what, share: report(what, 0.9 * share), meanwhile=meanwhile
@@ -136,6 +136,18 @@ class _Writer:
                 save(dataset, self.folder / file, overwrite=True)
                 self.written.add(file)
             yield
+
+    def as_found(self, so_far: Callable[[], Comparison]) -> Iterator[Any]:
+        """The netCDF files of the models' runs, then figures as soon as all is known that they show, in steps."""
+        from spherejax.command_line.figures import figures_of
+        from spherejax.studies.workers import NOTHING_YET
+
+        yield from self.data_of(so_far().runs)
+        while True:
+            new = [(name, draw) for name, draw in figures_of(so_far()).items() if name not in self.written]
+            if new:
+                self._draw(*new[0])
+            yield None if new else NOTHING_YET
 
     def write_rest(self, comparison: Comparison, report: Report) -> list[str]:
         """All that has not been written yet; returns the names of all figures."""

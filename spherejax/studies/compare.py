@@ -48,11 +48,12 @@ class Meanwhile(NamedTuple):
 
     Attributes:
         ahead: what needs no run.
-        of_runs: what needs the runs of the models, by short name.
+        as_found: what needs the runs of the models, and more as it is found: from a function that says what is known
+            now, a comparison without rows, with the studies that are complete.
     """
 
     ahead: Iterator[Any]
-    of_runs: Callable[[Mapping[str, Trajectory]], Iterator[Any]]
+    as_found: Callable[[Callable[[], Comparison]], Iterator[Any]]
 
 
 def compare(
@@ -78,7 +79,7 @@ def compare(
     fixed = subject.fixed_solver if length.fixed else None
     solvers = (None,) if fixed is None else (None, fixed)
     others = [case for case in _distinct(studies) if case not in models.values()]
-    ahead, of_runs = (None, lambda runs: None) if meanwhile is None else meanwhile
+    ahead, as_found = (None, lambda so_far: None) if meanwhile is None else meanwhile
     done = Progress(report, (2 + 2 * len(solvers)) * len(models) + len(others) + len(limits))
     with workers(done) as pool:
         # The slowest to compile first, so that no worker is left alone with one at the end.
@@ -87,32 +88,52 @@ def compare(
         runs = {name: found[order.index(name)][0] for name in models}
         curves = {name: found[order.index(name)][1] for name in models}
         t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
-        # All that is left at once, what compiles first.
-        by_kind = [
-            [_piece("simulated", _curves_only, subject, case, ts) for case in others],
-            [_piece("limit", _limit, subject, study, t_short) for study in limits],
-            [
-                _piece("prepared to be timed", _run_for_timing, subject, models[name], t_end, solver)
-                for solver in solvers
-                for name in order
-            ],
-            [
-                _piece("compared with a smaller tolerance", horizon, subject, case, ts, runs[name])
+        known = {case: curves[name] for name, case in models.items()}
+        horizons: dict[str, float | None] = {}
+        limits_found: dict[LimitStudy, LimitResult] = {}
+        timed: dict[Any, Trajectory] = {}
+        # All that is left at once, what compiles first; but for the horizons, which figures wait for.
+        work: list[tuple[dict, Any, Piece]] = [
+            *((known, case, _piece("simulated", _curves_only, subject, case, ts)) for case in others),
+            *(
+                (horizons, name, _piece("compared with a smaller tolerance", horizon, subject, case, ts, runs[name]))
                 for name, case in models.items()
-            ],
+            ),
+            *((limits_found, study, _piece("limit", _limit, subject, study, t_short)) for study in limits),
+            *(
+                (
+                    timed,
+                    (name, number),
+                    _piece("prepared to be timed", _run_for_timing, subject, models[name], t_end, solver),
+                )
+                for number, solver in enumerate(solvers)
+                for name in order
+            ),
         ]
-        answers = iter(pool.each([piece for pieces in by_kind for piece in pieces], of_runs(runs)))
-        found, limit_results, _, apart = ([next(answers) for _ in pieces] for pieces in by_kind)
-    horizons = dict(zip(models, apart, strict=True))
-    known = {case: curves[name] for name, case in models.items()} | dict(zip(others, found, strict=True))
+
+        def heard(at: int, result: Any) -> None:
+            place, name, _ = work[at]
+            place[name] = result
+
+        def so_far() -> Comparison:
+            complete = [study for study in studies if all(case in known for case in study.cases)]
+            results = [_study_result(study, known) for study in complete]
+            return Comparison(t_end, [], curves, runs, results, t_limits=t_limits, parted=horizons, subject=subject)
+
+        pool.each([piece for *_, piece in work], as_found(so_far), heard)
+    limit_results = [limits_found[study] for study in limits]
     usual = _timed(subject, models, t_end, None, done)
     by_fixed = {} if fixed is None else _timed(subject, models, t_end, fixed, done)
     rows = [
         _row(subject, name, models[name], runs[name], curves[name], usual[name], horizons[name], by_fixed.get(name))
         for name in models
     ]
-    results = [StudyResult(study, [replace(known[c], label=c.label) for c in study.cases]) for study in studies]
+    results = [_study_result(study, known) for study in studies]
     return Comparison(t_end, rows, curves, runs, results, limit_results, t_limits, subject=subject)
+
+
+def _study_result(study: Study, known: Mapping[Case, Curves]) -> StudyResult:
+    return StudyResult(study, [replace(known[case], label=case.label) for case in study.cases])
 
 
 def _piece(verb: str, work, subject: Subject, case: Case | LimitStudy, *arguments) -> Piece:

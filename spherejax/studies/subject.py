@@ -109,7 +109,8 @@ class Subject:
         quick: that of the quick one.
         columns: of the table.
         measures: numbers of a run that its row shall hold, by name.
-        figures: functions that draw the figures, by file name without suffix.
+        figures: functions that draw the figures, by file name without suffix; of a comparison that is not done yet,
+            those for which all is known.
         figures_ahead: those of them that need no run.
         summaries: further tables.
         remarks: sentences below the tables.
@@ -256,6 +257,7 @@ class Comparison(Reported):
         studies: parameter studies.
         limits: limits to the ideal joint, over `t_limits` seconds.
         t_limits: length of the motion in the limits [s].
+        parted: the horizons that are known while there are no rows yet.
         subject: the mechanism.
     """
 
@@ -266,12 +268,13 @@ class Comparison(Reported):
     studies: list[StudyResult] = field(default_factory=list)
     limits: list[LimitResult] = field(default_factory=list)
     t_limits: float = 0.0
+    parted: Mapping[str, float | None] = field(default_factory=dict)
     subject: Subject = field(kw_only=True)
 
     @property
     def horizons(self) -> dict[str, float | None]:
         """Until when each model's motion does not depend on the tolerance [s], by short name."""
-        return {row.name: row.horizon for row in self.rows}
+        return {**self.parted, **{row.name: row.horizon for row in self.rows}}
 
     def report_page(self, title: str, scene: Scene | None) -> "Page":
         """The page that `report` writes."""

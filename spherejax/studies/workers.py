@@ -41,6 +41,13 @@ class Progress:
 
 _NOTHING = object()
 
+NOTHING_YET = object()
+"""A step of who waits in which there was nothing to do: the next one is made when another piece of work is done."""
+
+
+def _unheard(at: int, result: Any) -> None:
+    del at, result
+
 
 class Pool:
     """Workers that compile and run at the same time; the results keep their order."""
@@ -48,23 +55,31 @@ class Pool:
     def __init__(self, executor: ThreadPoolExecutor, done: Progress):
         self.executor, self.done = executor, done
 
-    def each(self, pieces: Sequence[Piece], meanwhile: Iterator[Any] | None = None) -> list:
+    def each(
+        self,
+        pieces: Sequence[Piece],
+        meanwhile: Iterator[Any] | None = None,
+        heard: Callable[[int, Any], None] = _unheard,
+    ) -> list:
         """The results of all pieces of work, reported as they come.
 
         Args:
             pieces: the work.
             meanwhile: work for the thread that waits; a step of it is made whenever there is nothing to report. What is
                 left of it when all pieces are done is left to the caller.
+            heard: called by the thread that waits with the place of a piece that is done, and its result.
         """
-        futures = {self.executor.submit(piece.work): piece for piece in pieces}
-        waiting, has_more = set(futures), meanwhile is not None
+        futures = {self.executor.submit(piece.work): at for at, piece in enumerate(pieces)}
+        waiting, has_more, is_idle = set(futures), meanwhile is not None, False
         while waiting:
-            found, waiting = wait(waiting, timeout=0 if has_more else None, return_when=FIRST_COMPLETED)
+            timeout = 0 if has_more and not is_idle else None
+            found, waiting = wait(waiting, timeout=timeout, return_when=FIRST_COMPLETED)
             for future in found:
-                future.result()
-                self.done(futures[future].what)
+                heard(futures[future], future.result())
+                self.done(pieces[futures[future]].what)
             if waiting and has_more and meanwhile is not None:
-                has_more = next(meanwhile, _NOTHING) is not _NOTHING
+                step = next(meanwhile, _NOTHING)
+                has_more, is_idle = step is not _NOTHING, step is NOTHING_YET
         return [future.result() for future in futures]
 
 

@@ -35,7 +35,7 @@ COLUMNS = (
 
 
 def figures(comparison: "Comparison") -> dict[str, Callable]:
-    """Functions that draw the figures, by file name."""
+    """Functions that draw the figures, by file name; of a comparison that is not done yet, those that can be drawn."""
     from spherejax.output.plot import histories, limits, phase, ratios
     from spherejax.output.plot.eccentricity import eccentricity_paths
     from spherejax.output.plot.style import MODEL_COLORS
@@ -43,6 +43,8 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     models, ideal, parameters = comparison.models, comparison.models["ideal"], comparison.subject.parameters
     found = figures_ahead(comparison.subject)
     for result in comparison.studies:
+        if result.study.chaotic and "dry" not in comparison.horizons:
+            continue
         found[_file_name(result)] = lambda result=result: study_figure(result, comparison)
     others = [one for name, one in models.items() if name != "ideal"]
     colors = [MODEL_COLORS[name] for name in models if name != "ideal"]
@@ -55,12 +57,13 @@ def figures(comparison: "Comparison") -> dict[str, Callable]:
     found["fig20_eccentricity"] = lambda: eccentricity_paths(
         models, f"Ball's center in the socket; orange: in contact\n{parameters}"
     )
-    found["fig21_time_ratio"] = lambda: ratios.time_ratios(
-        {row.name: row.label for row in comparison.rows},
-        [row.time_ratio for row in comparison.rows],
-        [row.n_steps for row in comparison.rows],
-        f"Computing time of {comparison.t_end:g} s of motion (one core, warm, rtol 1e-8)",
-    )
+    if comparison.rows:
+        found["fig21_time_ratio"] = lambda: ratios.time_ratios(
+            {row.name: row.label for row in comparison.rows},
+            [row.time_ratio for row in comparison.rows],
+            [row.n_steps for row in comparison.rows],
+            f"Computing time of {comparison.t_end:g} s of motion (one core, warm, rtol 1e-8)",
+        )
     if comparison.limits:
         found["limits"] = lambda: limits.limits_to_ideal(
             [

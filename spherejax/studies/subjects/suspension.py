@@ -148,14 +148,15 @@ def _times(comparison: "Comparison") -> TableOf:
 
 
 def figures(comparison: "Comparison") -> dict[str, Callable]:
-    """Functions that draw the figures, by file name."""
+    """Functions that draw the figures, by file name; of a comparison that is not done yet, those that can be drawn."""
+    timed = {"fig25_time_ratio": lambda: _time_ratios(comparison)} if comparison.rows else {}
     return {
         **figures_ahead(comparison.subject),
         "fig23_models": lambda: _models(comparison),
         "fig23_differences": lambda: _differences(comparison),
         "fig24_eccentricity": lambda: _eccentricity(comparison),
         "fig24_joint": lambda: _joint(comparison),
-        "fig25_time_ratio": lambda: _time_ratios(comparison),
+        **timed,
     }
 
 
