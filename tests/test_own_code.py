@@ -1,7 +1,9 @@
 """Code of a user's own is simulated as it is now: helpers, constants and methods that were written anew are seen."""
 
 import importlib
+import logging
 import sys
+import threading
 
 import diffrax
 import equinox as eqx
@@ -9,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 
 import spherejax as sj
 from spherejax.foundations.kept.own_code import own_code
@@ -210,6 +213,55 @@ def test_code_that_counts_how_often_it_is_traced_is_traced_once(kind, options, m
     monkeypatch.setattr(THIS, "GAIN", 60.0)  # and is looked at all the same
     assert height(kind=kind, **options) == expected(gain=60.0)
     assert n_traced() > traced
+
+
+class Broken:
+    """Cannot be looked at."""
+
+    def __init__(self):
+        self.itself = self
+
+    def __repr__(self):
+        raise RuntimeError("not to be shown")
+
+    __slots__ = ("itself",)
+
+
+LOOKED_UP = {
+    "a logger": logging.getLogger("spherejax.tests"),
+    "a lock": threading.Lock(),
+    "a table": xarray.Dataset({"x": ("t", np.arange(5.0))}),
+    "what cannot be shown": Broken(),
+    "a network": eqx.nn.MLP(1, 1, 2, 1, key=jax.random.PRNGKey(0)),
+}
+TOOL = None
+
+
+class Using(Own):
+    """The same, which looks something up."""
+
+    def wrenches(self, t, motions):
+        assert TOOL is not None
+        return super().wrenches(t, motions)
+
+
+@pytest.mark.parametrize("what", LOOKED_UP)
+def test_whatever_code_looks_up_a_run_is_made_and_is_not_traced_again(what, monkeypatch):
+    monkeypatch.setattr(THIS, "TOOL", LOOKED_UP[what])
+    monkeypatch.setattr(THIS, "n_calls", 0)
+
+    class Counted(Using):
+        def wrenches(self, t, motions):
+            global n_calls
+            n_calls += 1
+            return super().wrenches(t, motions)
+
+    assert height(kind=Counted) == expected()
+    height(kind=Counted)
+    traced = n_calls
+    logging.getLogger("spherejax.tests").isEnabledFor(10)  # it remembers that it was asked
+    assert height(11.0, kind=Counted) == expected(11.0)
+    assert n_calls == traced
 
 
 def test_scenes_without_such_code_have_none():

@@ -258,6 +258,8 @@ class _Words:
             self.value(("wrapped", type(value).__name__, wrapped))
             return
         self.value(type(value))
+        if self._is_of_code and not dataclasses.is_dataclass(value) and is_installed(type(value).__module__, None):
+            return  # a logger, a file, a table of another library: it would be looked into without end
         if dataclasses.is_dataclass(value):
             fields = {field.name: getattr(value, field.name, None) for field in dataclasses.fields(value)}
         else:
@@ -352,27 +354,22 @@ def _used_globals(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
             continue
         used = function.__globals__[name]
         yield name, used
-        if isinstance(used, types.ModuleType) and not is_installed(used.__name__, getattr(used, "__file__", None)):
+        if isinstance(used, types.ModuleType) and not _is_installed_module(used):
             yield from ((f"{name}.{inner}", getattr(used, inner)) for inner in names if hasattr(used, inner))
 
 
 def _used_of_modules(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
     """What a function may look up in modules of the user's that it closes over, or imports itself."""
     names = _names_in(function.__code__)
-    inside = [cell.cell_contents for cell in function.__closure__ or () if _is_filled(cell)]
+    inside = [cell.cell_contents for cell in function.__closure__ or () if cell != types.CellType()]  # not one unfilled
     modules = [*inside, *(sys.modules.get(name) for name in names if name not in function.__globals__)]
-    for module in modules:
-        if isinstance(module, types.ModuleType) and not is_installed(
-            module.__name__, getattr(module, "__file__", None)
-        ):
-            yield from ((f"{module.__name__}.{name}", getattr(module, name)) for name in names if hasattr(module, name))
+    own = (each for each in modules if isinstance(each, types.ModuleType) and not _is_installed_module(each))
+    for module in own:
+        yield from ((f"{module.__name__}.{name}", getattr(module, name)) for name in names if hasattr(module, name))
 
 
-def _is_filled(cell: types.CellType) -> bool:
-    try:
-        return cell.cell_contents is not cell
-    except ValueError:
-        return False
+def _is_installed_module(module: types.ModuleType) -> bool:
+    return is_installed(module.__name__, getattr(module, "__file__", None))
 
 
 _STATELESS = (

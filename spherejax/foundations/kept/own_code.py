@@ -35,7 +35,7 @@ def own_code(tree: Any) -> str:
     if seen is None:
         return _told(parts)
     if parts not in seen:
-        seen[parts] = _told(parts), code_fingerprint(parts, with_state=False)
+        seen[parts] = _told(parts), _fingerprint(parts, with_state=False)
     return seen[parts][0]
 
 
@@ -52,7 +52,7 @@ def looked_at_once() -> Iterator[None]:
     finally:
         _looking.seen = None
         for parts, (told, code) in seen.items():
-            if _told(parts) != told and code_fingerprint(parts, with_state=False) == code:
+            if _told(parts) != told and _fingerprint(parts, with_state=False) == code:
                 _by_code[parts, code] = told
 
 
@@ -64,9 +64,16 @@ _by_code: dict[tuple, str] = {}
 
 def _told(parts: tuple) -> str:
     if any(parts == changing for changing, _ in _by_code):
-        code = code_fingerprint(parts, with_state=False)
+        code = _fingerprint(parts, with_state=False)
         return _by_code.get((parts, code), code)
-    return code_fingerprint(parts)
+    return _fingerprint(parts)
+
+
+def _fingerprint(parts: tuple, *, with_state: bool = True) -> str:
+    try:
+        return code_fingerprint(parts, with_state=with_state)
+    except Exception:  # what code looks up may be anything, and fail when it is looked at
+        return "unknown" if not with_state else _fingerprint(parts, with_state=False)
 
 
 class _Same:
