@@ -56,7 +56,7 @@ def in_a_process(cache):
 def test_the_next_process_lowers_no_run_and_computes_the_same_bits(tmp_path):
     """With derivatives, of many runs, and on the array path by a method that calls LAPACK."""
     first, n_made = in_a_process(tmp_path)
-    assert n_made >= 3
+    assert n_made == 2  # what is mapped outside of `jit` is a program of its own
     assert in_a_process(tmp_path) == (first, 0)
     assert in_a_process("0")[0] == first
 
