@@ -11,7 +11,7 @@ numbers count from then on.
 """
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
@@ -46,14 +46,25 @@ def looked_at_once() -> Iterator[None]:
     if getattr(_looking, "seen", None) is not None:
         yield
         return
-    seen = _looking.seen = {}
+    seen, _looking.found = {}, {}
+    _looking.seen = seen
     try:
         yield
     finally:
-        _looking.seen = None
+        _looking.seen = _looking.found = None
         for parts, (told, code) in seen.items():
             if _told(parts) != told and _fingerprint(parts, with_state=False) == code:
                 _by_code[parts, code] = told
+
+
+def once(name: str, find: Callable[[], Any]) -> Any:
+    """What is found of code that does not change within `looked_at_once`; outside of it, found anew each time."""
+    found = getattr(_looking, "found", None)
+    if found is None:
+        return find()
+    if name not in found:
+        found[name] = find()
+    return found[name]
 
 
 _looking = threading.local()

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
@@ -83,7 +84,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         if not (in_lanes and has_controlled_sensitivities(options.solver)):
             return by_diffrax(values, arrays, *rest)
         scale = scales_of(values)
-        found = slopes_as_job(plan, options, values, jnp.diag(scale), *rest)
+        found = slopes_as_job(plan, options, values, _diagonal(scale), *rest)
         return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
 
     @with_slopes.defjvp
@@ -105,16 +106,21 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         outcome, jacobian = with_slopes(*primals)
         ys, assembly = _along(jacobian, tangents[0], outcome.ys)
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
-        still = jnp.zeros_like(outcome.t_reached), jnp.zeros_like(outcome.y_reached)
+        still = _no_tangent(outcome.t_reached), _no_tangent(outcome.y_reached)
         return outcome, Outcome(ys, *still, counts[0], counts[1], assembly)
 
     arrays = jax.lax.stop_gradient(arrays)
     return run(values, arrays, known, jax.lax.stop_gradient(ts), start, values_are_legal)
 
 
-def _no_tangent(x: Array):
+def _no_tangent(x: Array) -> Any:
     """The tangent of what is constant."""
-    return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.floating) else np.zeros(x.shape, jax.dtypes.float0)
+    return np.zeros(x.shape, x.dtype if jnp.issubdtype(x.dtype, jnp.floating) else jax.dtypes.float0)
+
+
+def _diagonal(scale: Any) -> Any:
+    """As a matrix, shape (p, p); of known numbers by NumPy, as `scales_of`."""
+    return np.diag(scale) if isinstance(scale, np.ndarray) else jnp.diag(scale)
 
 
 def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
@@ -241,7 +247,7 @@ def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
 def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
     scale = scales_of(values)
-    found = _controlled(plan, options, values, jnp.diag(scale), *rest)
+    found = _controlled(plan, options, values, _diagonal(scale), *rest)
     return Slopes(*_unscaled((found.slopes, found.assembly_slopes), scale))
 
 
@@ -388,7 +394,13 @@ def _along(jacobian: Slopes, tangent: Float[Array, " p"], ys: Array) -> Slopes:
     return Slopes(jnp.where(jnp.isnan(ys), 0.0, ys_dot), assembly)
 
 
-@jax.jit
-def _unscaled(scaled: Any, scale: Float[Array, " p"]) -> Any:
+def _unscaled(scaled: Any, scale: Any) -> Any:
     """Derivatives by the numbers, with these on the last axis, of those by scaled numbers, with these on the first."""
+    if all(map(is_concrete, jax.tree.leaves((scaled, scale)))):
+        return jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1) / scale, scaled)
+    return _unscaled_within(scaled, scale)
+
+
+@jax.jit
+def _unscaled_within(scaled: Any, scale: Float[Array, " p"]) -> Any:
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) / scale, scaled)

@@ -25,17 +25,22 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.equations.contacts import GRAZING_RATE
 from spherejax.motion.equations.programs import Program
 from spherejax.motion.solvers.landing import ContactFunctions
 
 
-def scales_of(values: Float[Array, " p"]) -> Float[Array, " p"]:
-    """s_k of each number: its size, or 1 where it is 0."""
-    return jnp.where(values == 0, 1.0, jnp.abs(values))
+def scales_of(values: Any) -> Any:
+    """s_k of each number, shape (p,): its size, or 1 where it is 0; by NumPy where they are known, for each operation
+    alone would be a program of JAX's."""
+    xp: Any = np if is_concrete(values) else jnp
+    values = xp.asarray(values)
+    return xp.where(values == 0, 1.0, xp.abs(values))
 
 
 class Linearized(NamedTuple):
