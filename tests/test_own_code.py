@@ -4,6 +4,7 @@ import importlib
 import logging
 import sys
 import threading
+import warnings
 
 import diffrax
 import equinox as eqx
@@ -198,6 +199,29 @@ def test_a_solver_of_a_users_own_is_the_one_that_it_is_now(monkeypatch):
     assert steps(rtol=1e-9) != before
 
 
+def test_code_that_is_not_watched_whole_any_more_is_named():
+    class Appending(Own):
+        def wrenches(self, t, motions):
+            SEEN.append(1)
+            return super().wrenches(t, motions)
+
+    with pytest.warns(RuntimeWarning, match=r"what .*Appending looks up changed while it was simulated"):
+        assert height(kind=Appending) == expected()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert height(11.0, kind=Appending) == expected(11.0)
+
+
+def test_code_that_cannot_be_looked_into_is_named(monkeypatch):
+    def fail(*_, **__):
+        raise RecursionError("too deep")
+
+    monkeypatch.setattr("spherejax.foundations.kept.own_code.code_fingerprint", fail)
+    with pytest.warns(RuntimeWarning, match=r"Own cannot be looked into \(RecursionError: too deep\)"):
+        assert height() == expected()
+
+
+@pytest.mark.filterwarnings("ignore:what .* looks up changed")
 @pytest.mark.parametrize("kind", [Counting, Collecting])
 @pytest.mark.parametrize("options", [{}, {"scalar": False}], ids=["scalar", "arrays"])
 def test_code_that_counts_how_often_it_is_traced_is_traced_once(kind, options, monkeypatch):

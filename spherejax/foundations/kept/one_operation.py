@@ -71,11 +71,12 @@ class Operation:
     """A function as it stands in other programs; told by identity, as their parameter has to be.
 
     Attributes:
+        function: the function.
         key: by what it is told from others; None where it may not be kept.
     """
 
     def __init__(self, function: Operable, key: str | None):
-        self._function = function
+        self.function = function
         self.key, self._key_within = key, None if key is None else _digest(key)
         self._lowered: _Lowered | None = None
         self._traced: Any = None  # by JAX, not lowered yet
@@ -88,7 +89,7 @@ class Operation:
 
     def told_by(self) -> tuple:
         """What `fingerprints` takes for it: not what has been found out about it."""
-        return self._function.made_from
+        return self.function.made_from
 
     @property
     def calls_python(self) -> bool:
@@ -109,7 +110,7 @@ class Operation:
     @property
     def jaxpr(self) -> Any:
         """What it computes, as JAX traces it, for whoever wants to look into it."""
-        return jax.make_jaxpr(self.traced)(*self._function.examples).jaxpr
+        return jax.make_jaxpr(self.function.traced)(*self.function.examples).jaxpr
 
     def module(self) -> Any:
         """What it computes, as a module of StableHLO whose function `name` takes all arguments and returns all results;
@@ -126,17 +127,17 @@ class Operation:
         found = kept_on_disk.load(self._key_within)
         try:
             lowered, static = found
-            self._lowered, self._function.static = _Lowered(*lowered), static
+            self._lowered, self.function.static = _Lowered(*lowered), static
         except Exception:  # nothing, or nothing of ours
             return False
         return True
 
     def _trace(self) -> None:
         def to_be_lowered(*leaves: Any) -> tuple:  # its name is heard
-            return self._function.traced(*leaves)
+            return self.function.traced(*leaves)
 
         with kept_on_disk.listened() as has_warned, collecting_later():
-            self._traced = jax.jit(to_be_lowered, keep_unused=True).trace(*self._function.examples)
+            self._traced = jax.jit(to_be_lowered, keep_unused=True).trace(*self.function.examples)
         self._has_warned = has_warned()
 
     def _lower(self) -> bool:
@@ -147,7 +148,7 @@ class Operation:
         with module.context:
             passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
         main: Any = ir.SymbolTable(module.operation)["main"]
-        if len(main.type.inputs) != len(self._function.examples):  # JAX can be told to make arguments of constants
+        if len(main.type.inputs) != len(self.function.examples):  # JAX can be told to make arguments of constants
             return False
         with module.context:
             _rename(module, self.name)
@@ -155,7 +156,7 @@ class Operation:
         module.operation.write_bytecode(content)
         self._lowered = _Lowered(content.getvalue(), codes(), jax.tree.leaves(self._traced.out_info))
         if not (self._has_warned or has_warned()):
-            kept_on_disk.save(self._key_within, (tuple(self._lowered), self._function.static))
+            kept_on_disk.save(self._key_within, (tuple(self._lowered), self.function.static))
         self._traced = None
         return True
 
@@ -168,18 +169,6 @@ class Operation:
         if b"lapack_" in content:
             make_lapack_known()
         return module
-
-    def traced(self, *leaves: Any) -> tuple:
-        """As a part of what is traced now."""
-        return self._function.traced(*leaves)
-
-    def now(self, *leaves: Any) -> Sequence:
-        """Of numbers."""
-        return self._function.now(*leaves)
-
-    def mapped(self, axes: tuple[int | None, ...], n: int) -> "Operation":
-        """Of many at once."""
-        return self._function.mapped(axes, n)
 
     @property
     def name(self) -> str:
@@ -197,7 +186,7 @@ _within.multiple_results = True
 
 
 def _now(*leaves: Any, operation: Operation) -> Sequence:
-    return operation.now(*leaves)
+    return operation.function.now(*leaves)
 
 
 def _shapes(*_: Any, operation: Operation) -> list[ShapedArray]:
@@ -207,12 +196,12 @@ def _shapes(*_: Any, operation: Operation) -> list[ShapedArray]:
 def _batched(leaves: Sequence, dims: Sequence, *, operation: Operation) -> tuple[Sequence, list[int]]:
     n = next(leaf.shape[dim] for leaf, dim in zip(leaves, dims, strict=True) if dim is not None)
     front = [leaf if not dim else jnp.moveaxis(leaf, dim, 0) for leaf, dim in zip(leaves, dims, strict=True)]
-    found = operation.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
+    found = operation.function.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
     return found, [0] * len(found)
 
 
 def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: Operation) -> tuple:
-    return jax.jvp(operation.traced, tuple(leaves), tuple(map(ad.instantiate_zeros, tangents)))
+    return jax.jvp(operation.function.traced, tuple(leaves), tuple(map(ad.instantiate_zeros, tangents)))
 
 
 def _lowering(context: Any, *operands: Any, operation: Operation) -> Sequence:
@@ -222,7 +211,7 @@ def _lowering(context: Any, *operands: Any, operation: Operation) -> Sequence:
             module = operation.module()
             if module is not None:
                 return _called(outer, operation.name, module, operands)
-    return mlir.lower_fun(operation.traced, multiple_results=True)(context, *operands)
+    return mlir.lower_fun(operation.function.traced, multiple_results=True)(context, *operands)
 
 
 _within.def_impl(_now)

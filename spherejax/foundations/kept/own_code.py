@@ -7,10 +7,11 @@ that it looks up: a cell that is run again is seen, and what it changes is trace
 
 What code counts or collects while it is traced would make it another one each time. Names that it assigns to do not
 count; and where a run is seen to change what its code looks up, in lists and objects say, only functions, classes and
-numbers count from then on.
+numbers count from then on, and a warning says so.
 """
 
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -55,6 +56,13 @@ def looked_at_once() -> Iterator[None]:
         for parts, (told, code) in seen.items():
             if _told(parts) != told and _fingerprint(parts, with_state=False) == code:
                 _by_code[parts, code] = told
+                warnings.warn(
+                    f"what {_names(parts)} looks up changed while it was simulated: from now on lists, tables and "
+                    "objects that it looks up are not watched; where one of them is changed between runs, the program "
+                    "of before is run. Functions, classes and numbers are watched as before",
+                    RuntimeWarning,
+                    stacklevel=4,
+                )
 
 
 def once(name: str, find: Callable[[], Any]) -> Any:
@@ -83,8 +91,20 @@ def _told(parts: tuple) -> str:
 def _fingerprint(parts: tuple, *, with_state: bool = True) -> str:
     try:
         return code_fingerprint(parts, with_state=with_state)
-    except Exception:  # what code looks up may be anything, and fail when it is looked at
-        return "unknown" if not with_state else _fingerprint(parts, with_state=False)
+    except Exception as error:  # what code looks up may be anything, and fail when it is looked at
+        if with_state:
+            return _fingerprint(parts, with_state=False)
+        warnings.warn(
+            f"{_names(parts)} cannot be looked into ({type(error).__name__}: {error}): whether it has been changed "
+            "since it was first simulated is not seen",
+            RuntimeWarning,
+            stacklevel=5,
+        )
+        return "unknown"
+
+
+def _names(parts: tuple) -> str:
+    return ", ".join(getattr(part.value, "__qualname__", type(part.value).__qualname__) for part in parts)
 
 
 class _Same:
