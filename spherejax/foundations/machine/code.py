@@ -29,8 +29,8 @@ from spherejax import runtime
 from spherejax.foundations.kept import kept_on_disk
 from spherejax.foundations.machine.text import FUNCTION, FunctionText
 
-KNOWN_JAXLIB = ((0, 10),)
-"""Versions (major, minor) of jaxlib with which this has been tested. With another one XLA compiles all."""
+KNOWN_JAXLIB = (0, 10), (0, 12)
+"""First and last version (major, minor) of jaxlib that this has been tested with; with another one XLA compiles all."""
 
 
 # Whether --------------------------------------------------------------------------------------------------------------
@@ -42,7 +42,7 @@ def is_available() -> bool:
     if os.environ.get("SPHEREJAX_MACHINE_CODE", "1") == "0" or jax.default_backend() != "cpu":
         return False
     if why := _what_is_missing():
-        known = " or ".join(f"{major}.{minor}" for major, minor in KNOWN_JAXLIB)
+        known = " to ".join(f"{major}.{minor}" for major, minor in KNOWN_JAXLIB)
         # Compiled anew with jaxlib 0.6.1: a dry run 1.9, of many 2.3, with its derivative 6.8 times as long.
         warnings.warn(
             f"spherejax cannot compile its own machine code: {why}. XLA compiles everything instead: the numbers are "
@@ -56,7 +56,8 @@ def is_available() -> bool:
 
 def _what_is_missing() -> str:
     installed = version("jaxlib")
-    if tuple(int(part) for part in installed.split(".")[:2]) not in KNOWN_JAXLIB:
+    first, last = KNOWN_JAXLIB
+    if not first <= tuple(int(part) for part in installed.split(".")[:2]) <= last:
         return f"it has not been tried with jaxlib {installed}"
     if not hasattr(jax, "make_user_context"):
         return f"jax {jax.__version__} has no make_user_context"

@@ -25,6 +25,7 @@ from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
 from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.scalar.interpreter import counts_of_loop
 from spherejax.foundations.scalar.rules import ELEMENTWISE, STRUCTURAL
 from spherejax.foundations.scalar.straight_line import is_called
 
@@ -329,7 +330,7 @@ def _vector_of(arrays: Sequence, group: Sequence[tuple[Any, int, tuple[int, ...]
 
 def _as_loop(parameters: Any, arguments: Sequence) -> list:
     """A scan, whose slices and counter are then operations of its turns like all others."""
-    n_fixed, n_carried, n = parameters["num_consts"], parameters["num_carry"], parameters["length"]
+    (n_fixed, n_carried), n = counts_of_loop(parameters), parameters["length"]
     fixed, xs = arguments[:n_fixed], arguments[n_fixed + n_carried :]
     turn = jex.jaxpr_as_fun(parameters["jaxpr"])
 

@@ -164,9 +164,17 @@ _RULES: dict[str, Callable] = {
 }
 
 
+_OF_ERF = 2.0 / np.sqrt(np.pi)
+
+_SLOPES = {"erf": lambda x: _OF_ERF * jax.lax.exp(-x * x), "erfc": lambda x: -_OF_ERF * jax.lax.exp(-x * x)}
+"""Derivatives that JAX takes by the bits of a number (since 0.11), which scalar programs do not know."""
+
+
 @lru_cache(maxsize=256)
 def _slope_program(operation: Any, parameters: Any, dtypes: tuple, by: int) -> Any:
     """The derivative of an operation by one of its arguments, as JAX has it."""
+    if slope_of_it := _SLOPES.get(getattr(operation, "name", "")):
+        return jax.make_jaxpr(slope_of_it)(jax.ShapeDtypeStruct((), FLOAT))
     evaluate: Any = EMIT[operation] if isinstance(operation, str) else partial(operation.bind, **dict(parameters))
 
     def slope(*numbers):

@@ -2,6 +2,7 @@
 
 import itertools
 from contextlib import contextmanager
+from typing import Any
 
 import jax
 import jax.core
@@ -62,8 +63,8 @@ class Interpreter:
         name, parameters = equation.primitive.name, equation.params
         inner = _INLINED.get(name)
         if inner is not None:
-            closed = parameters[inner]
-            return self.run(closed.jaxpr, closed.consts, inputs)
+            program = parameters[inner]  # with its constants, or one that has none
+            return self.run(getattr(program, "jaxpr", program), getattr(program, "consts", ()), inputs)
         if name == "straight_line":  # a program within a program
             line, how = parameters["line"], {name: parameters[name] for name in ("lanes", "axes")}
             return self.inlined(line.one_by_one(**how), equation, inputs)
@@ -155,7 +156,7 @@ class Interpreter:
 
     def scan(self, parameters, inputs) -> list[np.ndarray]:
         """A loop with a static number of turns, unrolled."""
-        n_constants, n_carried = parameters["num_consts"], parameters["num_carry"]
+        n_constants, n_carried = counts_of_loop(parameters)
         constants, carried = inputs[:n_constants], inputs[n_constants : n_constants + n_carried]
         columns = inputs[n_constants + n_carried :]
         closed, length = parameters["jaxpr"], parameters["length"]
@@ -188,6 +189,18 @@ class Interpreter:
         ]
 
 
+def counts_of_loop(parameters: dict[str, Any]) -> tuple[int, int]:
+    """How many arguments of a `scan` stay the same in all turns, and how many are carried; the others are slices.
+
+    Args:
+        parameters: those of the operation; as two numbers until JAX 0.10, in a tree of all arguments from 0.11 on.
+    """
+    if "num_consts" in parameters:
+        return parameters["num_consts"], parameters["num_carry"]
+    fixed, carried, _ = parameters["ft_in"].unpack()
+    return len(fixed), len(carried)
+
+
 def _has_derivative(variable) -> bool:
     """Whether something that is read may move. JAX has no public name for what is not read."""
     return type(variable).__name__ != "DropVar" and variable.aval.dtype == FLOAT
@@ -207,8 +220,10 @@ _INLINED = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
+    "eval_jaxpr": "call_jaxpr",
     "core_call": "call_jaxpr",
     "checkpoint": "jaxpr",
+    "remat2": "jaxpr",
 }
 
 

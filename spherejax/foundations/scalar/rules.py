@@ -6,7 +6,7 @@ followed (`custom_jvp`; see `scalar_interpreter`) or refused (`custom_vjp`, whic
 the function under them would lose the rule.
 """
 
-from functools import reduce
+from functools import partial, reduce
 
 import jax
 import numpy as np
@@ -25,6 +25,7 @@ STRUCTURAL = frozenset(
         "concatenate",
         "broadcast_in_dim",
         "stack",
+        "unstack",
         "split",
         "copy",
         "copy_p",
@@ -168,6 +169,7 @@ _MOVES = {
     "slice": _slice,
     "concatenate": lambda inputs, p: [np.concatenate(inputs, p["dimension"])],
     "stack": lambda inputs, p: [np.stack(inputs, p["axis"])],
+    "unstack": lambda inputs, p: list(np.moveaxis(inputs[0], p["axis"], 0)),
     "split": lambda inputs, p: np.split(inputs[0], np.cumsum(p["sizes"])[:-1], p["axis"]),
     "broadcast_in_dim": _broadcast,
     "pad": _pad,
@@ -215,6 +217,28 @@ def _square_root(graph, inputs, parameters, shapes, dtypes):
 def _integer_power(graph, inputs, parameters, shapes, dtypes):
     del dtypes
     return [_entrywise(lambda node: graph.integer_power(node, parameters["y"]), inputs[0], shape=shapes[0])]
+
+
+def _one_minus_square(graph, inputs, parameters, shapes, dtypes):
+    del parameters
+    one = graph.constant(1, dtypes[0])
+    return [_entrywise(lambda x: graph.mul(graph.add(one, x), graph.sub(one, x)), inputs[0], shape=shapes[0])]
+
+
+def _log2(graph, inputs, parameters, shapes, dtypes):
+    factor, how = graph.constant(1 / np.log(2), FLOAT), tuple(sorted(parameters.items()))
+    logarithm = partial(graph.apply, jax.lax.log_p, dtype=dtypes[0], parameters=how)
+    return [_entrywise(lambda x: graph.mul(logarithm((x,)), factor), inputs[0], shape=shapes[0])]
+
+
+def _polynomial(graph, inputs, parameters, shapes, dtypes):
+    """By Horner's rule; the coefficients from the lowest degree on."""
+    del parameters, dtypes
+
+    def one(x, *coefficients):
+        return reduce(lambda found, a: graph.add(a, graph.mul(x, found)), reversed(coefficients))
+
+    return [_entrywise(one, *inputs, shape=shapes[0])]
 
 
 def _convert(graph, inputs, parameters, shapes, dtypes):
@@ -299,6 +323,9 @@ RULES = {
     "square": _square,
     "sqrt": _square_root,
     "integer_pow": _integer_power,
+    "one_minus_square": _one_minus_square,  # this one and log2 since JAX 0.11, polynomial since 0.12
+    "log2": _log2,
+    "polynomial": _polynomial,
     "select_n": _select,
     "convert_element_type": _convert,
     "iota": _iota,
