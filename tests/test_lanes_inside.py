@@ -101,7 +101,8 @@ def test_flags_of_the_user_are_kept():
     assert _with_flags(mine).startswith(mine + ",xla_cpu_small_while_loop_byte_threshold=")
     assert _with_flags(_with_flags(mine)) == _with_flags(mine)
     # XLA ends the process over a flag that it does not know.
-    assert ("ynn_fusion_type=" in _with_flags(mine)) == version("jaxlib").startswith("0.10.")
+    known = (0, 10) <= tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 12)
+    assert ("ynn_fusion_type=" in _with_flags(mine)) == known
     assert _with_flags("--xla_cpu_experimental_ynn_fusion_type=reduce").count("ynn") == 1
 
 

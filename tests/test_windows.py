@@ -36,9 +36,12 @@ def at_once(monkeypatch, make):
 
 
 def require_same(run, expected):
-    """All that is told of two runs, to rounding: XLA compiles other sizes to other orders of operations."""
-    np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(run.y_reached, expected.y_reached, rtol=1e-9, atol=1e-12)
+    """All that is told of two runs, to rounding: other sizes are compiled to other orders of operations.
+
+    An impact makes 1e-8 of it: what is the last bit of an onset is one of a penetration of 1e-8 m.
+    """
+    np.testing.assert_allclose(run.ys, expected.ys, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(run.y_reached, expected.y_reached, rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(run.t_reached, expected.t_reached, rtol=1e-12)
     assert int(run.ended) == int(expected.ended)
     for count in ("n_steps", "n_accepted", "n_rejected", "n_evaluations", "n_onsets"):

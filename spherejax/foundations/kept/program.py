@@ -93,6 +93,8 @@ class KeptProgram:
 
     def now(self, *leaves: Any) -> Sequence:
         """The results' leaves, from numbers; who has to wait for a compiler is told."""
+        if jax.config.values["jax_disable_jit"]:  # compiled ones refuse it
+            return self._run(*leaves)
         if self.has_been_called:
             return self.program(*leaves)
         with waiting_for(self._what[0], self.name):

@@ -78,9 +78,9 @@ _wanted = threading.local()
 
 @contextmanager
 def wanted(is_wanted: bool = True) -> Iterator[None]:
-    """Programs that are traced within become machine code, or they do not."""
+    """Programs that are traced within become machine code, or they do not; without `jax.jit` none could be called."""
     before = is_on()
-    now = is_wanted and is_available()
+    now = is_wanted and is_available() and not jax.config.values["jax_disable_jit"]
     if now == before:
         yield
         return
@@ -123,20 +123,37 @@ def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: b
     """
     with _lock:
         if key not in line.called:
-            text = written()
-            facts = "\0".join([text, str(is_optimised), *_machine(is_wide)])
-            name = "spherejax_" + hashlib.sha256(facts.encode()).hexdigest()[:32]
-            if name not in _loaded:
-                kept = kept_on_disk.load(name)
-                text = text.replace(f"@{FUNCTION}", f"@{name}")
-                content = kept if isinstance(kept, bytes) else _compiled(text, is_wide, is_optimised)
-                if kept is None:
-                    kept_on_disk.save(name, content)
-                _load(name, content)
-            line.called[key] = name
+            line.called[key] = target_of(written(), is_wide=is_wide, is_optimised=is_optimised)
         name = line.called[key]
     note_called([name])
     return name
+
+
+def target_of(text: str, *, is_wide: bool, is_optimised: bool, prefix: str = "spherejax_") -> str:
+    """The target of a custom call for a text: compiled, or found where another process has left it.
+
+    Args:
+        text: of a function, and of all that it needs but other targets that it calls.
+
+    Other args:
+        is_wide, is_optimised: as of `called_text`.
+        prefix: of the name.
+    """
+    facts = "\0".join([text, str(is_optimised), *_machine(is_wide)])
+    name = prefix + hashlib.sha256(facts.encode()).hexdigest()[:32]
+    with _lock:
+        if name not in _loaded:
+            kept = kept_on_disk.load(name)
+            text = text.replace(f"@{FUNCTION}", f"@{name}")
+            content = kept if isinstance(kept, bytes) else _compiled(text, is_wide, is_optimised)
+            if kept is None:
+                kept_on_disk.save(name, content)
+            _load(name, content)
+    return name
+
+
+TARGETS: dict[str, Callable[..., str]] = {}
+"""Operations that are calls of machine code: of each the target, from what its arguments are and its parameters."""
 
 
 def note_called(names: Iterable[str]) -> None:
@@ -217,6 +234,7 @@ def _load(name: str, content: bytes) -> None:
     address = engine.get_function_address(name)
     if not address:
         raise RuntimeError(f"no function {name} in its machine code")
+    llvm.add_symbol(name, address)  # for what calls it without XLA
     jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu", api_version=1)
     _loaded[name] = engine, content  # for as long as the process lives: XLA does not forget targets
 

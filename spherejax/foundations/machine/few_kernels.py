@@ -1,9 +1,10 @@
 """What lies between the calls of machine code in a loop, as few kernels.
 
-A loop that calls something is not one native function: XLA walks through its operations, at some 50 ns for each fusion
-and each copy, hundreds of them in a step. Here the operations of such a loop's body are put in an order in which as
-many as possible stand together, and what stands together becomes a function that XLA compiles as one kernel, as it
-does itself with a small loop.
+The loop of a single run is machine code as a whole, where all that is done in it has a rule (`loops`). Any other loop
+that calls something is not one native function: XLA walks through its operations, at some 50 ns for each fusion and
+each copy, hundreds of them in a step. Here the operations of such a loop's body are put in an order in which as many as
+possible stand together, and what stands together becomes a function that XLA compiles as one kernel, as it does itself
+with a small loop.
 
 XLA does so for a function with the attribute `xla_cpu_small_call`. It aborts the process where such a function has an
 argument that nothing reads (jaxlib 0.10), which a simplification may bring about at any time. Therefore each function
@@ -25,15 +26,14 @@ from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
 from spherejax.foundations.machine import code as machine_code
+from spherejax.foundations.machine.array_text import NotWrittenError
+from spherejax.foundations.machine.loops import INLINED, looped
 from spherejax.foundations.scalar.interpreter import counts_of_loop
 from spherejax.foundations.scalar.rules import ELEMENTWISE, STRUCTURAL
 from spherejax.foundations.scalar.straight_line import is_called
 
 SMALLEST_KERNEL = 2
 """Operations that are worth a function; XLA makes about one kernel of fewer by itself."""
-
-_INLINED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
-"""Operations that stand for a program, and where it is."""
 
 LARGEST_JOINED = 2048
 """Entries of an array that a kernel may make, at most: it cannot change one in place, as XLA itself does with samples
@@ -50,7 +50,7 @@ LARGEST_PART = 64
 _JOINED = (ELEMENTWISE | STRUCTURAL | {
     "add", "sub", "mul", "div", "neg", "pow", "integer_pow", "sqrt", "square", "select_n", "iota",
     "convert_element_type", "reduce_and", "reduce_or", "reduce_max", "reduce_min", "reduce_sum", "reduce_prod",
-    "dot_general", "straight_line", "while", "scan", "cond", "platform_index", *_INLINED,
+    "dot_general", "straight_line", "while", "scan", "cond", "platform_index", *INLINED,
     "maybe_set", "nonbatchable", "select_if_vmap", "unvmap_any", "unvmap_all", "unvmap_max",  # of equinox
 }) - {"scatter"}  # fmt: skip
 """Operations that a kernel may have. Of others XLA calls a library, or has no way to write them into a function: they
@@ -85,6 +85,13 @@ def _calls(equation: Any) -> bool:
     if equation.primitive.name in ("stages", "rosenbrock_stages"):
         return True
     return any(_calls(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
+
+
+def _is_alone(equation: Any) -> bool:
+    """Whether the machine code that is called in an operation is for one run, not for many in lanes."""
+    if equation.primitive.name in machine_code.TARGETS:
+        return equation.params["n_runs"] is None
+    return all(_is_alone(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
 
 
 def _joins(equation: Any) -> bool:
@@ -246,11 +253,12 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
         return
     values = [a.val if isinstance(a, jex.Literal) else known[a] for a in equation.invars]
     if name == "while":
-        known.update(zip(equation.outvars, _while(parameters, values), strict=True))
+        found = _as_a_whole(equation, [*map(_whole, values)]) if not is_loop and _is_alone(equation) else None
+        known.update(zip(equation.outvars, found or _while(parameters, values), strict=True))
         return
     values = [*map(_whole, values)]
-    if name in _INLINED:
-        inner = parameters[_INLINED[name]]
+    if name in INLINED:
+        inner = parameters[INLINED[name]]
         found = _evaluated(inner.jaxpr, inner.consts, values, is_loop)
     elif name == "scan":
         loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
@@ -264,6 +272,14 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
         known.update(zip(outputs, found, strict=True))
         return
     known.update(zip(equation.outvars, found, strict=True))
+
+
+def _as_a_whole(equation: Any, values: Sequence) -> list | None:
+    """A loop in machine code; None where something in it has no rule there."""
+    try:
+        return looped(equation.params, values)
+    except NotWrittenError:
+        return None
 
 
 def _while(parameters: Any, values: Sequence) -> list:

@@ -193,8 +193,8 @@ _rosenbrock_stages.multiple_results = True
 
 
 @_rosenbrock_stages.def_abstract_eval
-def _shapes(t: Any, h: Any, y: Any, slope: Any, *others: Any, steps: RosenbrockSteps, **how: Any) -> list:
-    del t, h, slope, others, how
+def _shapes(t: Any, h: Any, y: Any, *others: Any, steps: RosenbrockSteps, **how: Any) -> list:
+    del t, h, others, how
     assert steps.method is not None
     return [ShapedArray((len(steps.method.c), *y.shape), y.dtype)]
 
@@ -228,19 +228,20 @@ _N_OF_STEP = 4
 batching.primitive_batchers[_rosenbrock_stages] = _batched
 
 
-def _lowered(
-    context: Any, *arguments: Any, steps: RosenbrockSteps, n_runs: int | None, shared: tuple[bool, ...]
-) -> Sequence:
-    given = _given(context.avals_in, steps, n_runs, shared)
+def _target(avals: Sequence, *, steps: RosenbrockSteps, n_runs: int | None, shared: tuple[bool, ...]) -> str:
+    given = _given(avals, steps, n_runs, shared)
     key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
-    # LLVM's passes over so long a line are a third of its compiling, and runs of films and their gradients take
-    # as long without. Loops over stages do not: bushings 14 % longer, many dry runs 13 % (Intel Xeon).
-    name = machine_code.called_text(
+    # LLVM takes a third longer with its passes, and films run as fast without; bushings and dry runs do not.
+    return machine_code.called_text(
         key, steps.solve.line, lambda: _text(steps, given, n_runs), is_wide=n_runs is not None, is_optimised=False
     )
-    return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 
+def _lowered(context: Any, *arguments: Any, **how: Any) -> Sequence:
+    return jax.ffi.ffi_lowering(_target(context.avals_in, **how))(context, *arguments)
+
+
+machine_code.TARGETS["rosenbrock_stages"] = _target
 mlir.register_lowering(_rosenbrock_stages, _lowered, platform="cpu")
 
 
@@ -298,13 +299,12 @@ def _part(part: LinePart, name: str, results: list[str], groups: RunGroups) -> _
 
 def _groups(steps: RosenbrockSteps, n_runs: int | None) -> RunGroups:
     """As wide as the values of the parts, and what is made in a step, allow."""
-    (size,), parts = steps.rate.line.outputs[0].shape, steps.parts
+    (size,), parts, method = steps.rate.line.outputs[0].shape, steps.parts, steps.method
     n_rows = 0 if steps.rows is None else steps.rows.n
-    assert steps.method is not None
     if n_runs is None or size * (1 + n_rows) > LARGEST_STATE:
         return RunGroups(n_runs)
     made = sum(output.size for part in parts for output in part.line.outputs) * max(1, n_rows)
-    made += size * (1 + n_rows) * (len(steps.method.c) + 5)
+    made += size * (1 + n_rows) * ((len(method.c) if method else 0) + 5)
     room = max(1, LARGEST_ROOM // (8 * made))
     return RunGroups.of(n_runs, min(room, widest_for(*(part.line for part in parts))))
 

@@ -138,15 +138,20 @@ def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: Exp
     return [ShapedArray((len(each), *y.shape), y.dtype) for each in (method.instants, method.sums)]
 
 
-def _lowered(
-    context: Any, *arguments: Any, line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs: int | None
-) -> Sequence:
+def _target(
+    avals: Sequence, *, line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs: int | None
+) -> str:
+    del avals
     # A line with coefficients belongs to one line of slopes.
     key = "stages", rows and rows.n, method, n_runs
-    name = machine_code.called_text(key, line, lambda: _text(line, rows, method, n_runs), is_wide=n_runs is not None)
-    return jax.ffi.ffi_lowering(name)(context, *arguments)
+    return machine_code.called_text(key, line, lambda: _text(line, rows, method, n_runs), is_wide=n_runs is not None)
 
 
+def _lowered(context: Any, *arguments: Any, **how: Any) -> Sequence:
+    return jax.ffi.ffi_lowering(_target(context.avals_in, **how))(context, *arguments)
+
+
+machine_code.TARGETS["stages"] = _target
 mlir.register_lowering(_stages, _lowered, platform="cpu")
 
 

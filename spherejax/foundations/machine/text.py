@@ -17,7 +17,7 @@ thread of XLA's pool has a stack of a few megabytes."""
 LANES_AT_A_TIME = 8
 """Numbers in the widest vectors there are, 512 bits."""
 
-_LIBRARY = frozenset(
+LIBRARY = frozenset(
     [
         "exp", "exp2", "log", "log1p", "expm1", "tanh", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
         "cosh", "asinh", "acosh", "atanh", "cbrt", "pow", "erf", "erfc", "nextafter", "rem",
@@ -25,18 +25,18 @@ _LIBRARY = frozenset(
 )  # fmt: skip
 """Functions of the mathematical library, by JAX's names."""
 
-_INTRINSIC = {
+INTRINSIC = {
     "sqrt": "sqrt", "root_guarded_at_zero": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil",
     "max": "maximum", "min": "minimum",
 }  # fmt: skip
 """Functions that LLVM has itself; of a maximum, NaN wins."""
 
-_FLOATS = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
-_WHOLE = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}
+COMPARED = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
+COMPARED_WHOLE = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}
 _NOTHING = frozenset(["stop_gradient", "marked"])
 _ARITHMETIC = frozenset(["add", "sub", "mul"])
 _LOGIC = frozenset(["and", "or", "xor"])
-_OF_FLOATS = _LIBRARY | _INTRINSIC.keys() | {"div", "neg", "rsqrt", "clamp", "sign", "is_finite", "logistic", "round"}
+_OF_FLOATS = LIBRARY | INTRINSIC.keys() | {"div", "neg", "rsqrt", "clamp", "sign", "is_finite", "logistic", "round"}
 _OF_ANY = frozenset(["select", *_NOTHING])
 
 
@@ -57,7 +57,7 @@ def _is_known(graph: Any, node: int) -> bool:
         return True
     if name in _ARITHMETIC:
         return dtypes <= {FLOAT, INT}
-    if name in _FLOATS:
+    if name in COMPARED:
         return dtypes in ({FLOAT}, {INT}) or (name in ("eq", "ne") and dtypes == {BOOL})
     if name in _LOGIC or name == "not":
         return dtypes == {BOOL}
@@ -100,7 +100,7 @@ work:
   %p.results = getelementptr inbounds i8, ptr %frame, i64 112
   %results = load ptr, ptr %p.results
 """
-_DATA = 24
+DATA = 24
 """Where a buffer says where its numbers are."""
 
 
@@ -112,7 +112,7 @@ def head(n_arguments: int, n_results: int) -> str:
             lines += [
                 f"  %{letter}{i}.place = getelementptr inbounds ptr, ptr %{of}, i64 {i}",
                 f"  %{letter}{i}.buffer = load ptr, ptr %{letter}{i}.place",
-                f"  %{letter}{i}.data = getelementptr inbounds i8, ptr %{letter}{i}.buffer, i64 {_DATA}",
+                f"  %{letter}{i}.data = getelementptr inbounds i8, ptr %{letter}{i}.buffer, i64 {DATA}",
                 f"  %{letter}{i} = load ptr, ptr %{letter}{i}.data",
             ]
     return "\n".join(lines)
@@ -241,17 +241,17 @@ class FunctionText:
         if name in _ARITHMETIC:  # as XLA does, a product and a sum may be one operation
             word = f"f{name} contract" if of == FLOAT else name
             return self._made(f"{word} {kind} {values[0]}, {values[1]}")
-        if name in _FLOATS:
-            word = f"fcmp {_FLOATS[name]}" if of == FLOAT else f"icmp {_WHOLE[name]}"
+        if name in COMPARED:
+            word = f"fcmp {COMPARED[name]}" if of == FLOAT else f"icmp {COMPARED_WHOLE[name]}"
             return self._made(f"{word} {kind_of} {values[0]}, {values[1]}")
         if name in _LOGIC:
             return self._made(f"{name} {kind} {values[0]}, {values[1]}")
         if name == "not":
             return self._made(f"xor {kind} {values[0]}, {self._constant(True, BOOL, is_wide)}")
-        if name in _LIBRARY:
+        if name in LIBRARY:
             return self._of_library("fmod" if name == "rem" else name, values, is_wide)
-        if name in _INTRINSIC:
-            return self._intrinsic(_INTRINSIC[name], values, is_wide)
+        if name in INTRINSIC:
+            return self._intrinsic(INTRINSIC[name], values, is_wide)
         return self._of_float(name, node, values, is_wide)
 
     def _of_float(self, name: str, node: int, values: list[str], is_wide: bool) -> str:

@@ -92,7 +92,7 @@ ELEMENTWISE = frozenset(
 def move_names(graph: Graph, primitive, parameters, inputs, shapes) -> list[np.ndarray]:
     """Execute a primitive that only moves entries on the names of the entries."""
     name = primitive.name
-    numpy_rule = _MOVES.get(name)
+    numpy_rule = MOVES.get(name)
     if numpy_rule is not None:
         outputs = numpy_rule(inputs, parameters)
         return [np.broadcast_to(array, shape) for array, shape in zip(outputs, shapes, strict=True)]
@@ -160,7 +160,7 @@ def _pad(inputs, parameters):
     return [np.pad(array, [(low, high) for low, high, _ in config], constant_values=int(filling))]
 
 
-_MOVES = {
+MOVES = {
     "reshape": lambda inputs, p: [inputs[0].reshape(p["new_sizes"])],
     "squeeze": lambda inputs, p: [np.squeeze(inputs[0], tuple(p["dimensions"]))],
     "expand_dims": lambda inputs, p: [np.expand_dims(inputs[0], tuple(p["dimensions"]))],

@@ -104,9 +104,9 @@ class StraightLine:
         return self.graph.needed(self._flat, self.flat_given, with_slopes=True)
 
     @cached_property
-    def is_worth_a_call(self) -> bool:
-        """Whether it is large enough."""
-        return self.graph.count(self._flat, self.flat_given).total() >= SMALLEST_CALLED
+    def n_operations(self) -> int:
+        """How many operations it has."""
+        return self.graph.count(self._flat, self.flat_given).total()
 
     @cached_property
     def can_be_called(self) -> bool:
@@ -401,15 +401,18 @@ def _lowered_for_processor(
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 
-SMALLEST_CALLED = 1000
+SMALLEST_CALLED = 100
 """Operations of a line that is worth a call; one costs XLA some 50 ns."""
+
+OVER_LANES = 10
+"""So many times more operations has one over lanes to have: what is around it is kernels of XLA's, which it parts."""
 
 
 def is_called(line: StraightLine, lanes: Shape) -> bool:
     """Whether a line is machine code of its own, and not part of what XLA compiles."""
     if not line.in_machine_code or len(lanes) > 1 or 0 in lanes or not machine_code.is_available():
         return False
-    return line.is_worth_a_call and line.can_be_called
+    return line.n_operations >= SMALLEST_CALLED * (OVER_LANES if lanes else 1) and line.can_be_called
 
 
 def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
