@@ -10,6 +10,7 @@ import spherejax as sj
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.machine import few_kernels, loops
 from spherejax.foundations.machine.array_text import LARGE, NotWrittenError
+from spherejax.motion.integration import one_run
 
 TS = jnp.linspace(0.0, 0.01, 4)
 SPECIAL = np.array([0.0, -0.0, 1.0, -2.0, 0.5, np.nan, np.inf, -np.inf])
@@ -336,7 +337,7 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
     for how in (counted, refused):
         with monkeypatch.context() as patch:
             patch.setattr(few_kernels, "looped", how)
-            sj.motion.integration.one_run.integrated.clear()
+            one_run.integrated.clear()
             found.append(np.asarray(sj.simulate(scene, ts, rtol=1e-9).ys))
     assert n_written
     np.testing.assert_allclose(found[0], found[1], rtol=1e-8, atol=1e-8)

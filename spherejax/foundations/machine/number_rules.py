@@ -161,6 +161,16 @@ def _one_minus_square(text, parameters, width, a):
     return text.made(f"fmul {typed} {above}, {below}")
 
 
+def _polynomial(text, parameters, width, x, *coefficients):
+    """By Horner's rule; the coefficients from the lowest degree on."""
+    del parameters
+    typed, (*lower, found) = vector("double", width), coefficients
+    for each in reversed(lower):
+        product = text.made(f"fmul contract {typed} {x}, {found}")
+        found = text.made(f"fadd contract {typed} {each}, {product}")
+    return found
+
+
 def _library(name: str) -> Callable[..., str]:
     word = "fmod" if name == "rem" else name
     return _of_floats(lambda text, parameters, width, *names: text.library(word, width, *names))
@@ -243,6 +253,8 @@ _OF_EACH = {
     "is_finite": _of_floats(_is_finite),
     "logistic": _of_floats(_logistic),
     "one_minus_square": _of_floats(_one_minus_square),
+    "polynomial": _of_floats(_polynomial),
+    "log2": _library("log2"),
     **{
         name: _of_floats(lambda text, parameters, width, a, word=word: text.intrinsic(word, "double", width, a))
         for name, word in INTRINSIC.items()
