@@ -584,9 +584,23 @@ def test_another_process_finds_what_was_kept_and_does_without(tmp_path):
 
 def test_long_vectors_are_for_groups_of_runs_alone():
     """Few of them among numbers that stand alone slow a processor down; a line with lanes may have them."""
-    host, narrow = machine_code._machine(True)[1], machine_code._machine(False)[1]
-    assert "+avx512" not in narrow
-    assert [f for f in host.split(",") if "avx512" not in f] == [f for f in narrow.split(",") if "avx512" not in f]
+    llvm = pytest.importorskip("llvmlite.binding")
+    text = """\
+define void @doubled(ptr %a) nounwind {
+  %x = load <8 x double>, ptr %a, align 8
+  %y = fadd <8 x double> %x, %x
+  store <8 x double> %y, ptr %a, align 8
+  ret void
+}
+"""
+
+    def assembly(is_wide, is_optimised):
+        machine = machine_code._target_machine(is_wide, is_optimised)
+        return machine.emit_assembly(llvm.parse_assembly(machine_code._with_widths(text, is_wide)))
+
+    has_long_ones = dict(llvm.get_host_cpu_features()).get("avx512f", False)
+    assert ("zmm" in assembly(True, True)) == has_long_ones
+    assert all("zmm" not in assembly(False, is_optimised) for is_optimised in (True, False))
 
 
 def test_damaged_machine_code_is_made_anew(tmp_path):
