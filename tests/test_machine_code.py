@@ -613,6 +613,20 @@ def test_damaged_machine_code_is_made_anew(tmp_path):
     assert again == number
 
 
+@pytest.mark.parametrize("counts", [[2], [3, 1, 2], [0, 0]])
+def test_a_loop_whose_lanes_end_one_by_one(small_ones_too, counts):
+    def run(y, n):
+        return jax.lax.while_loop(lambda s: s[0] < n, lambda s: (s[0] + 1, s[1] + 0.1 * FIELD(s[1])), (0, y))[1]
+
+    given = jnp.linspace(0.1, 1.0, 3 * len(counts)).reshape(-1, 3), jnp.array(counts)
+    expected = [run(y, n) for y, n in zip(*given, strict=True)]
+    with machine_code.wanted():
+        alone = jax.jit(in_few_kernels(jax.vmap(run)))(*given)
+        within = jax.jit(in_few_kernels(lambda *x: jax.lax.fori_loop(0, 1, lambda _, y: jax.vmap(run)(y, x[1]), x[0])))
+        np.testing.assert_allclose(alone, expected, rtol=1e-13)
+        np.testing.assert_allclose(within(*given), expected, rtol=1e-13)
+
+
 def test_an_unknown_operation_is_left_to_xla(small_ones_too, monkeypatch):
     x = jnp.array([0.3, 1.7])
     made = scalarize(lambda x: jnp.exp(x) + x**2, x)

@@ -252,7 +252,8 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
         _make([equation], set(equation.outvars), set(), known, is_loop=False)
         return
     values = [a.val if isinstance(a, jex.Literal) else known[a] for a in equation.invars]
-    if name == "while":
+    # One whose lanes end one by one is left as it is.
+    if name == "while" and parameters["cond_jaxpr"].jaxpr.outvars[0].aval.size == 1:
         found = _as_a_whole(equation, [*map(_whole, values)]) if not is_loop and _is_alone(equation) else None
         known.update(zip(equation.outvars, found or _while(parameters, values), strict=True))
         return
@@ -319,13 +320,16 @@ def _while(parameters: Any, values: Sequence) -> list:
 
     constants = jax.lax.optimization_barrier([jnp.asarray(value) for value in whole.consts])
 
+    def goes_on(state: list) -> Any:
+        return jnp.reshape(condition(*given, *arrays(state))[0], ())  # of one lane
+
     def turn(state: list) -> list:
         return _evaluated(whole.jaxpr, constants, [*kept, *parts(state)], is_loop=True)
 
     typed = (
         x if isinstance(x, _VectorPart) else jnp.asarray(x, aval.dtype) for x, aval in zip(begin, avals, strict=True)
     )
-    return parts(jax.lax.while_loop(lambda state: condition(*given, *arrays(state))[0], turn, packed([*typed])))
+    return parts(jax.lax.while_loop(goes_on, turn, packed([*typed])))
 
 
 def _whole(value: Any) -> Any:

@@ -218,6 +218,8 @@ class LoopText:
         text.say(f"br label %{look}")
         text.lines.append(f"{look}:")
         (goes_on,) = self.program(parameters["cond_jaxpr"], [*given, *map(self._held, carried)])
+        if goes_on.size != 1:
+            raise NotWrittenError("a loop whose lanes end one by one")
         text.say(f"br i1 {text.read(goes_on)}, label %{turn}, label %{end}")
         text.lines.append(f"{turn}:")
         found = self.program(parameters["body_jaxpr"], [*fixed, *map(self._held, carried)])
