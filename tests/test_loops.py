@@ -167,6 +167,11 @@ FUNCTIONS = {
     "truths": lambda x, i, p: [p & (x > 0), p | (x < 0), p ^ p, ~p, jnp.all(p), jnp.any(p), p == (i > 2), jnp.max(p)],
     "sums": lambda x, i, p: [x.sum(), x.reshape(3, 7).sum(0), x.reshape(3, 7).sum(1), x[:9].prod(), i.sum()],
     "extremes": lambda x, i, p: [x.max(), x.min(), i.max(), x.reshape(3, 7).max(1), jnp.minimum(x, 0.1 * i)],
+    "truths alike": lambda x, i, p: [
+        reduce(each)
+        for reduce in (jnp.max, jnp.min, jnp.any, jnp.all)
+        for each in (i > 9, i < 9, (i > 9)[:5], (i < 9)[:5], (i > 9).reshape(3, 7), (i < 9)[:1])
+    ],
     "none": lambda x, i, p: [x[:0].sum(), x[:0].reshape(0, 3).sum(0), jnp.concatenate([x[:0], x]), jnp.all(p[:0])],
     "products": lambda x, i, p: [
         x[:7] @ x[7:14],

@@ -19,7 +19,7 @@ from spherejax.foundations.machine.array_text import (
     kind_of,
     vector,
 )
-from spherejax.foundations.machine.number_rules import Rule, ShapeAndType, arithmetic, extremum, logic, select
+from spherejax.foundations.machine.number_rules import Rule, arithmetic, extremum, logic, select
 from spherejax.foundations.scalar.rules import MOVES
 
 # What moves entries ---------------------------------------------------------------------------------------------------
@@ -134,7 +134,9 @@ def _gather(text, values, parameters, avals):
                 raise NotWrittenError("a gather that fills in whole numbers")
             inside = Value((), "i1", _is_inside(text, starts, room))
             instead = text.known(np.asarray(np.nan if filling is None else filling, _DTYPES[source.kind]))
-            part = select(text, [inside, instead, part], {}, [ShapeAndType(part.shape, _DTYPES[source.kind])])[0]
+            part = select(text, [inside, instead, part], {}, [jax.ShapeDtypeStruct(part.shape, _DTYPES[source.kind])])[
+                0
+            ]
         found.append(part)
     # Which entry stands where, by the rule of names.
     names = np.arange(rows * block.size)
@@ -163,12 +165,12 @@ def _scatter(text, values, parameters, avals):
     inside = "true" if mode == jax.lax.GatherScatterMode.CLIP else _is_inside(text, starts, room)
     if target.size == 1:
         which = Value((), "i1", inside)
-        return select(text, [which, target, source], {}, [ShapeAndType(target.shape, _DTYPES[target.kind])])
+        return select(text, [which, target, source], {}, [jax.ShapeDtypeStruct(target.shape, _DTYPES[target.kind])])
     changed, offsets = _to_be_changed(text, target), _offsets(target.shape, sizes)
     now = text.picked(changed, begin, offsets)
     which = Value((), "i1", inside)
     flat = source.as_shape(offsets.shape)
-    new = select(text, [which, now, flat], {}, [ShapeAndType(offsets.shape, _DTYPES[target.kind])])[0]
+    new = select(text, [which, now, flat], {}, [jax.ShapeDtypeStruct(offsets.shape, _DTYPES[target.kind])])[0]
     text.put(changed, begin, offsets, new)
     return [changed]
 
@@ -209,6 +211,10 @@ def _reduced(start: Callable[[str], Any], join: Callable[..., str]) -> Rule:
         return [target]
 
     return rule
+
+
+_LEAST = {"double": -np.inf, "i64": -(2**63), "i1": False}
+_MOST = {"double": np.inf, "i64": 2**63 - 1, "i1": True}
 
 
 def _dot_general(text, values, parameters, avals):
@@ -293,8 +299,8 @@ RULES: dict[str, Rule] = {
     "dot_general": _dot_general,
     "reduce_sum": _reduced(lambda kind: 0, arithmetic("add")),
     "reduce_prod": _reduced(lambda kind: 1, arithmetic("mul")),
-    "reduce_max": _reduced(lambda kind: -np.inf if kind == "double" else -(2**63), extremum("max")),
-    "reduce_min": _reduced(lambda kind: np.inf if kind == "double" else 2**63 - 1, extremum("min")),
+    "reduce_max": _reduced(lambda kind: _LEAST[kind], extremum("max")),
+    "reduce_min": _reduced(lambda kind: _MOST[kind], extremum("min")),
     "reduce_and": _reduced(lambda kind: True, logic("and")),
     "reduce_or": _reduced(lambda kind: False, logic("or")),
 }

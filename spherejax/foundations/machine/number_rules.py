@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
+import jax
 import numpy as np
 
 from spherejax.foundations.machine.array_text import ArrayText, NotWrittenError, Value, constant, kind_of, vector
@@ -11,13 +12,6 @@ from spherejax.foundations.machine.text import COMPARED, COMPARED_WHOLE, INTRINS
 
 Rule = Callable[[ArrayText, Sequence[Value], Any, Sequence[Any]], list[Value]]
 """From the values of an operation's arguments, its parameters, and its results' shapes and types, to the results."""
-
-
-class ShapeAndType(NamedTuple):
-    """A shape and a type, of a result that JAX does not know of."""
-
-    shape: tuple[int, ...]
-    dtype: Any
 
 
 def _by_entry(write: Callable[..., str]) -> Rule:
@@ -230,7 +224,9 @@ def _convert(text, values, parameters, avals):
 def _pow(text, values, parameters, avals):
     base, exponent = values
     if exponent.kind != "double":
-        (exponent,) = _convert(text, [exponent], {"new_dtype": np.dtype(float)}, [ShapeAndType(exponent.shape, float)])
+        (exponent,) = _convert(
+            text, [exponent], {"new_dtype": np.dtype(float)}, [jax.ShapeDtypeStruct(exponent.shape, float)]
+        )
     return _by_entry(_library("pow"))(text, [base, exponent], parameters, avals)
 
 
