@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.foundations.rotation import rotation_matrix
 from spherejax.model.system import compile_scene
+from spherejax.motion.equations.mobility import InverseMass
+from spherejax.physics.bodies import inertia_in_world, inertia_times, inverse_inertia
 
 SIDES = np.array([0.1, 0.2, 0.3])
 BOX = np.diag(SIDES**2)  # [kg m^2], (0.01, 0.04, 0.09) break the triangle rule
@@ -98,3 +101,27 @@ def test_a_robot_file_with_impossible_moments_is_refused(tmp_path):
     )
     with pytest.raises(sj.SceneError, match=r"body 'b': inertia = .* must obey the triangle rule"):
         compile_scene(sj.load_urdf(path))
+
+
+FULL = np.array([[0.03, 0.004, -0.002], [0.004, 0.04, 0.005], [-0.002, 0.005, 0.05]])
+
+
+@pytest.mark.parametrize("inertia", [np.array([0.03, 0.04, 0.05]), FULL])
+def test_inertia_by_way_of_the_body_is_that_of_the_world(inertia):
+    """Times a vector, and its inverse, whatever the quaternion's norm; derivatives too."""
+    vector, mass = jnp.array([0.4, -1.0, 0.7]), 2.0
+
+    def both(quaternion):
+        rotation = rotation_matrix(quaternion)
+        own, world = inverse_inertia(jnp.asarray(inertia)), inertia_in_world(jnp.asarray(inertia), rotation)
+        masses = InverseMass(jnp.array([1 / mass]), (rotation @ own @ rotation.T)[None], own[None], rotation[None])
+        wrench = jnp.concatenate([vector, vector[::-1]])[None]
+        inverted = jnp.concatenate([vector / mass, jnp.linalg.solve(world, vector[::-1])])
+        times = inertia_times(jnp.asarray(inertia), rotation, vector)
+        return (times, masses.times(wrench)[0], masses.turned_times(wrench)[0]), (world @ vector, inverted, inverted)
+
+    for norm in (1.0, 1.1):
+        quaternion = norm * jnp.array([0.5, -0.1, 0.7, np.sqrt(0.25)])
+        (found, expected), (along, expected_along) = jax.jvp(both, (quaternion,), (jnp.array([0.3, 0.1, -0.2, 0.5]),))
+        for one, other in ((found, expected), (along, expected_along)):
+            jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13), one, other)

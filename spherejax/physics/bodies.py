@@ -10,7 +10,7 @@ import numpy as np
 from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.forms import is_numeric, mapping_of
 from spherejax.foundations.rotation import normalized, rotation_matrix
-from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple, Unit
+from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple, Unit, Vector3
 from spherejax.physics import meshes, solids
 from spherejax.physics.orientations import as_quaternion
 
@@ -309,11 +309,15 @@ def inertia_in_world(inertia, rotation: Matrix3) -> Matrix3:
     return rotation @ inertia @ rotation.T
 
 
-def inverse_inertia_in_world(inertia, rotation: Matrix3) -> Matrix3:
-    """Inverse of the inertia, A J'^(-1) A^T [1 / (kg m^2)], in world axes."""
-    if jnp.ndim(inertia) == 1:
-        return rotation @ ((1 / inertia)[:, None] * rotation.T)
-    return rotation @ _inverse(inertia) @ rotation.T
+def inertia_times(inertia, rotation: Matrix3, vector: Vector3) -> Vector3:
+    """The inertia in world axes times a vector, A (J' (A^T v)): by half of the operations that its matrix takes."""
+    own = rotation.T @ vector
+    return rotation @ (inertia * own if jnp.ndim(inertia) == 1 else inertia @ own)
+
+
+def inverse_inertia(inertia) -> Matrix3:
+    """Inverse of the inertia [1 / (kg m^2)], in body axes."""
+    return jnp.diag(1 / inertia) if jnp.ndim(inertia) == 1 else _inverse(inertia)
 
 
 def _inverse(matrix: Matrix3) -> Matrix3:

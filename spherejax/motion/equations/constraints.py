@@ -23,7 +23,7 @@ from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import BodyMotions, between, with_ground
 from spherejax.motion.equations.loads import BodyVectors
 from spherejax.motion.equations.mobility import InverseMass, Mobility, constraint_mobility
-from spherejax.physics.bodies import Body, inverse_inertia_in_world
+from spherejax.physics.bodies import Body, inverse_inertia
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
 
@@ -203,7 +203,8 @@ def inverse_masses(system: System, motions: BodyMotions) -> InverseMass:
 
 
 def _inverse_mass(body: Body, motion: BodyMotion) -> InverseMass:
-    return InverseMass(1 / jnp.asarray(body.mass), inverse_inertia_in_world(body.inertia, motion.rotation))
+    own, rotation = inverse_inertia(body.inertia), motion.rotation
+    return InverseMass(1 / jnp.asarray(body.mass), rotation @ own @ rotation.T, own, rotation)
 
 
 def mobility_of(constraints: ConstraintSet, masses: InverseMass) -> Mobility:
@@ -265,7 +266,7 @@ def solve_augmented(
     steps. The factorization is shared; the pass costs a fifth of the right-hand side.
     """
     if not constraints.groups:
-        return Solution(masses.times(loads), {}, jnp.zeros(0))
+        return Solution(masses.turned_times(loads), {}, jnp.zeros(0))
 
     def balanced(jacobians, masses: InverseMass, free: BodyVectors, desired: Array) -> tuple[BodyVectors, Array]:
         """Accelerations with D a = gamma, from those without constraints, and the multipliers that make them so."""
@@ -288,7 +289,7 @@ def solve_augmented(
         accelerations, multipliers = solution(*primals)
 
         def held(jacobians, masses, loads):
-            return masses.times(loads - constraints.with_jacobians(jacobians).transposed_times(multipliers))
+            return masses.turned_times(loads - constraints.with_jacobians(jacobians).transposed_times(multipliers))
 
         def taken(jacobians):
             return constraints.with_jacobians(jacobians).times(accelerations)

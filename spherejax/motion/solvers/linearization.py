@@ -37,7 +37,7 @@ from spherejax.motion.equations.dynamics import evaluate, memory_rates, orientat
 from spherejax.motion.equations.joint_friction import friction_under, wrenches_of
 from spherejax.motion.equations.loads import BodyVectors, applied_wrenches, joint_loads
 from spherejax.motion.equations.programs import Program
-from spherejax.physics.bodies import Body, inertia_in_world
+from spherejax.physics.bodies import Body, inertia_times
 from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, unpack
 
@@ -131,8 +131,8 @@ def _masses_times(system: System, motions: BodyMotions, vectors: BodyVectors) ->
 
 
 def _mass_times(body: Body, motion: BodyMotion, vector: Float[Array, "6"]) -> Float[Array, "6"]:
-    inertia = inertia_in_world(body.inertia, motion.rotation)
-    return jnp.concatenate([body.mass * vector[:3], inertia @ vector[3:]])
+    turned = inertia_times(body.inertia, motion.rotation, vector[3:])
+    return jnp.concatenate([body.mass * vector[:3], turned])
 
 
 # The pattern of nonzeros ---------------------------------------------------------------------------------------------
