@@ -304,7 +304,7 @@ def test_large_arrays_are_changed_in_place_or_not_at_all():
         assert_same(jax.jit(few_kernels.in_few_kernels(function))(*given), jax.jit(function)(*given))
 
 
-def test_what_has_no_rule_is_left_to_xla():
+def test_what_has_no_rule_is_left_to_xla(caplog):
     def sorting(y, n):
         return [*jax.lax.while_loop(lambda s: s[0] < n, lambda s: (s[0] + 1, jnp.sort(-s[1])), (jnp.asarray(0), y))]
 
@@ -312,6 +312,11 @@ def test_what_has_no_rule_is_left_to_xla():
     with pytest.raises(NotWrittenError, match="'sort' has no rule"):
         in_machine_code(sorting, *given)
     assert_same(jax.jit(few_kernels.in_few_kernels(sorting))(*given), jax.jit(sorting)(*given))
+    # Of a run: nobody waits longer without a word to whoever asks for it.
+    caplog.set_level("INFO")
+    (loop,) = (each for each in jax.make_jaxpr(sorting)(*given).eqns if each.primitive.name == "while")
+    assert few_kernels._as_a_whole(loop, [given[1], given[1], given[0]]) is None
+    assert "left to XLA, which takes up to twice as long: the operation 'sort' has no rule" in caplog.text
 
 
 # Runs -----------------------------------------------------------------------------------------------------------------

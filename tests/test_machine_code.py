@@ -406,6 +406,42 @@ def test_stages_with_rows_in_one_call_are_those_of_the_loop(n_rows, size, n_runs
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * np.max(np.abs(expected)))
 
 
+@pytest.mark.parametrize(("n_rows", "n_runs"), [(1, 1), (3, 1), (2, 3), (3, 8)])
+def test_rows_by_some_numbers_are_those_by_all(n_rows, n_runs):
+    """Of numbers that lie apart; what they change ahead of the loop moves, and nothing else."""
+
+    def rate(theta, t, y):
+        return (
+            jnp.roll(y, 1) * jnp.exp(theta[0]) * theta[3]
+            - jnp.sin(theta[1] * t) * y * y * jnp.cosh(theta[4])
+            - theta[2]
+        )
+
+    theta, y = jnp.array([0.7, 2.0, 0.1, 0.5, 0.3]), 0.1 + jnp.arange(7.0) / 7
+    program = scalarize(rate, theta, jnp.zeros(()), y)
+    moving = (0, 2, 3)
+    directions = (
+        jnp.zeros((n_rows, 5)).at[:, jnp.array(moving)].set(jnp.cos(jnp.arange(3.0 * n_rows)).reshape(n_rows, 3))
+    )
+    rows = jnp.concatenate([y[None], jnp.sin(jnp.arange(7.0 * n_rows)).reshape(n_rows, 7)])
+    thetas, *lanes = of_runs(n_runs, theta, jnp.array(0.2), jnp.array(0.3), rows)
+
+    def numbers_of(theta):
+        return Rows(*linearized(lambda theta: Given(theta, program.ahead(theta)), theta, directions))
+
+    given, found = in_lanes(numbers_of)(thetas), []
+    for some in (None, moving):
+        steps = ExplicitStages(diffrax.Dopri8().tableau, lambda *_: None, True, program, some)
+
+        def increments(t, t_next, rows, steps=steps):
+            return steps.step(t, t_next, rows, given, (), jnp.zeros(n_runs, bool), jnp.zeros(n_runs)).dense_info["k"]
+
+        with machine_code.wanted():
+            found.append(jax.jit(increments)(*lanes))
+    assert np.max(np.abs(found[0][:, 1:])) > 0.1
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-13, atol=1e-15)
+
+
 class Inside(NamedTuple):
     program: Any
 

@@ -191,6 +191,27 @@ def test_derivatives_cost_what_they_must():
     assert [name for name, follows in zip(names, by_time.follows, strict=True) if follows] == ["one"]
 
 
+@pytest.mark.parametrize("moving", [(0,), (1,), (0, 1)])
+def test_of_an_argument_some_entries_may_move(moving):
+    """What the others would add costs nothing, ahead of a loop and inside it."""
+    ahead = PROGRAM.ahead(NUMBERS)
+    line, given = PROGRAM.line_inside(ahead)
+    moves = PROGRAM.moving_inside(ahead, frozenset(moving))
+    derivative, whole = (line.derivative((some[0], False, True, *some[1:])) for some in (moves, (True,) * len(moves)))
+    along = jnp.zeros(2).at[jnp.array(moving)].set(1.3), jnp.array([0.2, -0.7, 0.4])
+    slopes = jax.jvp(PROGRAM.ahead, (NUMBERS,), along[:1])[1]
+    _, slopes = PROGRAM.line_inside(slopes)
+    picked = [along[0][jnp.array(moving)], along[1]]
+    picked += [jnp.atleast_1d(x)[jnp.array(some)] for x, some in zip(slopes, moves[1:], strict=True) if some]
+    found = derivative.values(NUMBERS, T, Y, *given)
+    changes = derivative.slopes(*picked, *found[len(line.outputs) :])
+    _, expected = jax.jvp(lambda numbers, y: everything(numbers, T, y), (NUMBERS, Y), along)
+    names = itertools.compress(sorted(expected), derivative.follows)
+    same(changes, [expected[name] for name in names])
+    n = derivative.slopes.n_operations
+    assert n < whole.slopes.n_operations if len(moving) == 1 else n == whole.slopes.n_operations
+
+
 @pytest.mark.parametrize("width", [1, 2])
 def test_one_lane_needs_no_axis(width):
     program = jax.make_jaxpr(jax.vmap(PROGRAM, (None, None, 0)))(NUMBERS, T, jnp.stack([Y] * width))

@@ -12,6 +12,7 @@ returns one number of each of its arguments, too; nobody looks at them. And XLA 
 loop begins: it would write that into the functions, and leave those arguments unread.
 """
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from functools import cache, wraps
@@ -279,7 +280,8 @@ def _as_a_whole(equation: Any, values: Sequence) -> list | None:
     """A loop in machine code; None where something in it has no rule there."""
     try:
         return looped(equation.params, values)
-    except NotWrittenError:
+    except NotWrittenError as reason:
+        logging.getLogger(__name__).info("a loop of a run is left to XLA, which takes up to twice as long: %s", reason)
         return None
 
 

@@ -34,7 +34,7 @@ from spherejax.foundations.machine.lines import (
 )
 from spherejax.foundations.machine.text import FunctionText, widest_for
 from spherejax.foundations.scalar.graph import BOOL, FLOAT
-from spherejax.foundations.scalar.straight_line import StraightLine
+from spherejax.foundations.scalar.straight_line import Moves, StraightLine
 
 LARGEST_STATE = 512
 """Vectors of a state, with its rows, up to which stages are kept on the stack."""
@@ -66,6 +66,7 @@ def stages(
     n_made: Any,
     others: Sequence[Array],
     along: Sequence[Array | None] | None = None,
+    moving: Sequence[Moves] | None = None,
 ) -> tuple[Array, Array]:
     """The increments k, shape (s, size, n_runs), and sums of them, shape (m, size, n_runs).
 
@@ -80,13 +81,17 @@ def stages(
         n_made: so many stages are evaluated, the first ones; increments of the others are zero.
         others: the other arguments of the line, in order; with a last axis of runs.
         along: tangents of `others`, with a leading axis of rows; None for what has none. None without rows.
+        moving: which entries of `others` move at all; None for all of what has tangents.
     """
     rows = None
     if along is not None:
-        moves = tuple(each is not None for each in along)
+        moves: tuple[Moves, ...] = tuple(each is not None for each in along)
+        if moving is not None:
+            moves = tuple(some if has else False for has, some in zip(moves, moving, strict=True))
+            along = [entries_at(x, some) for x, some in zip(along, moves, strict=True)]
         derivative = line.derivative((*moves[:at], False, True, *moves[at:]))
         assert derivative.follows == (True,), "a rate that does not depend on the state"
-        line, rows = derivative.values, _Rows(derivative.slopes, moves, y.shape[0] - 1)
+        line, rows = derivative.values, _Rows(derivative.slopes, tuple(map(bool, moves)), y.shape[0] - 1)
         others = *others, *(x for x in along if x is not None)
     n_runs = y.shape[-1]
     if n_runs == 1:
@@ -95,6 +100,20 @@ def stages(
     how = {"method": method._replace(at=at), "n_runs": None if n_runs == 1 else n_runs}
     k, sums = _stages.bind(*arguments, line=line, rows=rows, **how)
     return k, sums
+
+
+def entries_at(x: Array | None, some: Moves) -> Array | None:
+    """Some entries of an array, by their numbers along its second axis; None for none.
+
+    In pieces: a loop of machine code (`loops`) has no rule for any entries whatever.
+    """
+    if x is None or not some:
+        return None
+    if some is True:
+        return x
+    breaks = [0, *(i for i in range(1, len(some)) if some[i] != some[i - 1] + 1), len(some)]
+    pieces = [x[:, some[begin] : some[end - 1] + 1] for begin, end in itertools.pairwise(breaks)]
+    return pieces[0] if len(pieces) == 1 else jnp.concatenate(pieces, 1)
 
 
 class ExplicitMethod(NamedTuple):

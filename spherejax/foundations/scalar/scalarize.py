@@ -8,7 +8,7 @@ only. The result is an ordinary JAX function: jit, vmap, jvp, grad work on it.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +24,7 @@ from spherejax.foundations.scalar.c_source import c_functions
 from spherejax.foundations.scalar.graph import FLOAT, Graph, TooManyOperations
 from spherejax.foundations.scalar.interpreter import Interpreter
 from spherejax.foundations.scalar.numbers_now import NumbersNow
-from spherejax.foundations.scalar.straight_line import StraightLine, grouped, is_called
+from spherejax.foundations.scalar.straight_line import Moves, StraightLine, grouped, is_called
 
 
 class ScalarProgram:
@@ -151,6 +151,25 @@ class ScalarProgram:
     def lines_ahead_and_inside(self) -> tuple[StraightLine | None, StraightLine]:
         """What goes ahead, in vectors, None for nothing; and the rest, which takes these."""
         return self._line("first", True) if self._ahead else None, self._line("rest", True)
+
+    def moving_inside(self, ahead: tuple[Array, ...], moving: Collection[int]) -> tuple[Moves, ...]:
+        """What moves of the first argument, and of what was evaluated ahead, as the line of `line_inside` takes it.
+
+        Args:
+            ahead: what was evaluated.
+            moving: the entries of the first argument that move.
+        """
+        line, _ = self.line_inside(ahead)
+        graph, moves = self._graph, {}
+        for node in graph.needed(line.flat_given):
+            if graph.operations[node] == "input":
+                leaf, entry = graph.parameters[node]
+                moves[node] = leaf == 0 and entry in moving
+            else:
+                moves[node] = any(moves[a] for a in graph.arguments[node])
+        places = [tuple(i for i, node in enumerate(group.ravel()) if moves[int(node)]) for group in line.given]
+        of_given = [line.dtype(group) == FLOAT and some for group, some in zip(line.given, places, strict=True)]
+        return tuple(sorted(moving)), *of_given
 
     def slopes_inside(self, ahead: tuple[Array, ...], slopes: tuple[Array | None, ...]) -> tuple[Array | None, ...]:
         """Derivatives of what was evaluated ahead, as the line of `line_inside` takes it.

@@ -57,7 +57,7 @@ class StraightLine:
         self.called: dict[tuple, str] = {}  # names of its machine code, which go when it goes
         self._spread: dict = {}
         self._jitted: dict = {}
-        self._derivatives: dict[tuple[bool, ...], Derivative] = {}
+        self._derivatives: dict[tuple[Moves, ...], Derivative] = {}
         self._transposes: dict[tuple[tuple[bool, ...], tuple[bool, ...]], StraightLine] = {}
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -144,18 +144,21 @@ class StraightLine:
             function = jax.vmap(function, tuple(inwards), outwards)
         return function
 
-    def derivative(self, moves: tuple[bool, ...]) -> "Derivative":
-        """Along tangents of the arguments that move."""
+    def derivative(self, moves: tuple["Moves", ...]) -> "Derivative":
+        """Along tangents of the arguments that move, all of their entries or some."""
         if moves not in self._derivatives:
             self._derivatives[moves] = self._derived(moves)
         return self._derivatives[moves]
 
-    def _derived(self, moves: tuple[bool, ...]) -> "Derivative":
+    def _derived(self, moves: tuple["Moves", ...]) -> "Derivative":
+        entries = self._entries(moves, self._with_slopes)
+        moving = [
+            nodes if some is True else [nodes[entry] for entry in some]
+            for nodes, some in zip(entries, moves, strict=True)
+            if some
+        ]
         tangents = {
-            node: (i, entry)
-            for i, entries in enumerate(itertools.compress(self._entries(moves, self._with_slopes), moves))
-            for entry, node in enumerate(entries)
-            if node is not None
+            node: (i, place) for i, nodes in enumerate(moving) for place, node in enumerate(nodes) if node is not None
         }
         forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_given))
         zero = forward.slopes.constant(0, FLOAT)
@@ -170,10 +173,13 @@ class StraightLine:
         given = {node: name for node, name in forward.given.items() if name in needed}
         coefficients = grouped([*given], forward.values, self.in_machine_code)
         names = [np.array([given[int(node)] for node in each.ravel()]).reshape(each.shape) for each in coefficients]
-        values, moving = [*self.outputs, *coefficients], [*itertools.compress(self._all_shapes, moves)]
+        values = [*self.outputs, *coefficients]
+        shapes = [
+            shape if some is True else (len(some),) for shape, some in zip(self._all_shapes, moves, strict=True) if some
+        ]
         return Derivative(
             StraightLine(forward.values, values, self.shapes, self.given, self.in_machine_code),
-            StraightLine(forward.slopes, slopes, moving, names, self.in_machine_code),
+            StraightLine(forward.slopes, slopes, shapes, names, self.in_machine_code),
             follows,
         )
 
@@ -219,7 +225,7 @@ class StraightLine:
         shapes = [*(o.shape for o in followed), *(self.shapes[i] for i in still)]
         return StraightLine(graph, outputs, shapes, given, self.in_machine_code)
 
-    def _entries(self, chosen: Sequence[bool], nodes: Sequence[int]) -> list[list[int | None]]:
+    def _entries(self, chosen: Sequence["Moves"], nodes: Sequence[int]) -> list[list[int | None]]:
         """The nodes that are the entries of the chosen arguments; None for those that none of `nodes` depends on.
 
         What only a derivative rule reads is among the nodes of a derivative: a weight, say, of which the value reads
@@ -266,6 +272,10 @@ def grouped(nodes: Sequence[int], graph: Graph, in_vectors: bool) -> list[np.nda
         return [np.array(node) for node in nodes]
     kinds = dict.fromkeys(graph.dtypes[node] for node in nodes)
     return [np.array([node for node in nodes if graph.dtypes[node] == kind]) for kind in kinds]
+
+
+Moves = bool | tuple[int, ...]
+"""Whether an argument moves, or which of its entries do; then its tangent is the vector of theirs."""
 
 
 class Derivative(NamedTuple):

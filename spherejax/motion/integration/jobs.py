@@ -108,6 +108,7 @@ class JobKind:
         watch: names of quantities whose largest magnitudes are kept.
         slack: how much larger the errors of sensitivities may be than the state's, where a run does not say; None for
             what the method has.
+        moving: numbers of the system that the sensitivities are by; None for all.
     """
 
     structure: Structure
@@ -116,6 +117,7 @@ class JobKind:
     with_rows: bool = False
     watch: tuple[str, ...] = ()
     slack: float | None = None
+    moving: tuple[int, ...] | None = None
 
     @property
     def n_contacts(self) -> int:
@@ -173,6 +175,7 @@ class JobKind:
             audit=None if problem.audit is None else problem.audit.of_rows(),
             room=of_first_row(problem.room),
             samples=None if problem.samples is None else problem.samples.of_rows(),
+            moving=self.moving,
         )
 
 

@@ -221,7 +221,7 @@ class _Request(eqx.Module):
 
     def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:
         """What comes of the job."""
-        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows)
+        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows, moving=plan.unknown if with_rows else None)
         job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
         found = runs(kind, job.numbers, job.y0, ts, job.may_run, job.status, self.of_all, block_for())
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))

@@ -104,7 +104,7 @@ class PreparedRuns:
         assert plan is not None
         arrays, solver = eqx.partition(method.choice.solver, eqx.is_array)
         slack = None if method.derivative_rtol is None else method.derivative_rtol / method.rtol
-        kind = JobKind(plan.structure, plan.scalar, solver, bool(method.by), method.watch, slack)
+        kind = JobKind(plan.structure, plan.scalar, solver, bool(method.by), method.watch, slack, plan.unknown)
         return kind.problem(self.ts, (arrays, self.shared_tolerances, method.max_steps))
 
     def trajectory(self, start: Job, outcome: LaneOutcome) -> Trajectory:

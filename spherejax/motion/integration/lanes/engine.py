@@ -98,7 +98,7 @@ class Queue:
         # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
         # be a seventh of the operations, and a quarter of the time that they take to compile.
         self.refills = self.width < self.n_jobs
-        self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2, problem.program)
+        self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2, problem.program, problem.moving)
         self.term = diffrax.ODETerm(problem.rate)
         self.order = problem.solver.error_order(self.term)
         self.control = (

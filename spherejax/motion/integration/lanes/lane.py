@@ -52,6 +52,7 @@ class LaneProblem(NamedTuple):
             where there are none.
         in_machine_code: whether the programs become machine code of their own.
         program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
+        moving: entries of theta that the sensitivities are by; None for all.
     """
 
     solver: diffrax.AbstractSolver
@@ -69,6 +70,7 @@ class LaneProblem(NamedTuple):
     slack_of: Callable | None = None
     in_machine_code: bool = False
     program: ScalarProgram | None = None
+    moving: tuple[int, ...] | None = None
 
 
 class StepLog(NamedTuple):

@@ -66,6 +66,7 @@ class ExplicitStages:
         with_dense_output: whether states inside a step are wanted from the method's own interpolation.
         program: that `rate` evaluates inside, with the parameters' `theta` and `ahead`, or None. Of a state with rows
             below it the rates of these are the program's derivative, with the parameters' `slopes`.
+        moving: entries of `theta` that have such slopes; None for all.
     """
 
     def __init__(
@@ -74,8 +75,9 @@ class ExplicitStages:
         rate: Callable,
         with_dense_output: bool,
         program: ScalarProgram | None = None,
+        moving: tuple[int, ...] | None = None,
     ):
-        self.program = program
+        self.program, self.moving = program, moving
         n = len(tableau.b_sol)
         self.coefficients = np.zeros((n, n))
         for i, row in enumerate(tableau.a_lower, start=1):
@@ -134,11 +136,13 @@ class ExplicitStages:
         method = ExplicitMethod.of(self.coefficients[:n, :n], self.instants[:n], self.sums)
         theta, ahead, slopes = parameters.theta, parameters.ahead, parameters.slopes if y.ndim == 3 else None
         others = in_lanes(lambda theta, ahead: (theta, *program.line_inside(ahead)[1]))(theta, ahead)
-        along = None
+        along = moving = None
         if slopes is not None:
             with_theta = in_lanes(lambda theta, *ahead: (theta, *program.slopes_inside(*ahead)))
             along = with_theta(slopes.theta, ahead, slopes.ahead)
-        return stages(line, _TIME, method, t, h, bend, y, n_made, others, along)
+            if self.moving is not None:
+                moving = program.moving_inside(jax.tree.map(lambda x: x[..., 0], ahead), self.moving)
+        return stages(line, _TIME, method, t, h, bend, y, n_made, others, along, moving)
 
     def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
         n = self.n_stages
@@ -184,11 +188,15 @@ class MappedSteps:
 
 
 def steps_of(
-    solver: Any, rate: Callable, with_dense_output: bool, program: ScalarProgram | None = None
+    solver: Any,
+    rate: Callable,
+    with_dense_output: bool,
+    program: ScalarProgram | None = None,
+    moving: tuple[int, ...] | None = None,
 ) -> ExplicitStages | MappedSteps:
     """How a solver makes the trial steps of a block; arguments as for `ExplicitStages`."""
     if is_explicit(solver):
-        return ExplicitStages(solver.tableau, rate, with_dense_output, program)
+        return ExplicitStages(solver.tableau, rate, with_dense_output, program, moving)
     return MappedSteps(solver, rate)
 
 
