@@ -41,11 +41,13 @@ class DifferentiatedRosenbrock(diffrax.AbstractAdaptiveSolver):
         own: the method on the state alone, with the system's linear algebra.
         rate: right-hand side of the state (static).
         systems: that linear algebra (static); None where it has none of its own.
+        by: numbers of the system that the sensitivities are by (static); None for all.
     """
 
     own: AbstractRosenbrock
     rate: Program = eqx.field(static=True)
     systems: LinearSystems | None = eqx.field(static=True)
+    by: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = RosenbrockInterpolation
@@ -68,7 +70,7 @@ class DifferentiatedRosenbrock(diffrax.AbstractAdaptiveSolver):
         t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
         if self.systems is not None:
             tableau = self.own.tableau
-            stages = self.systems.stages_of_rows(tableau, t0, t1 - t0, y0, args.value, args.slopes)
+            stages = self.systems.stages_of_rows(tableau, t0, t1 - t0, y0, args.value, args.slopes, self.by)
             if stages is not None:
                 return (*step_from(tableau, stages, y0, jnp.array(True)), None, diffrax.RESULTS.successful)
         term = diffrax.ODETerm(lambda t, y, numbers: self.rate.inside(numbers.theta, numbers.ahead, t, y))
@@ -107,15 +109,15 @@ def slack_of(solver: Any) -> float:
     return SLACK if is_linearly_implicit(solver) else EXPLICIT_SLACK
 
 
-def solver_of_rows(solver: Any, structure: Structure, rate: Program) -> Any:
-    """The method that integrates the state and its sensitivities; an explicit one is the same."""
+def solver_of_rows(solver: Any, structure: Structure, rate: Program, by: tuple[int, ...] | None = None) -> Any:
+    """The method that integrates the state and its sensitivities by some numbers; an explicit one is the same."""
     if not is_linearly_implicit(solver):
         return solver
     systems = systems_for(solver, structure)
     if systems is None:
-        return DifferentiatedRosenbrock(solver, rate, None)
+        return DifferentiatedRosenbrock(solver, rate, None, by)
     return DifferentiatedRosenbrock(
-        _with_hooks(solver, systems.jacobian, systems.factorize_differentiated), rate, systems
+        _with_hooks(solver, systems.jacobian, systems.factorize_differentiated), rate, systems, by
     )
 
 

@@ -165,7 +165,7 @@ class JobKind:
             return usual if numbers.slack is None else numbers.slack
 
         return problem._replace(
-            solver=solver_of_rows(solver, self.structure, rate),
+            solver=solver_of_rows(solver, self.structure, rate, self.moving),
             controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack(numbers)),
             slack_of=slack,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),

@@ -38,8 +38,8 @@ from spherejax.foundations.machine.rosenbrock import (
     rosenbrock_stages,
     rows_of,
 )
-from spherejax.foundations.scalar.graph import FLOAT
-from spherejax.foundations.scalar.straight_line import StraightLine
+from spherejax.foundations.machine.stages import entries_at
+from spherejax.foundations.scalar.straight_line import Moves, StraightLine
 from spherejax.motion.equations.programs import Program
 
 T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6
@@ -60,11 +60,13 @@ class CalledStep(NamedTuple):
         steps: what is called.
         rate: the right-hand side.
         others: given.
+        moving: of a step with sensitivities, which entries of theta and of what is evaluated ahead have tangents.
     """
 
     steps: RosenbrockSteps
     rate: Program
     others: tuple[Float[np.ndarray, " n"], ...]
+    moving: tuple[Moves, ...] = ()
 
     def __call__(self, tableau: Any, theta, ahead, gamma_h, start: tuple, slopes: Any = None) -> Array:
         """All stages, from (t, h, h, y, slope)."""
@@ -73,8 +75,8 @@ class CalledStep(NamedTuple):
         assert scalar is not None
         given = [theta, gamma_h, *map(jnp.asarray, self.others), *scalar.line_inside(ahead)[1]]
         if slopes is not None:
-            along = scalar.slopes_inside(ahead, slopes.ahead)
-            given += [slopes.theta, *(x for x in along if x is not None)]
+            along = slopes.theta, *scalar.slopes_inside(ahead, slopes.ahead)
+            given += [entries_at(x, some) for x, some in zip(along, self.moving, strict=True) if x is not None and some]
         return rosenbrock_stages(self.steps._replace(method=RosenbrockMethod.of(tableau)), t, h, y, slope, *given)
 
 
@@ -112,7 +114,9 @@ class Called:
         # What it is multiplied with does not matter to what follows from the rest; a vector of its size is at hand.
         return cls(stage, (), (), (), (product, (THETA, T, Y, Y)), 3)
 
-    def step(self, rate: Program, ahead: Any, size: int, slopes: Any = None) -> CalledStep | None:
+    def step(
+        self, rate: Program, ahead: Any, size: int, slopes: Any = None, by: tuple[int, ...] | None = None
+    ) -> CalledStep | None:
         """What is called in a step of a state of a size; None where it cannot be.
 
         Args:
@@ -120,6 +124,7 @@ class Called:
             ahead: what it has evaluated ahead.
             size: of the state.
             slopes: derivatives of its numbers, of `ahead` too, for a step of sensitivities.
+            by: the numbers that these are by; None for all.
         """
         programs = [rate, self.stage, *(program for program, *_ in self.ahead)]
         programs += [] if self.product is None else [self.product[0]]
@@ -127,7 +132,8 @@ class Called:
             return None
         assert rate.scalar is not None
         assert self.stage.scalar is not None
-        line, ahead = rate.scalar.line_inside(ahead)
+        given = ahead
+        line, ahead = rate.scalar.line_inside(given)
         parts = [
             LinePart(
                 called_whole(program),
@@ -147,13 +153,19 @@ class Called:
         of_rate = tuple(range(begin, begin + len(ahead)))
         solve = LinePart(rest, (*leading, RIGHT, *factors))
         steps = RosenbrockSteps(tuple(parts), LinePart(line, (THETA, TIME, MOVED, *of_rate)), solve)
+        moving: tuple[Moves, ...] = ()
         if slopes is not None:
-            sizes = {THETA: slopes.theta.shape[1]}
-            sizes |= {place: x.size for place, x in zip(of_rate, ahead, strict=True) if x.dtype == FLOAT}
-            tangents = _Tangents(slopes.theta.shape[0], sizes, begin + len(ahead))
+            n, n_numbers = slopes.theta.shape
+            moving = rate.scalar.moving_inside(given, range(n_numbers) if by is None else by)
+            moves = {
+                place: some
+                for place, some in zip((THETA, *of_rate), moving, strict=True)
+                if isinstance(some, tuple) and some
+            }
+            tangents = _Tangents(n, moves, begin + len(ahead))
             product = (line, (THETA, T, Y, *of_rate)) if self.product is None else self._product()
             steps = tangents.beside(steps, *product, self.place)
-        return CalledStep(steps, rate, self.others) if can_be_called(steps, size) else None
+        return CalledStep(steps, rate, self.others, moving) if can_be_called(steps, size) else None
 
     def _product(self) -> tuple[StraightLine, tuple[int, ...]]:
         assert self.product is not None
@@ -166,14 +178,15 @@ class _Tangents:
 
     Args:
         n: how many there are.
-        sizes: by argument of the call that has tangents, how many numbers it is.
+        moves: by argument of the call that has tangents, which entries of it do.
         begin: place of the first of these tangents among the arguments.
     """
 
-    def __init__(self, n: int, sizes: dict[int, int], begin: int):
+    def __init__(self, n: int, moves: dict[int, tuple[int, ...]], begin: int):
         self.n = n
-        self.places = {argument: begin + i for i, argument in enumerate(sizes)}
-        self.given = tuple((self.places[argument], size) for argument, size in sizes.items())
+        self.moves: dict[int | str, Moves] = {**moves}
+        self.places = {argument: begin + i for i, argument in enumerate(moves)}
+        self.given = tuple((self.places[argument], len(some)) for argument, some in moves.items())
 
     def beside(
         self, steps: RosenbrockSteps, product: StraightLine, sources: tuple[int, ...], place: int
@@ -186,7 +199,7 @@ class _Tangents:
             sources: of its arguments.
             place: of the one that k is a tangent of.
         """
-        moves = [source == MOVED or source in self.places for source in steps.rate.sources]
+        moves = [source == MOVED or self.moves.get(source, False) for source in steps.rate.sources]
         rate = steps.rate.line.derivative(tuple(moves))
         found = [made_by_rate(i) for i in range(1, len(rate.values.outputs))]
         along = self._part(rate.slopes, compress(steps.rate.sources, moves), found)
@@ -206,7 +219,7 @@ class _Tangents:
         # J k is linear in k with coefficients that follow from the numbers and the state: these and their tangents...
         linear = line.derivative(tuple(i == place for i in range(len(sources))))
         state = sources.index(Y)  # another one stands for the vector
-        moves = [source in self.places or i == state for i, source in enumerate(sources)]
+        moves = [i == state or self.moves.get(source, False) for i, source in enumerate(sources)]
         bent = linear.values.derivative(tuple(moves))
         n_own, n_values = len(line.outputs), len(linear.values.outputs)
         found = [made(at, i) for i in range(n_values, len(bent.values.outputs))]

@@ -169,7 +169,7 @@ class LinearSystems:
 
         return at_once(at, gamma_h, start)
 
-    def stages_of_rows(self, tableau, t0, h, rows, value, slopes):
+    def stages_of_rows(self, tableau, t0, h, rows, value, slopes, by: tuple[int, ...] | None = None):
         """All stages of the state and of its sensitivities, by one call of machine code; None where there is none.
 
         Args:
@@ -177,8 +177,9 @@ class LinearSystems:
             t0, h: start and length of the step [s].
             rows: the state, its sensitivities below.
             value, slopes: what the right-hand side is given (theta, ahead), and its derivatives.
+            by: entries of theta that these are by; None for all.
         """
-        step = self.called.step(self.rate, value.ahead, rows.shape[1], slopes)
+        step = self.called.step(self.rate, value.ahead, rows.shape[1], slopes, by)
         if step is None:
             return None
         slope = jnp.zeros_like(rows)
