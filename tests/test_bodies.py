@@ -11,7 +11,7 @@ import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
 from spherejax.model.system import compile_scene
 from spherejax.motion.equations.mobility import InverseMass
-from spherejax.physics.bodies import inertia_in_world, inertia_times, inverse_inertia
+from spherejax.physics.bodies import inertia_in_world, inertia_times, inverse_inertia, inverse_inertia_in_world
 
 SIDES = np.array([0.1, 0.2, 0.3])
 BOX = np.diag(SIDES**2)  # [kg m^2], (0.01, 0.04, 0.09) break the triangle rule
@@ -114,7 +114,8 @@ def test_inertia_by_way_of_the_body_is_that_of_the_world(inertia):
     def both(quaternion):
         rotation = rotation_matrix(quaternion)
         own, world = inverse_inertia(jnp.asarray(inertia)), inertia_in_world(jnp.asarray(inertia), rotation)
-        masses = InverseMass(jnp.array([1 / mass]), (rotation @ own @ rotation.T)[None], own[None], rotation[None])
+        inverse = inverse_inertia_in_world(jnp.asarray(inertia), rotation)
+        masses = InverseMass(jnp.array([1 / mass]), inverse[None], own[None], rotation[None])
         wrench = jnp.concatenate([vector, vector[::-1]])[None]
         inverted = jnp.concatenate([vector / mass, jnp.linalg.solve(world, vector[::-1])])
         times = inertia_times(jnp.asarray(inertia), rotation, vector)

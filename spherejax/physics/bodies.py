@@ -315,6 +315,17 @@ def inertia_times(inertia, rotation: Matrix3, vector: Vector3) -> Vector3:
     return rotation @ (inertia * own if jnp.ndim(inertia) == 1 else inertia @ own)
 
 
+def inverse_inertia_in_world(inertia, rotation: Matrix3) -> Matrix3:
+    """Inverse of the inertia, A J'^(-1) A^T [1 / (kg m^2)], in world axes.
+
+    Of principal moments as B B^T with B = A J'^(-1/2): so a scalar program sees its symmetry, and makes six entries.
+    """
+    if jnp.ndim(inertia) == 1:
+        half = rotation * jnp.sqrt(1 / inertia)
+        return half @ half.T
+    return rotation @ _inverse(inertia) @ rotation.T
+
+
 def inverse_inertia(inertia) -> Matrix3:
     """Inverse of the inertia [1 / (kg m^2)], in body axes."""
     return jnp.diag(1 / inertia) if jnp.ndim(inertia) == 1 else _inverse(inertia)

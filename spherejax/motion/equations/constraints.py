@@ -23,7 +23,7 @@ from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import BodyMotions, between, with_ground
 from spherejax.motion.equations.loads import BodyVectors
 from spherejax.motion.equations.mobility import InverseMass, Mobility, constraint_mobility
-from spherejax.physics.bodies import Body, inverse_inertia
+from spherejax.physics.bodies import Body, inverse_inertia, inverse_inertia_in_world
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.kinematics import BodyMotion
 
@@ -203,8 +203,9 @@ def inverse_masses(system: System, motions: BodyMotions) -> InverseMass:
 
 
 def _inverse_mass(body: Body, motion: BodyMotion) -> InverseMass:
-    own, rotation = inverse_inertia(body.inertia), motion.rotation
-    return InverseMass(1 / jnp.asarray(body.mass), rotation @ own @ rotation.T, own, rotation)
+    inertia, rotation = body.inertia, motion.rotation
+    in_world = inverse_inertia_in_world(inertia, rotation)
+    return InverseMass(1 / jnp.asarray(body.mass), in_world, inverse_inertia(inertia), rotation)
 
 
 def mobility_of(constraints: ConstraintSet, masses: InverseMass) -> Mobility:
