@@ -11,7 +11,13 @@ import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
 from spherejax.model.system import compile_scene
 from spherejax.motion.equations.mobility import InverseMass
-from spherejax.physics.bodies import inertia_in_world, inertia_times, inverse_inertia, inverse_inertia_in_world
+from spherejax.physics.bodies import (
+    gyroscopic_moment,
+    inertia_in_world,
+    inertia_times,
+    inverse_inertia,
+    inverse_inertia_in_world,
+)
 
 SIDES = np.array([0.1, 0.2, 0.3])
 BOX = np.diag(SIDES**2)  # [kg m^2], (0.01, 0.04, 0.09) break the triangle rule
@@ -119,7 +125,10 @@ def test_inertia_by_way_of_the_body_is_that_of_the_world(inertia):
         wrench = jnp.concatenate([vector, vector[::-1]])[None]
         inverted = jnp.concatenate([vector / mass, jnp.linalg.solve(world, vector[::-1])])
         times = inertia_times(jnp.asarray(inertia), rotation, vector)
-        return (times, masses.times(wrench)[0], masses.turned_times(wrench)[0]), (world @ vector, inverted, inverted)
+        turning = gyroscopic_moment(jnp.asarray(inertia), rotation, vector)
+        return (times, turning, masses.times(wrench)[0], masses.turned_times(wrench)[0]), (
+            world @ vector, -jnp.cross(vector, world @ vector), inverted, inverted
+        )  # fmt: skip
 
     for norm in (1.0, 1.1):
         quaternion = norm * jnp.array([0.5, -0.1, 0.7, np.sqrt(0.25)])

@@ -315,6 +315,15 @@ def inertia_times(inertia, rotation: Matrix3, vector: Vector3) -> Vector3:
     return rotation @ (inertia * own if jnp.ndim(inertia) == 1 else inertia @ own)
 
 
+def gyroscopic_moment(inertia, rotation: Matrix3, angular_velocity: Vector3) -> Vector3:
+    """-w x (J w) [N m] in world axes, for w in world axes [rad/s]; evaluated in body axes (Euler's equations)."""
+    own = rotation.T @ angular_velocity
+    if jnp.ndim(inertia) > 1:
+        return -(rotation @ jnp.cross(own, inertia @ own))
+    following, last = jnp.roll(own, -1), jnp.roll(own, -2)
+    return rotation @ ((jnp.roll(inertia, -1) - jnp.roll(inertia, -2)) * (following * last))
+
+
 def inverse_inertia_in_world(inertia, rotation: Matrix3) -> Matrix3:
     """Inverse of the inertia, A J'^(-1) A^T [1 / (kg m^2)], in world axes.
 

@@ -13,7 +13,7 @@ from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.groups import FIRST, SECOND, JointGroup, stacks_of
 from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import BodyMotions, between
-from spherejax.physics.bodies import Body, inertia_times
+from spherejax.physics.bodies import Body, gyroscopic_moment
 from spherejax.physics.forces.base import power_on_bodies
 from spherejax.physics.joints.base import Response
 from spherejax.physics.kinematics import BodyMotion
@@ -189,5 +189,5 @@ def by_body(system: System, vectors: BodyVectors) -> dict[str, Float[Array, "6"]
 
 
 def _weight_and_gyroscopic(gravity: Vector3, body: Body, motion: BodyMotion) -> Float[Array, "6"]:
-    angular_momentum = inertia_times(body.inertia, motion.rotation, motion.angular_velocity)
-    return _wrench(body.mass * gravity, -jnp.cross(motion.angular_velocity, angular_momentum))
+    turning = gyroscopic_moment(body.inertia, motion.rotation, motion.angular_velocity)
+    return _wrench(body.mass * gravity, turning)
