@@ -20,8 +20,9 @@ RUN = """
 import jax.numpy as jnp
 import spherejax as sj
 for _ in range(2):
-    sj.simulate(sj.gallery.four_bar(), jnp.linspace(0.0, 0.01, 3))
+    sj.simulate(sj.gallery.four_bar(sj.Lubricated(1e-4)), jnp.linspace(0.0, 0.01, 3))
 """
+"""Of a film: an ideal mechanism compiles within the second that nobody is told of."""
 
 
 def said_on_a_terminal(cache, **environment):
