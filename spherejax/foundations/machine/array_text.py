@@ -17,7 +17,8 @@ LARGE = 4096
 """Entries of an array that is changed in place; smaller ones are copied."""
 
 LARGEST_WRITTEN_OUT = 1024
-"""Entries of an array that operations are written out for, at most."""
+"""Entries of an array that operations are written out for, at most. With 4,096, a film with three rows of sensitivities
+takes a third longer to compile for a tenth of its time, and Andrews' mechanism more of both."""
 
 LARGEST_STACK = 2**19
 """Bytes of arrays on the stack, at most: a thread of XLA's pool has a few megabytes."""

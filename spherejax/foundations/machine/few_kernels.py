@@ -281,7 +281,7 @@ def _as_a_whole(equation: Any, values: Sequence) -> list | None:
     try:
         return looped(equation.params, values)
     except NotWrittenError as reason:
-        logging.getLogger(__name__).info("a loop of a run is left to XLA, which takes up to twice as long: %s", reason)
+        logging.getLogger(__name__).info("a loop of a run is left to XLA: %s", reason)
         return None
 
 
