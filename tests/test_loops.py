@@ -292,7 +292,27 @@ def reading_late(y, n):
     return [*jax.lax.while_loop(lambda s: s[0] < n, turn, begin)]
 
 
-def test_large_arrays_are_changed_in_place_or_not_at_all():
+@pytest.fixture
+def loops_call(monkeypatch):
+    """Any loop counts as one that calls machine code; others are left alone before anybody looks at them."""
+    monkeypatch.setattr(few_kernels, "_calls", lambda equation: equation.primitive.name == "while")
+
+
+@pytest.fixture
+def left_to_xla(loops_call, caplog):
+    """What few kernels make of a function, and what the log says."""
+    caplog.set_level("INFO")
+
+    def left(function, *examples):
+        caplog.clear()
+        with machine_code.wanted():
+            found = jax.jit(few_kernels.in_few_kernels(function))(*examples)
+        return found, caplog.text
+
+    return left
+
+
+def test_large_arrays_are_changed_in_place_or_not_at_all(left_to_xla):
     y = jnp.arange(8.0)
     given = y, jnp.asarray(12)
     before = np.asarray(y).copy()
@@ -301,22 +321,21 @@ def test_large_arrays_are_changed_in_place_or_not_at_all():
     for function in (reading_what_was, reading_late):
         with pytest.raises(NotWrittenError):
             in_machine_code(function, *given)
-        assert_same(jax.jit(few_kernels.in_few_kernels(function))(*given), jax.jit(function)(*given))
+        found, said = left_to_xla(function, *given)
+        assert_same(found, jax.jit(function)(*given))
+        assert "left to XLA: a large array that is read after it was changed" in said
 
 
-def test_what_has_no_rule_is_left_to_xla(caplog):
+def test_what_has_no_rule_is_left_to_xla(left_to_xla):
     def sorting(y, n):
         return [*jax.lax.while_loop(lambda s: s[0] < n, lambda s: (s[0] + 1, jnp.sort(-s[1])), (jnp.asarray(0), y))]
 
     given = jnp.array([3.0, 1.0, 2.0]), jnp.asarray(3)
     with pytest.raises(NotWrittenError, match="'sort' has no rule"):
         in_machine_code(sorting, *given)
-    assert_same(jax.jit(few_kernels.in_few_kernels(sorting))(*given), jax.jit(sorting)(*given))
-    # Of a run: nobody waits longer without a word to whoever asks for it.
-    caplog.set_level("INFO")
-    (loop,) = (each for each in jax.make_jaxpr(sorting)(*given).eqns if each.primitive.name == "while")
-    assert few_kernels._as_a_whole(loop, [given[1], given[1], given[0]]) is None
-    assert "left to XLA: the operation 'sort' has no rule" in caplog.text
+    found, said = left_to_xla(sorting, *given)
+    assert_same(found, jax.jit(sorting)(*given))
+    assert "left to XLA: the operation 'sort' has no rule" in said
 
 
 # Runs -----------------------------------------------------------------------------------------------------------------
@@ -353,10 +372,14 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
     np.testing.assert_allclose(found[0], found[1], rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.usefixtures("loops_call")
 def test_a_loop_under_vmap_is_made_for_one_after_the_other():
     y, weights = jnp.array([0.3, -1.2, 2.0]), jnp.array([[0.4, 1.0], [-0.8, 2.0]])
     counts = jnp.array([0, 3, 1])
-    found = jax.jit(jax.vmap(lambda n: few_kernels.in_few_kernels(swapping)(y, weights, n)))(counts)
+    made = jax.vmap(lambda n: few_kernels.in_few_kernels(swapping)(y, weights, n))
+    with machine_code.wanted():
+        assert "= loop_in_machine_code[" in str(jax.make_jaxpr(made)(counts))
+        found = jax.jit(made)(counts)
     assert_same(found, jax.vmap(lambda n: swapping(y, weights, n))(counts))
 
 
