@@ -56,8 +56,16 @@ def rows_of(case: str) -> list[dict[str, object]]:
 
     directions = jnp.diag(numbers)
     all_of = jax.jit(jax.vmap(along, (None, None, None, 0)))
-    by_first = jax.jit(lambda first, rtol, factor: along(numbers.at[0].set(first), rtol, factor, directions[0]))
-    plain = jax.jit(lambda first: end(numbers.at[0].set(first), RTOL, 1.0))
+    # The others known: a number that is traced has a row of its own, whatever the direction.
+    rest = tuple(map(float, numbers[1:]))
+
+    def end_of(first, rtol, factor):
+        return end((first, *rest), rtol, factor)
+
+    by_first = jax.jit(
+        lambda first, rtol, factor: jax.jvp(lambda first: end_of(first, rtol, factor), (first,), (numbers[0],))
+    )
+    plain = jax.jit(lambda first: end_of(first, RTOL, 1.0))
     plain_steps = int(plain(numbers[0])[1])
     reference = all_of(numbers, fine, min(ours, 1.0), directions)[1][0]
     rows: list[dict[str, object]] = []
