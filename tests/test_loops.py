@@ -353,22 +353,24 @@ MODELS = {
 def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
     monkeypatch.setattr(sj.runtime, "_kept", [])
     scene, ts = sj.gallery.four_bar(MODELS[name]), jnp.linspace(0.0, 0.011, 5)
-    n_written = []
+    asked = []
 
     def counted(parameters, values):
-        n_written.append(loops.looped(parameters, values))
-        return n_written[-1]
+        asked.append("written")
+        return loops.looped(parameters, values)
 
     def refused(parameters, values):
+        asked.append("refused")
         raise NotWrittenError("by a test")
 
     found = []
     for how in (counted, refused):
         with monkeypatch.context() as patch:
             patch.setattr(few_kernels, "looped", how)
-            one_run.integrated.clear()
+            for program in (one_run.started, one_run.gone_on_with, one_run.integrated):
+                program.clear()
             found.append(np.asarray(sj.simulate(scene, ts, rtol=1e-9).ys))
-    assert n_written
+    assert {*asked} == {"written", "refused"}
     np.testing.assert_allclose(found[0], found[1], rtol=1e-8, atol=1e-8)
 
 
