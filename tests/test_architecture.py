@@ -1,4 +1,4 @@
-"""The house: folders import downwards only, files within a folder too, one importer of matplotlib, short files."""
+"""The house: folders import downwards only, files within a folder too, one importer of matplotlib."""
 
 import ast
 from functools import cache
@@ -14,7 +14,6 @@ PACKAGE = Path(spherejax.__file__).parent
 ORDER = ["foundations", "physics", "model", "gallery", "motion", "files", "output", "studies", "command_line", "top"]
 ROOMS = ["equations", "start", "solvers", "integration", "derivatives", "results", "runs"]
 """Of `motion`, in the order of a run."""
-LONGEST = 450
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -166,9 +165,6 @@ def test_no_name_stands_for_two_classes():
     assert len(owners) > 300
     assert {name: modules for name, modules in owners.items() if len(modules) > 1} == {}
 
-
-def test_files_are_short():
-    assert [path for path in FILES if len(path.read_text().splitlines()) > LONGEST] == []
 
 
 def test_checks_can_fail(tmp_path):
