@@ -10,6 +10,16 @@ A joint is a place and a model; changing the physics changes one word:
     run.position("rocker")
 """
 
+import sys as _sys
+
+if _sys.argv[:1] == ["-m"] and not _sys.flags.safe_path:
+    # `python -m spherejax` would import a `numpy.py` of the working folder, which may be somebody else's archive of
+    # scenes, in place of the installed one. The command imports nothing from there, and so looks nowhere there. Before
+    # any other import: Python's own modules could be replaced as well.
+    _of = _sys.orig_argv[_sys.orig_argv.index("-m") + 1 :][:1] if "-m" in _sys.orig_argv else []
+    if _of and _of[0].partition(".")[0] == __name__:
+        del _sys.path[0]
+
 from typing import Any as _Any
 
 import lazy_loader as _lazy_loader

@@ -6,7 +6,6 @@ It needs neither Python nor this package where it runs.
 import hashlib
 import os
 import platform
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,6 +31,7 @@ from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_toleranc
 from spherejax.output.fmu.description import DefaultExperiment, Kinds, description
 from spherejax.output.fmu.ports import Port, Ports
 from spherejax.output.fmu.programs import Written, n_crossings, written
+from spherejax.output.search_path import program_on_path
 
 OPTIONS = ("-std=c11", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wno-unused-function")
 """No -ffast-math: the order of the arithmetic is that of the scalar program."""
@@ -95,7 +95,7 @@ def compiler_of() -> str:
         SceneError: where there is none.
     """
     names = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
-    found = next(filter(None, map(shutil.which, names)), None)
+    found = next(filter(None, map(program_on_path, names)), None)
     if found is None:
         raise SceneError(
             f"export_fmu: no C compiler ({', '.join(names)}) is on the PATH; install one (on Debian: apt install gcc), "
@@ -211,7 +211,7 @@ def _compiled(compiler: str, folder: Path, source: str, instance: str) -> Path:
     (folder / "instance.c").write_text(instance, encoding="utf-8")
     library = folder / "model.so"
     command = [compiler, *OPTIONS, "-o", str(library), str(folder / "model.c"), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
     if done.returncode:
         raise SceneError(f"export_fmu: {' '.join(command[:1])} failed:\n{done.stderr[:2000]}")
     return library

@@ -5,7 +5,6 @@ Frames are encoded one at a time, so that a long film needs no more memory than 
 
 import importlib
 import os
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from spherejax.output.paths import make_folder, require_free
 from spherejax.output.plot.mechanism import Mechanism
 from spherejax.output.plot.sheet import Sheet, Wishes
 from spherejax.output.plot.space import poses_of
+from spherejax.output.search_path import program_on_path
 
 FORMATS = (".gif", ".mp4")
 """What can be written."""
@@ -60,7 +60,7 @@ def ffmpeg() -> str:
     Raises:
         SceneError: where there is neither.
     """
-    if found := shutil.which("ffmpeg"):
+    if found := program_on_path("ffmpeg"):
         return found
     try:
         return importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe()

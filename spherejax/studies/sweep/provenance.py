@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-import subprocess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.integration.widths import platform_of_runs
 from spherejax.motion.runs.known_builds import Build, built
 from spherejax.motion.runs.one_of_many import LaneMethod
+from spherejax.studies.sweep.commit import commit_of
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Record
 from spherejax.studies.sweep.store import times_fingerprint
@@ -60,20 +61,9 @@ def provenance(scene: Scene, grid: Grid, method: LaneMethod, ts: np.ndarray, wan
         "lanes": method.block.in_words,
         "platform": platform_of_runs(),
         **{f"{name}_version": version(name) for name in ("spherejax", "jax", "diffrax")},
-        "commit": _commit(),
+        "commit": commit_of(Path.cwd()),
     }
 
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _commit() -> str:
-    """The commit of the user's working folder."""
-    try:
-        found = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=5, check=False
-        )
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return found.stdout.strip() or "unknown"
