@@ -166,7 +166,6 @@ def test_no_name_stands_for_two_classes():
     assert {name: modules for name, modules in owners.items() if len(modules) > 1} == {}
 
 
-
 def test_checks_can_fail(tmp_path):
     bad = tmp_path / "bad.py"
     late = "def late():\n    from spherejax.physics.bodies import Body\n"

@@ -12,7 +12,7 @@ from double_pendulum import TEXT, write
 
 import spherejax as sj
 from spherejax.files.fields.key_lines import key_lines
-from spherejax.files.numbers.units import UnitError, in_si
+from spherejax.foundations.units.units import UnitError, in_si
 
 
 @pytest.fixture

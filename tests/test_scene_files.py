@@ -22,8 +22,8 @@ from spherejax.files.fields.kinds import keys_of, kinds_of, parameters_of
 from spherejax.files.fields.objects import same
 from spherejax.files.fields.parts import PartField
 from spherejax.files.fields.quantities import QuantityField
-from spherejax.files.numbers.units import in_si, simplified
 from spherejax.foundations.parts import kebab
+from spherejax.foundations.units.units import in_si, simplified
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Callable
 
 import spherejax as sj
-from spherejax.files.numbers.number_texts import NumberError, number_in
-from spherejax.files.numbers.units import UnitError, in_si
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.number_texts import NumberError, number_in
+from spherejax.foundations.units.units import UnitError, in_si
 
 
 def real(text: str) -> float:

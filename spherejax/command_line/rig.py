@@ -11,8 +11,8 @@ import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
 from spherejax.command_line.scenes import add_scene, chosen
-from spherejax.files.numbers.units import in_si
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.units import in_si
 
 DESCRIPTION = """\
 Put a corner of a car on a suspension rig: a platform lifts the wheel, the steering is held, loads

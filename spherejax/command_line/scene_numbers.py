@@ -10,8 +10,8 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import UNITS, USED_BY
 from spherejax.command_line.shown import WantedQuantity, wanted
-from spherejax.files.numbers.number_texts import NumberError, number_in
-from spherejax.files.numbers.units import UnitError, in_si
+from spherejax.foundations.units.number_texts import NumberError, number_in
+from spherejax.foundations.units.units import UnitError, in_si
 
 
 def number_at(scene: sj.Scene, path: str, studied: str | None = None) -> Any:

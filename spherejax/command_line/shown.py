@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from spherejax.files.numbers.units import PURE, UnitError, factor_of, unit_in
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.units import PURE, UnitError, factor_of, unit_in
 
 if TYPE_CHECKING:
     import xarray

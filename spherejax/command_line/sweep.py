@@ -19,8 +19,8 @@ from spherejax.command_line.reports import add_report, check_report, write_repor
 from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.shown import ShownNumbers, WantedQuantity, in_units, shown_in, wanted
-from spherejax.files.numbers.units import PURE
 from spherejax.foundations.errors import one_of
+from spherejax.foundations.units.units import PURE
 
 DESCRIPTION = """\
 Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied

@@ -18,8 +18,8 @@ from spherejax.command_line.numbers import measured_in, number_of_samples, real,
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.shown import ShownNumbers, WantedQuantity, sensitivities_in_units, shown_in
-from spherejax.files.numbers.number_texts import NumberError, number_in
-from spherejax.files.numbers.units import UnitError, in_si
+from spherejax.foundations.units.number_texts import NumberError, number_in
+from spherejax.foundations.units.units import UnitError, in_si
 
 if TYPE_CHECKING:
     from spherejax.model.numbers import Number

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from spherejax.files.numbers.number_texts import NumberError, number_in
-from spherejax.files.numbers.units import UnitError, factor_of
 from spherejax.foundations.checks import shown
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.units.number_texts import NumberError, number_in
+from spherejax.foundations.units.units import UnitError, factor_of
 from spherejax.physics.functions.tables import SmoothTable
 from spherejax.studies.fit.table import WITH_UNIT, lines_of
 

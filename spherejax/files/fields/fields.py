@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spherejax.files.fields.location import FilePlace
-from spherejax.files.numbers.units import simplified
 from spherejax.foundations.errors import one_of
+from spherejax.foundations.units.units import simplified
 
 
 class Context(NamedTuple):

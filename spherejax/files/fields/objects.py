@@ -13,9 +13,9 @@ from spherejax.files.fields.dimensions import FIELDS
 from spherejax.files.fields.fields import Context
 from spherejax.files.fields.kinds import class_named, fields_of, is_needed, kind_of, kinds_of, parameters_of
 from spherejax.files.fields.location import FilePlace
-from spherejax.files.numbers.units import PURE, UnitError, in_si
 from spherejax.foundations.checks import Requirement, enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.units.units import PURE, UnitError, in_si
 from spherejax.physics.functions.base import Given, UserFunction
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.joints.lubricated import Lubricated

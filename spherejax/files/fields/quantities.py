@@ -7,9 +7,9 @@ import numpy as np
 
 from spherejax.files.fields.fields import Field, shown
 from spherejax.files.fields.location import FilePlace
-from spherejax.files.numbers.units import PURE, UnitError, factor_of, in_si, measured
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.units import PURE, UnitError, factor_of, in_si, measured
 
 _WITHOUT_BRACKETS = str.maketrans("", "", "(){}")
 """For units that refer to others, e.g. `"({of_value})/({of_argument})"`, in lists."""

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields.rotations import UNTURNED, product, turn_about
-from spherejax.files.numbers.number_texts import NumberError, number_in
 from spherejax.files.robots.robot import (
     SLIDING,
     TURNING,
@@ -21,6 +20,7 @@ from spherejax.files.robots.robot import (
     undotted,
 )
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.number_texts import NumberError, number_in
 
 _READ = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "dynamics", "mimic", "limit")}
 """What counts of a description; shapes, materials, transmissions and plugins do not."""

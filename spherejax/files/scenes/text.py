@@ -11,10 +11,10 @@ from spherejax.files.fields.fields import Context
 from spherejax.files.fields.kinds import fields_of
 from spherejax.files.fields.objects import KIND, build, describe, described
 from spherejax.files.fields.quantities import Points, vector
-from spherejax.files.numbers.units import PURE
 from spherejax.files.scenes.reading import STUDIED, SceneFile
 from spherejax.files.scenes.settings import FIELDS as SETTINGS
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.units import PURE
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.joints.joint import AbstractJoint

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from spherejax.files.numbers.units import PURE, si_exponents
+from spherejax.foundations.units.units import PURE, si_exponents
 from spherejax.output.fmu.ports import Port, Ports
 
 

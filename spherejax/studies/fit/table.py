@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from spherejax.files.numbers.number_texts import NumberError, number_in
-from spherejax.files.numbers.units import UnitError, factor_of
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.units.number_texts import NumberError, number_in
+from spherejax.foundations.units.units import UnitError, factor_of
 from spherejax.motion.equations.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 
 MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.files.numbers.number_texts import NumberError, number_in
-from spherejax.files.numbers.units import UnitError, factor_of
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.units.number_texts import NumberError, number_in
+from spherejax.foundations.units.units import UnitError, factor_of
 from spherejax.output.io import load
 from spherejax.studies.fit.table import MISSING, WITH_UNIT, lines_of
 from spherejax.studies.rubber.stiffness import COLUMNS, DynamicStiffness

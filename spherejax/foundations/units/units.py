@@ -9,7 +9,8 @@ import re
 from functools import cache
 from typing import NoReturn
 
-from spherejax.files.numbers.number_texts import (
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.units.number_texts import (
     NUMBER,
     SMALLEST,
     NumberError,
@@ -18,7 +19,6 @@ from spherejax.files.numbers.number_texts import (
     shortened,
     suggestion,
 )
-from spherejax.foundations.errors import SceneError
 
 PURE = "1"
 """The unit of a pure number."""
