@@ -48,8 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed the help or the error
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     if runtime.is_command():
-        runtime.set_up()
         warnings.formatwarning = _in_one_line
+        runtime.set_up()
     from spherejax.files.fields.code import described_error, line_of
 
     try:

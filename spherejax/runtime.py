@@ -18,6 +18,7 @@ import _thread
 import hashlib
 import os
 import platform
+import stat
 import sys
 import threading
 import time
@@ -56,6 +57,9 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
         cache: a folder for compiled programs. None: the folder that the environment variable `SPHEREJAX_CACHE` names,
             or else `spherejax` in the user's cache folder ($XDG_CACHE_HOME, or ~/.cache). `SPHEREJAX_CACHE=0` switches
             that off. Where JAX has been told of a compilation cache already, it keeps that one for what it compiles.
+
+    The files of the cache are code that is executed. Where somebody else could have written them, one
+    `ConfigurationWarning` says so, and the process does without a cache; see `why_not_private`.
 
     Raises:
         OSError: when the folder that was asked for cannot be written to. The user's own is then done without.
@@ -121,21 +125,139 @@ def _keep_programs(asked: str | os.PathLike | None) -> None:
         folder = Path(asked or named or _users_own()).absolute()
         # One folder for each kind of processor: homes are shared between machines, compiled programs must not be.
         compiled = folder / f"compiled-{kind_of_processor()}"
-        compiled.mkdir(parents=True, exist_ok=True)
+        _make_private(compiled)
         if not os.access(compiled, os.W_OK):
             raise PermissionError(f"no permission to write to {compiled}")
+        # Links are followed now: where they lead later is not looked at again.
+        folder, compiled = folder.resolve(), compiled.resolve()
+        why = why_not_private(compiled)
+        if not why and (folder / KEPT).exists():  # its files are looked at when they are opened
+            why = why_not_private(folder / KEPT, with_files=False)
     except OSError:
         if asked is None:
             return
         raise
-    _kept[:] = [folder]
-    _make_room(folder)
     import jax
 
+    if why:
+        _do_without(folder, why)
+        return
+    _kept[:] = [folder]
+    _make_room(folder)
     if jax.config.values["jax_compilation_cache_dir"] and asked is None:
         return
     jax.config.update("jax_compilation_cache_dir", os.fspath(compiled))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _make_private(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, so that nobody else can enter, whatever the umask says."""
+    for each in reversed((folder, *folder.parents)):
+        if not each.exists():
+            each.mkdir(mode=0o700, exist_ok=True)
+
+
+def _do_without(folder: Path, why: str) -> None:
+    import jax
+
+    _kept.clear()
+    now = jax.config.values["jax_compilation_cache_dir"]
+    if now and Path(now).parent == folder:  # of an earlier call
+        jax.config.update("jax_compilation_cache_dir", None)
+    warnings.warn(
+        f"nothing is kept in {str(folder)!r}: {why}. Its files are code that is executed, and somebody else could have "
+        "written them, so each process compiles anew. Delete the folder, or name one in a place that is yours alone "
+        "(SPHEREJAX_CACHE=...); SPHEREJAX_CACHE=0 does without, and without this warning",
+        ConfigurationWarning,
+        stacklevel=5,
+    )
+
+
+def why_not_private(folder: Path, *, with_files: bool = True) -> str:
+    """Why another user could have written a file of a folder, in words; empty where none could.
+
+    The rules are those of ssh for its keys. The folder, its files and all folders above it belong to the user or to
+    root, and others may write none of them. They may write a folder above that is sticky, such as `/tmp`, in which
+    nobody moves what belongs to others. Where others cannot enter the folder, it does not matter whether they could
+    write its files.
+
+    "Others" are not the members of a group that has the user's name, is the user's main group, and has no further
+    members: with a umask of 002, as on Debian and Fedora, all folders may be written by such a group.
+
+    Args:
+        folder: an absolute path without links, of a folder that exists. Systems without owners of files, such as
+            Windows, have no answer but "".
+        with_files: whether its files are looked at; it takes 2 us for each on a local disk.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    own = folder.stat()
+    if why := _why_others(folder, own, may_enter=True):
+        return why
+    for above in folder.parents:
+        status = above.stat()
+        if _is_unmapped(status.st_uid) and not _is_open(status):
+            continue
+        if why := _why_others(above, status, may_enter=not status.st_mode & stat.S_ISVTX):
+            return why
+    if with_files:
+        may_enter = bool(own.st_mode & (stat.S_IXGRP | stat.S_IXOTH))
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if why := _why_others(Path(entry.path), entry.stat(follow_symlinks=False), may_enter=may_enter):
+                    return why
+    return ""
+
+
+def _why_others(path: Path, status: os.stat_result, *, may_enter: bool) -> str:
+    """Why others than the user and root could have written something, in words."""
+    if status.st_uid not in (0, os.getuid()):
+        return f"{str(path)!r} belongs to {_user(status.st_uid)}"
+    return f"others may write to {str(path)!r}" if may_enter and _is_open(status) else ""
+
+
+def _is_open(status: os.stat_result) -> bool:
+    """Whether somebody besides its owner and root may write."""
+    by_group = status.st_mode & stat.S_IWGRP and not _is_private(status.st_gid)
+    return bool(status.st_mode & stat.S_IWOTH or by_group)
+
+
+@cache
+def _is_private(group: int) -> bool:
+    """Whether nobody but the user, and root, is in a group."""
+    import grp
+    import pwd
+
+    try:
+        user, found = pwd.getpwuid(os.getuid()), grp.getgrgid(group)
+    except KeyError:  # a container that does not know its user
+        return False
+    is_users = (found.gr_name, group) == (user.pw_name, user.pw_gid)
+    return set(found.gr_mem) <= {user.pw_name, "root"} and (is_users or group == 0)
+
+
+def _user(uid: int) -> str:
+    import pwd
+
+    try:
+        return f"the user {pwd.getpwuid(uid).pw_name!r}"
+    except KeyError:
+        return f"another user ({uid})"
+
+
+@cache
+def _is_unmapped(uid: int) -> bool:
+    """Whether this number stands for all users that a container does not know, root among them.
+
+    So in Apptainer without privileges: folders above a home belong to "nobody" there.
+    """
+    try:
+        rows = Path("/proc/self/uid_map").read_text().splitlines()
+        overflow = int(Path("/proc/sys/kernel/overflowuid").read_text())
+        ranges = [range(int(first), int(first) + int(n)) for first, _, n in map(str.split, rows)]
+    except (OSError, ValueError):
+        return False
+    return uid == overflow and not any(uid in each for each in ranges)
 
 
 def _users_own() -> Path:

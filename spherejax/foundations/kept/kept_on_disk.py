@@ -7,8 +7,9 @@ replaced, or a source file has changed since the process began. What others patc
 `SPHEREJAX_CACHE=0` then.
 
 Whatever is wrong with the folder (damaged files, a full disk, no permission), a run does not notice. A file is written
-beside its place and moved there, so that processes may share the folder. The files are pickles, which can hold code:
-none is opened but the user's own.
+beside its place and moved there, so that processes may share the folder. A file holds a hash of its key and its
+content: what was copied over another file, or was cut off, is not loaded. What is not loaded is made anew, and written
+over. The files are pickles, which can hold code: none is unpickled but the user's own, which nobody else may write.
 """
 
 import hashlib
@@ -16,6 +17,7 @@ import io
 import operator
 import os
 import pickle
+import stat
 import sys
 import tempfile
 import threading
@@ -35,7 +37,7 @@ from spherejax import runtime
 from spherejax.foundations.kept.fingerprints import VERSIONED, is_installed, known_fingerprint
 from spherejax.foundations.kept.own_code import once
 
-_MARK = b"spherejax kept 1\n"
+_MARK = b"spherejax kept 2\n"
 _began = time.time()
 _PACKAGE = Path(__file__).resolve().parents[2]
 _tracing = threading.local()
@@ -66,7 +68,7 @@ def load(key: str | None) -> Any:
         with open(folder / key, "rb") as file:
             content = file.read() if _is_own(os.fstat(file.fileno())) else b""
         head = len(_MARK) + 64
-        if content[: len(_MARK)] != _MARK or content[len(_MARK) : head] != _digest_of(content[head:]):
+        if content[: len(_MARK)] != _MARK or content[len(_MARK) : head] != _digest_of(key, content[head:]):
             return None
         return pickle.loads(content[head:])
     except Exception:  # whatever the folder holds: it is made anew
@@ -86,7 +88,7 @@ def save(key: str | None, value: Any) -> None:
         handle, name = tempfile.mkstemp(dir=folder, prefix=".new-")
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(_MARK + _digest_of(content) + content)
+                file.write(_MARK + _digest_of(key, content) + content)
             os.replace(name, folder / key)
         except BaseException:
             os.unlink(name)
@@ -116,7 +118,9 @@ def _folder() -> Path | None:
 
 
 def _is_own(file: os.stat_result) -> bool:
-    return not hasattr(os, "getuid") or file.st_uid == os.getuid()
+    # Written with mode 600, so that others have no right to them in folders of any mode.
+    others = stat.S_IWGRP | stat.S_IWOTH
+    return not hasattr(os, "getuid") or (file.st_uid == os.getuid() and not file.st_mode & others)
 
 
 def is_debugging() -> bool:
@@ -242,8 +246,8 @@ def _is_known(function: types.FunctionType) -> bool:
 # Files ----------------------------------------------------------------------------------------------------------------
 
 
-def _digest_of(content: bytes) -> bytes:
-    return hashlib.sha256(content).hexdigest().encode()
+def _digest_of(key: str, content: bytes) -> bytes:
+    return hashlib.sha256(key.encode() + b"\0" + content).hexdigest().encode()
 
 
 class _Pickler(pickle.Pickler):

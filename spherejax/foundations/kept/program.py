@@ -184,12 +184,12 @@ class KeptProgram:
         found = kept_on_disk.load(self._key)
         if found is None:
             return None
-        content, codes, shapes, static = found
-        if b"lapack_" in content:
-            make_lapack_known()
-        # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
-        trees = jax.tree.structure((tuple(self.examples), {})), jax.tree.structure(tuple(shapes))
         try:
+            content, codes, shapes, static = found
+            if b"lapack_" in content:
+                make_lapack_known()
+            # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
+            trees = jax.tree.structure((tuple(self.examples), {})), jax.tree.structure(tuple(shapes))
             machine_code.make_known(codes)
             program = serialize_executable.deserialize_and_load(content, *trees)
         except Exception:  # whatever is wrong with it: it is compiled anew

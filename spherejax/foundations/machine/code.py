@@ -17,7 +17,7 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import version
 from typing import Any
@@ -145,10 +145,12 @@ def target_of(text: str, *, is_wide: bool, is_optimised: bool, prefix: str = "sp
     with _lock:
         if name not in _loaded:
             kept = kept_on_disk.load(name)
-            text = text.replace(f"@{FUNCTION}", f"@{name}")
-            content = kept if isinstance(kept, bytes) else _compiled(text, is_wide, is_optimised)
-            if kept is None:
-                kept_on_disk.save(name, content)
+            if isinstance(kept, bytes):
+                with suppress(Exception):  # whatever is wrong with it: it is compiled anew
+                    _load(name, kept)
+        if name not in _loaded:
+            content = _compiled(text.replace(f"@{FUNCTION}", f"@{name}"), is_wide, is_optimised)
+            kept_on_disk.save(name, content)
             _load(name, content)
     return name
 

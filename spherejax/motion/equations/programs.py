@@ -188,7 +188,7 @@ def _scalar_program(
     sizes = jax.tree.map(lambda x: x.shape, state)
     key = kept_on_disk.key_for("scalar program", function, structure, sizes, n_ahead, limit, is_computed)
     program = kept_on_disk.load(key)
-    if program is None:
+    if not isinstance(program, ScalarProgram):  # nothing, or nothing of ours
         program = scalarize(
             of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit,
             has_slopes=not is_computed,
