@@ -201,3 +201,52 @@ def test_derivatives_through_a_bearing_agree_with_differences(film):
     differences = (jitted(2.5e-4 + h) - jitted(2.5e-4 - h)) / (2 * h)
     assert float(value) == pytest.approx(float(jitted(2.5e-4)), rel=1e-9)
     assert float(slope) == pytest.approx(float(differences), rel=1e-4)
+
+
+def loaded_rotor(**film):
+    """A heavy rotor at 3,000 rpm in a short bearing: D = 10 mm, L = 5 mm, c = 5 um, 0.01 Pa s, 60 N."""
+    model = sj.Lubricated(
+        5e-6, 0.01, socket_radius=5e-3, normal=sj.Hertz(stiffness=1e9), film=sj.ShortBearing(5e-3), **film
+    )
+    rotor = sj.Body(0.1, (10.0, 10.0, 10.0), angular_velocity=(0.0, 0.0, 100 * math.pi))
+    return sj.Scene(
+        {"rotor": rotor},
+        {"bearing": sj.Revolute(("ground", "rotor"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), model)},
+        {"load": sj.AppliedWrench("rotor", force=(0.0, -60.0, 0.0))},
+        gravity=(0.0, 0.0, 0.0),
+    )
+
+
+def ocvirk():
+    """Eccentricity ratio at which Ocvirk's load capacity is 60 N: 0.5036."""
+    from scipy.optimize import brentq
+
+    size = 0.01 * 100 * math.pi * 5e-3 * 5e-3**3 / (4 * 5e-6**2)
+
+    def load(eps):
+        return size * eps / (1 - eps**2) ** 2 * math.sqrt(16 * eps**2 + math.pi**2 * (1 - eps**2))
+
+    return brentq(lambda eps: load(eps) - 60.0, 0.1, 0.9)
+
+
+@pytest.mark.parametrize(("film", "within"), [({}, 0.021), ({"e_h0": 1e-11, "e_h1": 1e-11}, 1e-5)])
+def test_a_loaded_journal_of_any_clearance_runs_where_ocvirk_has_it(film, within):
+    """By default the film's offset is 2 % of the clearance; 2 um in a gap of 5 um moved the journal to 0.61."""
+    run = sj.simulate(loaded_rotor(**film), np.array([0.0, 0.08]), throw=True)
+    assert float(run.eccentricity_ratio("bearing")[-1]) == pytest.approx(ocvirk(), rel=within)
+
+
+def test_a_film_offset_that_is_large_against_the_clearance_is_said():
+    with pytest.warns(sj.OutOfRangeWarning, match=r"bearing.*e_h1 of a film is more than a twentieth of the clearance"):
+        run = sj.simulate(loaded_rotor(e_h1=2e-6), np.linspace(0.0, 0.01, 3))
+    assert "leave e_h1 and e_h0 out" in run.audit
+    with pytest.warns(sj.OutOfRangeWarning, match="e_h1 of a film"):
+        sj.simulate_many(lambda e: loaded_rotor(e_h1=e), {"e": np.array([1e-7, 2e-6])}, np.array([0.0, 1e-3]))
+
+
+def test_the_transition_of_a_film_scales_with_the_clearance():
+    """Table 3's 1 and 2 micrometers at the paper's 0.1 mm, to the last bit; and it follows a traced clearance."""
+    paper, thin = sj.Lubricated(1e-4), sj.Lubricated(ball_radius=0.010 - 5e-6)
+    assert (paper.e_h0, paper.e_h1) == (1e-6, 2e-6)
+    assert (thin.e_h0, thin.e_h1) == pytest.approx((5e-8, 1e-7), rel=1e-9)
+    assert float(jax.grad(lambda c: sj.Lubricated(c).e_h1)(1e-5)) == 0.02

@@ -111,3 +111,30 @@ def test_a_part_that_is_found_where_someone_looks_has_a_peak_too():
     assert quantity("joint.film_pressure", run.system).unit == "Pa"
     assert samples.max() > 1e3
     assert samples.max() <= found.value * (1 + 1e-9) <= 1.01 * samples.max()
+
+
+def test_surfaces_slide_without_a_friction_law_too():
+    """v_t = (e_dot + w x R_j n) across n, of a ball that spins beside the wall: by hand, from the run's own motion."""
+    ball = sj.Body(
+        0.2,
+        (1e-5, 1e-5, 1e-5),
+        velocity=(0.1, 0.3, 0.4),
+        angular_velocity=(3.0, -2.0, 1.0),
+        points={"center": (0.0, 0.0, 0.0)},
+    )
+    joint = sj.Spherical(
+        "ground.socket", "ball.center", sj.Dry(clearance=1e-4, normal=sj.Hertz(stiffness=1e9)), starts_concentric=False
+    )
+    scene = sj.Scene(
+        {"ball": ball}, {"joint": joint}, gravity=(0.0, 0.0, 0.0), ground_points={"socket": (0.0, 0.0, 0.0)}
+    )
+    run = sj.simulate(scene, np.linspace(0.0, 1e-3, 7), throw=True)
+    e, rate, spin = (
+        np.asarray(f) for f in (run.eccentricity("joint"), run.velocity("ball"), run.angular_velocity("ball"))
+    )
+    size = np.linalg.norm(e, axis=1, keepdims=True)
+    n = e / np.where(size > 0, size, 1.0)
+    velocity = rate + np.cross(spin, 0.5 * (2 * 0.010 - 1e-4 - size) * n)
+    across = velocity - np.sum(velocity * n, axis=1, keepdims=True) * n
+    np.testing.assert_allclose(run.part("joint", "sliding_velocity"), across, atol=1e-12)
+    assert np.linalg.norm(across[-1]) > 0.02

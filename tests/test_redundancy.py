@@ -1,5 +1,6 @@
 """Equations that depend on others are counted and named, and so are singular configurations."""
 
+import numpy as np
 import pytest
 from test_hard_systems import PARALLEL, UNEQUAL, planar_loop
 
@@ -73,3 +74,45 @@ def test_over_constrained_scenes_that_cannot_close_are_refused():
     arm = sj.Body(1.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
     with pytest.raises(sj.SceneError, match=r"joint '(one|two)' cannot be closed.*residual"):
         sj.constraint_report(sj.Scene({"arm": arm}, joints))
+
+
+def door(*more):
+    """A door of 10 kg that hangs on a hinge at 0.2 m, and on other joints."""
+    hinge = sj.Revolute(("ground", "door"), (0.0, 0.0, 0.2), (0.0, 0.0, 1.0))
+    leaf = sj.Body(10.0, (1.0, 1.0, 1.0), (0.5, 0.0, 1.0), points={"top": (-0.5, 0.0, 0.8), "side": (-0.5, 0.0, 0.1)})
+    return sj.Scene({"door": leaf}, {"low": hinge, **dict(more)}, ground_points={"top": (0.0, 0.0, 1.8)})
+
+
+HIGH = "high", sj.Revolute(("ground", "door"), (0.0, 0.0, 1.8), (0.0, 0.0, 1.0))
+SLEEVE = "sleeve", sj.Cylindrical(("ground", "door"), (0.0, 0.0, 1.8), (0.0, 0.0, 1.0))
+BALL = "ball", sj.Spherical("ground.top", "door.top")
+
+
+@pytest.mark.parametrize(
+    ("scene", "undetermined"),
+    [
+        (door(), {}),
+        (door(HIGH), {"low": ("force", "moment"), "high": ("force", "moment")}),
+        (door(SLEEVE), {"low": ("force", "moment"), "sleeve": ("force", "moment")}),
+        # Beside a ball the hinge's moments about x and y, too, are a couple of forces by a lever of 1.6 m.
+        (door(BALL), {"low": ("force", "moment"), "ball": ("force",)}),
+        (sj.gallery.slider_crank(), {}),
+    ],
+)
+def test_reactions_that_the_motion_does_not_determine_are_marked(scene, undetermined):
+    run = sj.simulate(scene, np.array([0.0, 0.01]))
+    assert run.undetermined_reactions == undetermined
+    table = run.to_xarray()
+    named = [table[name].attrs.get("not_unique_for") for name in ("reaction", "reaction_moment")]
+    parts = [
+        ", ".join(j for j in run.undetermined_reactions if p in undetermined[j]) or None for p in ("force", "moment")
+    ]
+    assert named == parts
+
+
+def test_the_mark_of_reactions_is_in_files_and_reports(tmp_path):
+    run = sj.simulate(door(HIGH), np.array([0.0, 0.01]))
+    sj.save(run, tmp_path / "door.nc")
+    assert sj.load(tmp_path / "door.nc")["reaction"].attrs["not_unique_for"] == "high, low"
+    run.report(tmp_path / "door.html")
+    assert "Reactions of joints high, low are not unique" in (tmp_path / "door.html").read_text()

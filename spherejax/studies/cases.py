@@ -146,7 +146,9 @@ def lubricated_case(
     label: str, clearance: float = CLEARANCE, film: AbstractFilm | None = None, viscosity: float = VISCOSITY
 ) -> Case:
     """Lubricated joint, with the full film unless another is given; with the paper's film the paper's contact."""
-    parameters = (("clearance", clearance), ("viscosity", viscosity), ("film", film or FullFilm()))
+    # Table 3 has the same transition at every clearance.
+    transition = (("e_h0", 1e-6), ("e_h1", 2e-6))
+    parameters = (("clearance", clearance), ("viscosity", viscosity), ("film", film or FullFilm()), *transition)
     if isinstance(film, RadialFilm):
         parameters = (*parameters, ("normal", LankaraniNikravesh(restitution=RESTITUTION)))
     return Case(label, "lubricated", parameters, Lubricated)

@@ -6,6 +6,8 @@
     quaternions  have unit norm
     conformity   surfaces are pressed in by no more than their elastic law is for, e.g. with the stiffness of Eq. 24 by
                  little against their clearance; beyond that the run goes on, and says so
+    film         the offset e_h1 that keeps a film finite at the wall is small against the clearance; above a
+                 twentieth of it the run goes on, and says so
 
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
 forces, roads that move, bristles, parts of a user's own) is integrated beside the state, and what they store does not
@@ -35,6 +37,7 @@ from spherejax.motion.equations.observables import kinetic_energy, potential_ene
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.start.tolerances import energy_scale, length_scale
+from spherejax.physics.laws.films import LARGEST_OFFSET_RATIO
 from spherejax.physics.state import unpack
 
 ENERGY_SHARE = 1e-3
@@ -61,10 +64,10 @@ OUTSIDE = 1e-6
 NOT_MADE = -1.0
 """Share that says that a check is not made."""
 
-CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity", "tilt")
+CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity", "tilt", "film")
 """What is audited, in the order of `run.stats.audit`."""
 
-WARNINGS = ("conformity", "tilt")
+WARNINGS = ("conformity", "tilt", "film")
 """Checks, the last of them all, that do not fail a run: its equations are solved, but they are used out of range."""
 
 N_FATAL = len(CHECKS) - len(WARNINGS)
@@ -79,6 +82,9 @@ FINDINGS = {
     "sj.EsduCylinder(...), or the normal law a stiffness of its own",
     "tilt": "a journal tilted in a rim of its bearing until its circle was an oval there, by more than a tenth of the "
     "clearance: give the bearing its other rim, or a ball in a socket to what turns freely",
+    "film": "the offset e_h1 of a film is more than a twentieth of the clearance: the film acts as if it were thicker "
+    "by e_h1, and eccentricities under a load are too large by about the share e_h1/c; leave e_h1 and e_h0 out (they "
+    "are 0.02 and 0.01 of the clearance then), or give smaller ones",
 }
 """What a failed check says."""
 
@@ -87,7 +93,7 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     """What an audit has found, in words; empty for a sound run.
 
     Args:
-        shares: the worst of each of `CHECKS` as a share of its limit, shape (6,).
+        shares: the worst of each of `CHECKS` as a share of its limit, shape (7,).
 
     Other args:
         suspected: for a check the part of which it was largest where the run ended.
@@ -102,7 +108,7 @@ def cautions(shares) -> str:
     """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
 
     Args:
-        shares: as for `findings`, of one run or of many, shape (..., 6).
+        shares: as for `findings`, of one run or of many, shape (..., 7).
     """
     worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
     found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
@@ -160,6 +166,7 @@ class Vitals(NamedTuple):
         pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
         tilt: largest tilt of a journal in a rim, as a share of what its circles are for; -1 without one.
         friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
+        offset: largest offset of a film, as a share of what is allowed; None without a film.
     """
 
     potential: Scalar
@@ -170,6 +177,7 @@ class Vitals(NamedTuple):
     pressed: Scalar
     tilt: Scalar
     friction: Scalar | None = None
+    offset: Scalar | None = None
 
 
 def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
@@ -177,7 +185,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     outside, pressed, stored = [jnp.asarray(-0.5)], [jnp.asarray(NOT_MADE)], jnp.zeros(())
-    tilts = [jnp.asarray(NOT_MADE)]
+    tilts, offsets = [jnp.asarray(NOT_MADE)], []
     if system.force_joints:
         loads = joint_loads(system, motions, state.memory)
         stores = (load.response.elastic_energy for name, load in loads.items() if system.joints[name].never_adds_energy)
@@ -192,6 +200,8 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
             tilts += [] if tilt is None else [tilt]
             is_touching = joint.model.is_touching(state.memory[slot.entries])
             outside.append(jnp.where(is_touching, -0.5, g))
+            if joint.model.offset_ratio is not None:
+                offsets.append(joint.model.offset_ratio / LARGEST_OFFSET_RATIO)
             if joint.model.largest_ratio is not None:
                 depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1
                 pressed.append(depth / joint.model.largest_ratio)
@@ -210,6 +220,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(jnp.stack(pressed)),
         jnp.max(jnp.stack(tilts)),
         friction,
+        jnp.max(jnp.stack(offsets)) if offsets else None,
     )
 
 
@@ -220,7 +231,7 @@ class Watch(NamedTuple):
         lowest: the lowest energy [J].
         bottom, top: the lowest and the highest potential energy [J].
         agitation: the highest agitation [J].
-        worst: of each of `CHECKS` the worst, as a share of its limit, shape (6,): above 1 the run is wrong, or what it
+        worst: of each of `CHECKS` the worst, as a share of its limit, shape (7,): above 1 the run is wrong, or what it
             says of the last one is to be read.
     """
 
@@ -228,7 +239,7 @@ class Watch(NamedTuple):
     bottom: Array
     top: Array
     agitation: Array
-    worst: Float[Array, "6"]
+    worst: Float[Array, "7"]
 
     @classmethod
     def of_nothing(cls) -> "Watch":
@@ -282,6 +293,7 @@ class Limits(eqx.Module):
             now.norm / NORM,
             now.pressed,
             now.tilt,
+            jnp.asarray(NOT_MADE if now.offset is None else now.offset),
         ]
         return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))
 

@@ -21,6 +21,12 @@ AXES = ("x", "y", "z")
 Column = tuple[tuple[str, ...], object, str, str]
 """Dimensions, values, unit, long name."""
 
+NOT_UNIQUE = (
+    "Redundant constraints: the motion does not determine the share of each joint in not_unique_for; the values are "
+    "one of many possible answers. Their sum on a body is unique."
+)
+"""Comment of a table whose reactions are not unique."""
+
 COMPONENTS = ("w", "x", "y", "z")
 
 
@@ -39,7 +45,8 @@ def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
 
     Returns:
         The data set; a quantity that no joint of the scene has is left out. Units and names are in the
-        variables' attributes; statistics, status, method and versions in the data set's.
+        variables' attributes; `reaction` and `reaction_moment` name in `not_unique_for` the joints whose share the
+        motion does not determine; statistics, status, method and versions in the data set's.
 
     Raises:
         SceneError: for a batch of runs.
@@ -64,7 +71,12 @@ def to_dataset(run: Any, *, every: int = 1) -> "xarray.Dataset":
         "component": list(COMPONENTS),
         **_joint_coordinates(run),
     }
-    return xarray.Dataset(variables, coordinates, _attributes(run))
+    found = xarray.Dataset(variables, coordinates, _attributes(run))
+    for variable, part in (("reaction", "force"), ("reaction_moment", "moment")):
+        if names := [name for name, parts in run.undetermined_reactions.items() if part in parts]:
+            found[variable].attrs["not_unique_for"] = ", ".join(names)
+            found[variable].attrs["comment"] = NOT_UNIQUE
+    return found
 
 
 def _thinned(run: Any, every: int) -> Any:

@@ -1,7 +1,7 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax
@@ -26,7 +26,7 @@ from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
 from spherejax.motion.start.assembly import Assembly
-from spherejax.motion.start.redundancy import ConstraintReport, report_at, singular_joints
+from spherejax.motion.start.redundancy import ConstraintReport, report_at, singular_joints, undetermined_reactions
 from spherejax.physics.state import State
 
 if TYPE_CHECKING:
@@ -129,6 +129,20 @@ class Trajectory(eqx.Module, Reported):
             raise SceneError("constraints reports on a single run; take one lane of the batch first")
         return report_at(self.system, float(self.ts[0]), np.asarray(self.assembly.y))
 
+    @cached_property
+    def undetermined_reactions(self) -> dict[str, tuple[Literal["force", "moment"], ...]]:
+        """Joints whose reactions are not unique at the start, and which part of them: the force, the moment, or both.
+
+        Redundant constraints (a door on two hinges) leave the motion unique but not the share of each joint in the
+        reactions. `reaction` and `reaction_moment` of these joints then hold one of many possible answers: equations
+        that depend on others are left out, and carry nothing. What all these joints do to a body together is unique.
+        Where the share of each matters, give joints fewer equations (a ball that may slide along the axis beside a
+        hinge) or an elastic model (`Bushing`). Empty where all reactions are unique. For one run with known numbers.
+        """
+        if np.ndim(self.ended):
+            raise SceneError("undetermined_reactions reports on a single run; take one lane of the batch first")
+        return undetermined_reactions(self.system, float(self.ts[0]), np.asarray(self.assembly.y))
+
     def require_success(self) -> "Trajectory":
         """The run itself; raises `SimulationError` with the diagnosis when it failed."""
         if not bool(np.all(self.succeeded)):
@@ -175,11 +189,17 @@ class Trajectory(eqx.Module, Reported):
         return body_of(self.observation.angular_acceleration, self._body(body))
 
     def reaction(self, joint: str) -> Float[Array, "n 3"]:
-        """Force of a joint on its second body (of a spherical joint: the ball's), world axes [N]."""
+        """Force of a joint on its second body (of a spherical joint: the ball's), world axes [N].
+
+        Of joints in `undetermined_reactions` it is one of many possible answers.
+        """
         return self.observation.reactions[self._joint(joint)].force
 
     def reaction_moment(self, joint: str) -> Float[Array, "n 3"]:
-        """Moment of a joint on its second body about the joint's point, world axes [N m]."""
+        """Moment of a joint on its second body about the joint's point, world axes [N m].
+
+        Of joints in `undetermined_reactions` it is one of many possible answers.
+        """
         return self.observation.reactions[self._joint(joint)].moment
 
     def driving_effort(self, joint: str) -> Float[Array, "n ..."]:

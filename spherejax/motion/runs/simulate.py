@@ -173,9 +173,8 @@ def _call(
     if slack is not None and not (by_sensitivities and can_be_a_job(found.structure, options)):
         raise SceneError(BESIDE_THE_MOTION)
     if own_control:
-        # diffrax's own loop has no better one to begin with; see `LandingController.init`.
-        by_trial = by_sensitivities and can_be_a_job(plan.structure, options)
-        said = f"{said}; first step {'by trial (Hairer)' if by_trial else '0.01 s, as diffrax has it'}"
+        # On every road: `lanes/first_step.py` for lanes, `LandingController.init` for diffrax's loop.
+        said = f"{said}; first step by trial (Hairer)"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol)]
     conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
@@ -341,4 +340,4 @@ def _reported(run: Trajectory, throw: bool) -> Trajectory:
 
 def _is_limited(system: System, joint: str) -> bool:
     model: Any = system.spherical(joint).model
-    return model.largest_ratio is not None
+    return model.largest_ratio is not None or model.offset_ratio is not None

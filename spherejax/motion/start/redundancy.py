@@ -5,7 +5,7 @@ zero. A left null vector of W names the equations that depend on each other, and
 configuration the rank is smaller than nearby on the same motion.
 """
 
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.constraints import constraint_set
+from spherejax.motion.equations.joint_friction import constraint_reaction
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.start.assembly import as_ideal, assemble_now, consistent_velocities, newton_step
 from spherejax.physics.bodies import inertia_in_world
@@ -106,11 +107,75 @@ def report_at(system: System, t: float, y: Float[np.ndarray, " size"]) -> Constr
     bare = _without_forces(system)
     structure, theta = flatten_system(bare)
     start = np.asarray(y)[: bare.layout.size]
-    rows, names = _rows_at(structure, theta, t, start)
+    rows, names, _ = _rows_at(structure, theta, t, start)
     rank, redundant = _rank(rows, names, DEPENDENT)
     nearby = _nearby(structure, theta, t, start, rows)
     is_singular = nearby is not None and _rank(_rows_at(structure, theta, t, nearby)[0], names, DEPENDENT)[0] > rank
     return ConstraintReport(len(names), rank, bare.layout.n_velocity - rank, redundant, is_singular)
+
+
+REACTION_PARTS = ("force", "moment")
+"""Parts of a joint's reaction, in the order of a wrench."""
+
+
+def undetermined_reactions(
+    system: System, t: float, y: Float[np.ndarray, " size"]
+) -> dict[str, tuple[Literal["force", "moment"], ...]]:
+    """Joints whose reactions the motion does not determine, with the parts of the reaction that are not unique.
+
+    Where constraint equations depend on each other, multipliers that differ by a left null vector n of the Jacobian D
+    (n^T D = 0) give the same motion. A joint's force or moment is not unique where some n changes it:
+
+        -D_j^T n_j,    with D_j, n_j the joint's rows, on its second body, about the joint's point
+
+    Args:
+        system: the system.
+        t: time [s].
+        y: flat state (positions first; the rest is not read).
+
+    Returns:
+        By joint: `("force",)`, `("moment",)` or both; joints with unique reactions are
+        left out.
+
+    Limits: it holds near the state that is looked at; a configuration with another rank is another answer. A part is
+    named as a whole: of a planar linkage, whose forces along the normal of the plane are not unique, those in the plane
+    are.
+    """
+    structure, theta = flatten_system(_without_forces(system))
+    start = np.asarray(y)[: structure.system(theta).layout.size]
+    rows, names, lengths = _rows_at(structure, theta, t, start)
+    if not names or not np.all(np.isfinite(rows)):
+        return {}
+    left, sizes, _ = np.linalg.svd(rows, full_matrices=True)
+    null = left[:, int(np.sum(sizes > DEPENDENT * sizes[0])) :] / np.where(lengths > 0, lengths, 1.0)
+    if not null.size:
+        return {}
+    by_multiplier = program_for(reactions_by_multipliers, structure).compute(theta, float(t), start)
+    size = max(_arm(system), SMALLEST_SIZE)  # makes forces comparable with moments
+    owners = np.array(names)
+    changes = {name: np.asarray(matrix) @ null[owners == name] for name, matrix in by_multiplier.items()}
+    parts = {name: (size * np.abs(change[:3]), np.abs(change[3:])) for name, change in changes.items()}
+    largest = np.max([[part.max(axis=0) for part in of] for of in parts.values()], axis=(0, 1))
+    found: dict[str, tuple[Any, ...]] = {
+        name: tuple(
+            kind for kind, part in zip(REACTION_PARTS, of, strict=True) if np.any(part.max(axis=0) > SHARE * largest)
+        )
+        for name, of in parts.items()
+    }
+    return {name: found[name] for name in system.joints if found.get(name)}
+
+
+def reactions_by_multipliers(system: System, t: Scalar, y: Float[Array, " size"]) -> dict[str, Float[Array, "6 n"]]:
+    """Of each joint the force [N] and the moment about its point [N m] on its second body, by each multiplier."""
+    motions = body_motions(system, unpack(system.layout, y))
+    constraints = constraint_set(system, t, motions)
+    found = {}
+    for name, rows in constraints.rows.items():
+        joint = system.joints[name]
+        second, n = motions[joint.bodies[1]], rows.residual.shape[0]
+        each = [constraint_reaction(joint, second, rows.jacobians[1], unit) for unit in np.eye(n)]
+        found[name] = jnp.stack([jnp.concatenate([one.force, one.moment]) for one in each], axis=1)
+    return found
 
 
 def singular_joints(
@@ -127,9 +192,9 @@ def singular_joints(
     structure, theta = flatten_system(_without_forces(system))
     size = structure.system(theta).layout.size
     found = [_rows_at(structure, theta, when, np.asarray(state)[:size]) for when, state in (before, (t, y))]
-    if not all(np.all(np.isfinite(rows)) for rows, _ in found):
+    if not all(np.all(np.isfinite(rows)) for rows, _, _ in found):
         return ()
-    (rank_before, _), (rank, joints) = (_rank(*at, NEARLY_DEPENDENT) for at in found)
+    (rank_before, _), (rank, joints) = (_rank(*at[:2], NEARLY_DEPENDENT) for at in found)
     return joints if rank < rank_before else ()
 
 
@@ -158,15 +223,17 @@ def weighted_rows(system: System, t: Scalar, y: Float[Array, " size"]) -> dict[s
     return weighted
 
 
-def _rows_at(structure: Structure, theta, t: float, y) -> tuple[Float[np.ndarray, "n n_v"], list[str]]:
-    """Rows of unit length, and the joint of each."""
+def _rows_at(
+    structure: Structure, theta, t: float, y
+) -> tuple[Float[np.ndarray, "n n_v"], list[str], Float[np.ndarray, "n 1"]]:
+    """Rows of unit length, the joint of each, and the lengths that they had."""
     found = program_for(weighted_rows, structure).compute(theta, float(t), np.asarray(y))
     rows = [np.asarray(block) for block in found.values()]
     names = [joint for joint, block in zip(found, rows, strict=True) for _ in block]
     n_v = structure.system(theta).layout.n_velocity
     W = np.concatenate([np.zeros((0, n_v)), *rows])
     lengths = np.linalg.norm(W, axis=1, keepdims=True)
-    return W / np.where(lengths > 0, lengths, 1.0), names
+    return W / np.where(lengths > 0, lengths, 1.0), names, lengths
 
 
 def _rank(rows: np.ndarray, names: list[str], tolerance: float) -> tuple[int, tuple[str, ...]]:

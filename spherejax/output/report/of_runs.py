@@ -37,6 +37,7 @@ WHAT_IS_AUDITED = {
     "quaternions": "quaternions keep their norm",
     "conformity": "surfaces are pressed in within the range of their elastic law",
     "tilt": "journals tilt in their rims by little",
+    "film": "the offset of each film is small against its clearance",
 }
 
 
@@ -90,6 +91,12 @@ def cautions_of(run: Trajectory) -> list[str]:
     found = [*start_changes(run.system, float(run.ts[0]), run.assembly), cautions(shares)]
     if shares[CHECKS.index("energy")] == NOT_MADE:
         found.append("Energy was not audited: the method knows too coarsely what drivers, forces or bristles put in.")
+    if run.undetermined_reactions:
+        names = ", ".join(run.undetermined_reactions)
+        found.append(
+            f"Reactions of joints {names} are not unique: their constraint equations depend on each other. The motion "
+            "is unique; the share of each of these joints is one of many possible answers."
+        )
     return [each for each in found if each]
 
 

@@ -5,7 +5,7 @@ import equinox as eqx
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import real_number
 from spherejax.foundations.numerics import safe_norm
-from spherejax.foundations.types import Number, Numeric
+from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.contact import (
     Surfaces,
@@ -81,6 +81,11 @@ class AbstractClearanceModel(AbstractSphericalModel):
         if self.conformity is not None:
             return self.conformity.largest_ratio
         return LARGEST_HERTZIAN_RATIO if self.normal.stiffness is None else None
+
+    @property
+    def offset_ratio(self) -> Scalar | None:
+        """By which share of the clearance a film is thicker than its gap; None without a film."""
+        return None
 
     def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
         """Laws of a ball in a socket, or of a journal in a bearing; a stiffness that is given serves both."""

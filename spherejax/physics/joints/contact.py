@@ -180,10 +180,11 @@ def contact_forces(
     is_touching = onset_rate > 0
     penetration = jnp.where(is_touching, penetration, -surfaces.clearance)
     normal_force = share * normal.force(penetration, penetration_rate, onset_rate, stiffness)
+    # Without friction nothing but an observer reads it, and it falls out of the compiled equations of motion.
+    velocity = sliding_velocity(motion, surfaces)
     if friction is None:
         zero = jnp.zeros(3)
-        return ContactForces(normal_force, -normal_force * n, zero, jnp.zeros(0), zero, jnp.zeros(()))
-    velocity = sliding_velocity(motion, surfaces)
+        return ContactForces(normal_force, -normal_force * n, zero, jnp.zeros(0), velocity, jnp.zeros(()))
     bristle_energy = jnp.zeros(())
     if n_bristle:
         deflection = remembered.bristle(memory)

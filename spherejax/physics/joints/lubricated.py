@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import is_numeric
 from spherejax.foundations.legal import at_least, non_negative, positive
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit
@@ -31,6 +32,10 @@ from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
 from spherejax.physics.memory import MemoryEntry
+
+WIDTH_SHARE, OFFSET_SHARE = 0.01, 0.02
+"""Defaults of e_h0 and e_h1 as shares of the clearance: the paper's 1 and 2 micrometers (Table 3) at its c = 0.1 mm.
+The same lengths at c = 5 micrometers halve the load of a short journal bearing at an eccentricity ratio of 0.5."""
 
 _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(12))
 
@@ -65,6 +70,14 @@ def _rates_of(film: FilmAction) -> list[Float[Array, " n"]]:
     return [] if film.memory_rate is None else [film.memory_rate]
 
 
+def _share_of(clearance: Any, share: float) -> Any:
+    """A length as a share of the clearance [m]; 0 where the clearance is no number, which the checks of a scene name.
+
+    By division: 1e-4 / 100 is the paper's 1e-6 to the last bit, 1e-4 * 0.01 is not.
+    """
+    return clearance / round(1 / share) if is_numeric(clearance) else 0.0
+
+
 class Lubricated(AbstractClearanceModel):
     """Ball and socket with clearance, filled with a lubricant: a film, and dry contact beyond it.
 
@@ -76,8 +89,10 @@ class Lubricated(AbstractClearanceModel):
         viscosity: dynamic viscosity of the lubricant [Pa s].
         normal: law of the normal force in dry contact.
         friction: law of the friction force in dry contact, or None.
-        e_h0: width of the transition from film to contact [m].
-        e_h1: offset that keeps the film finite at e = c [m].
+        e_h0: width of the transition from film to contact [m]; 0.01 c unless it is given.
+        e_h1: offset that keeps the film finite at e = c [m]; 0.02 c unless it is given. The film is that at the
+            eccentricity ratio e/(c + e_h1), so an equilibrium lies further out than without it by the factor
+            1 + e_h1/c; above 0.05 c a run warns (`OutOfRangeWarning`).
         boundary: which parts of the film carry pressure.
         film: in which directions it resists: `FullFilm()`, or `RadialFilm()`, the paper's.
         socket_material: material of the socket.
@@ -92,7 +107,8 @@ class Lubricated(AbstractClearanceModel):
     moves across the line of centers, it is the radial one.
 
     Source: the paper, Eqs 37 to 40, with the eccentricity rate in m/s and, on separation, the pressure of the other
-    half film (`Guembel`); defaults from its Table 3. The full film is derived here; the paper has the radial one.
+    half film (`Guembel`); defaults from its Table 3, where e_h0 = 1e-6 m and e_h1 = 2e-6 m hold for every clearance:
+    here they scale with it and agree at c = 1e-4 m. The full film is derived here; the paper has the radial one.
     """
 
     clearance: Number
@@ -118,8 +134,8 @@ class Lubricated(AbstractClearanceModel):
         ball_radius: Annotated[Number | None, Unit("m")] = None,
         normal: AbstractNormalLaw | None = None,
         friction: AbstractFrictionLaw | None = None,
-        e_h0: Annotated[Number, Unit("m")] = 1e-6,
-        e_h1: Annotated[Number, Unit("m")] = 2e-6,
+        e_h0: Annotated[Number | None, Unit("m")] = None,
+        e_h1: Annotated[Number | None, Unit("m")] = None,
         boundary: AbstractFilmBoundary | None = None,
         film: AbstractFilm | None = None,
         socket_material: Material | None = None,
@@ -131,8 +147,8 @@ class Lubricated(AbstractClearanceModel):
         self.viscosity = viscosity
         self.normal = HuntCrossleyDissipation() if normal is None else normal
         self.friction = friction
-        self.e_h0 = e_h0
-        self.e_h1 = e_h1
+        self.e_h0 = _share_of(self.clearance, WIDTH_SHARE) if e_h0 is None else e_h0
+        self.e_h1 = _share_of(self.clearance, OFFSET_SHARE) if e_h1 is None else e_h1
         self.boundary = Guembel() if boundary is None else boundary
         self.film = _usual_film(self.boundary) if film is None else film
         if film is not None:
@@ -179,6 +195,11 @@ class Lubricated(AbstractClearanceModel):
     def memory(self) -> tuple[MemoryEntry, ...]:
         """That of the contact, and what the film remembers."""
         return (*super().memory, *(entry._replace(lasts=True) for entry in self.film.memory))
+
+    @property
+    def offset_ratio(self) -> Scalar:
+        """e_h1/c, by which the film's offset biases an eccentricity; above `films.LARGEST_OFFSET_RATIO` a run warns."""
+        return jnp.asarray(self.e_h1 / self.clearance)
 
     @property
     def medium(self) -> Medium:

@@ -19,6 +19,10 @@ from spherejax.physics.laws.film import (
 from spherejax.physics.laws.full_film import PressurePeak, pressure_peak, shear_factors
 from spherejax.physics.memory import MemoryEntry
 
+LARGEST_OFFSET_RATIO = 0.05
+"""e_h1 / c up to which the film is used without a warning. A film stands at e/(c + e_h1), so the eccentricity under a
+load is too large by about this share; the paper goes up to 0.04 (2 micrometers at c = 0.05 mm)."""
+
 
 class FilmGap(NamedTuple):
     """The gap and what fills it.
