@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import time
 from pathlib import Path
@@ -193,6 +192,7 @@ def _write(result: sj.WorkPrecision, folder: Path) -> list[str]:
 
 
 def _write_table(result: sj.WorkPrecision, path: Path) -> None:
+    from spherejax.output.tables import write_rows
     from spherejax.studies.accuracy.samples import UNITS
 
     heads = {
@@ -204,14 +204,11 @@ def _write_table(result: sj.WorkPrecision, path: Path) -> None:
     kinds = [
         (f"{name}_error [{unit}]", f"{name}_relative_error [-]", f"{name}_resolved") for name, unit in UNITS.items()
     ]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*heads.values(), *(head for kind in kinds for head in kind)])
-        for row in result.rows:
-            errors = [
-                (row.errors[name], result.relative_error(row, name), result.is_resolved(row, name)) for name in UNITS
-            ]
-            writer.writerow([*(getattr(row, name) for name in heads), *(cell for error in errors for cell in error)])
+    lines = []
+    for row in result.rows:
+        errors = [(row.errors[name], result.relative_error(row, name), result.is_resolved(row, name)) for name in UNITS]
+        lines.append([*(getattr(row, name) for name in heads), *(cell for error in errors for cell in error)])
+    write_rows(path, [*heads.values(), *(head for kind in kinds for head in kind)], lines)
 
 
 def _or(value, default):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -174,6 +173,8 @@ class _Writer:
 
 def _write_table(rows: list[ModelRow], path: Path) -> None:
     """Every number of every row, in SI units, whatever the mechanism."""
+    from spherejax.output.tables import write_rows
+
     heads = {
         "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",
         "eccentricity_ratio": "eccentricity_ratio [-]", "n_onsets": "n_onsets", "n_steps": "n_steps",
@@ -182,11 +183,10 @@ def _write_table(rows: list[ModelRow], path: Path) -> None:
     }  # fmt: skip
     measures = list(rows[0].measures)
     fixed = [] if rows[0].fixed is None else ["fixed_n_steps", "fixed_seconds [s]", "fixed_time_ratio [-]"]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*heads.values(), *measures, *fixed])
-        for row in rows:
-            values = [getattr(row, name) for name in heads]
-            values += [row.measures[name] for name in measures]
-            values += [] if row.fixed is None else list(row.fixed)
-            writer.writerow(["" if value is None else value for value in values])
+    lines = []
+    for row in rows:
+        values = [getattr(row, name) for name in heads]
+        values += [row.measures[name] for name in measures]
+        values += [] if row.fixed is None else list(row.fixed)
+        lines.append(["" if value is None else value for value in values])
+    write_rows(path, [*heads.values(), *measures, *fixed], lines)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -120,8 +119,7 @@ def _require_quantities(scene: sj.Scene, names: list[str]) -> None:
 
 
 def _table(path: Path, heads: list[str], rows: np.ndarray) -> Path:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(heads)
-        writer.writerows([repr(float(x)) for x in row] for row in rows)
+    from spherejax.output.tables import write_rows
+
+    write_rows(path, heads, ([repr(float(x)) for x in row] for row in rows))
     return path

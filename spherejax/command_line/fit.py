@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -296,10 +295,12 @@ def _print(fitted: sj.Fit, shown: dict[str, ShownNumbers]) -> None:
 
 def _write(fitted: sj.Fit, shown: dict[str, ShownNumbers], folder: Path, title: str, *, pictures: bool) -> list[str]:
     """Table, report, data set and figures; returns their names."""
+    from spherejax.files.paths.drafts import draft_of
     from spherejax.studies.fit.report import report
 
     _write_estimates(fitted, shown, folder / FILES[0])
-    (folder / FILES[1]).write_text(f"{report(fitted, shown)}\n", encoding="utf-8")
+    with draft_of(folder / FILES[1]) as draft:
+        draft.write_text(f"{report(fitted, shown)}\n", encoding="utf-8")
     fitted.save(folder / FILES[2], overwrite=True)
     names: list[str] = [*FILES]
     for name, figure in fitted.figures(title).items() if pictures else ():
@@ -309,13 +310,13 @@ def _write(fitted: sj.Fit, shown: dict[str, ShownNumbers], folder: Path, title: 
 
 
 def _write_estimates(fitted: sj.Fit, shown: dict[str, ShownNumbers], path: Path) -> None:
+    from spherejax.output.tables import write_rows
+
     known = fitted.knowledge
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["parameter", "estimate", "standard_deviation", "low", "high", "level", "unit"])
-        for name, value, deviation, (low, high) in zip(
-            fitted.names, known.values, known.standard_deviations, known.intervals(fitted.level), strict=True
-        ):
-            unit, factor = shown.get(name, ShownNumbers())
-            numbers = (repr(float(v) / factor) for v in (value, deviation, low, high))
-            writer.writerow([name, *numbers, fitted.level, unit])
+    rows = []
+    for name, value, deviation, (low, high) in zip(
+        fitted.names, known.values, known.standard_deviations, known.intervals(fitted.level), strict=True
+    ):
+        unit, factor = shown.get(name, ShownNumbers())
+        rows.append([name, *(repr(float(v) / factor) for v in (value, deviation, low, high)), fitted.level, unit])
+    write_rows(path, ["parameter", "estimate", "standard_deviation", "low", "high", "level", "unit"], rows)

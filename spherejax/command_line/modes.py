@@ -144,14 +144,14 @@ def _write(linear: sj.Linearization, folder: Path, options: argparse.Namespace) 
 
 def _table(response, path: Path) -> Path:
     """A row for each frequency; real and imaginary part of each output by each input."""
-    import csv
+    from spherejax.output.tables import write_rows
 
     outputs, inputs = (list(map(str, response[name].values)) for name in ("output", "input"))
     heads = [f"{part} {o} by {i}" for o in outputs for i in inputs for part in ("Re", "Im")]
     values = np.asarray(response).reshape(len(response), -1)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["frequency [Hz]", *heads])
-        for frequency, row in zip(np.asarray(response["frequency"]), values, strict=True):
-            writer.writerow([repr(float(x)) for x in (frequency, *np.stack([np.real(row), np.imag(row)], 1).ravel())])
+    rows = (
+        [repr(float(x)) for x in (frequency, *np.stack([np.real(row), np.imag(row)], 1).ravel())]
+        for frequency, row in zip(np.asarray(response["frequency"]), values, strict=True)
+    )
+    write_rows(path, ["frequency [Hz]", *heads], rows)
     return path

@@ -156,9 +156,11 @@ def _value(found: Chosen, options: argparse.Namespace, build: Callable, names, k
 
 
 def _write(result: sj.Sensitivities, folder: Path, overwrite: bool) -> None:
+    from spherejax.output.paths import file_name
+
     written = [result.save(folder / name, overwrite=overwrite) for name in FILES]
     for name, figure in result.figures().items():
-        path = folder / f"{name.replace('.', '_')}.png"
+        path = folder / f"{file_name(name)}.png"
         figure.savefig(path)
         written.append(path)
     print(f"wrote {', '.join(str(path) for path in written)}")

@@ -323,13 +323,14 @@ def _range(values: np.ndarray) -> str:
 
 
 def _draw(result, found: Chosen, path: Path) -> list[Path]:
+    from spherejax.output.paths import file_name
     from spherejax.output.plot.swept import figures_of_sweep
 
     folder = path.with_suffix("")
     written = []
     for name, figure in figures_of_sweep(result, found.title or found.name).items():
         folder.mkdir(parents=True, exist_ok=True)
-        target = folder / f"{name.replace('.', '_')}.png"
+        target = folder / f"{file_name(name)}.png"
         figure.savefig(target)
         written.append(target)
     return written

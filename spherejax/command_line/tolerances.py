@@ -252,7 +252,7 @@ def _number(text: str, part: str, unit: str | None) -> float:
 
 def _write(result: Any, folder: Path, overwrite: bool) -> None:
     from spherejax.output.io import save
-    from spherejax.output.paths import make_folder
+    from spherejax.output.paths import file_name, make_folder
 
     make_folder(folder)
     dataset = result.to_xarray() if hasattr(result, "to_xarray") else result.runs
@@ -260,7 +260,7 @@ def _write(result: Any, folder: Path, overwrite: bool) -> None:
         dataset = dataset.transpose("parameter", ...)  # a row for each number
     written = [save(dataset, folder / name, overwrite=overwrite) for name in FILES]
     for name, figure in result.figures().items():
-        path = folder / f"{name.replace('.', '_').replace(' ', '_')}.png"
+        path = folder / f"{file_name(name)}.png"
         figure.savefig(path)
         written.append(path)
     print(f"wrote {', '.join(str(path) for path in written)}")

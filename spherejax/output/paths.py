@@ -1,6 +1,7 @@
 """Paths that are written to: judged before anything is computed, and before anything is imported that takes long."""
 
 import os
+import re
 from pathlib import Path
 
 from spherejax.foundations.errors import SceneError, one_of
@@ -29,6 +30,11 @@ def writable(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
     require_free(path, overwrite=overwrite)
     make_folder(path.parent)
     return path
+
+
+def file_name(name: str) -> str:
+    """A quantity's name as a part of a file's name: slashes, dots, spaces and the like become underscores."""
+    return re.sub(r"[^\w-]", "_", name)
 
 
 def require_free(path: Path, *, overwrite: bool) -> None:

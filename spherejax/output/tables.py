@@ -1,12 +1,13 @@
 """Data sets as tables (CSV): a row for each sample, or each run, and a column for each number, with its unit."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
 
 if TYPE_CHECKING:
@@ -25,14 +26,24 @@ def write_csv(dataset: "xarray.Dataset", path: Path) -> None:
     Raises:
         SceneError: for a data set of single numbers, which is no table.
     """
-    rows = _rows(dataset)
-    if not rows:
+    dims = _rows(dataset)
+    if not dims:
         raise SceneError(f"{str(path)!r}: single numbers are no table; write them as .nc, .zarr or .h5")
-    columns = [*_places(dataset, rows), *_columns(dataset, rows)]
-    with path.open("w", newline="", encoding="utf-8") as file:
+    columns = [*_places(dataset, dims), *_columns(dataset, dims)]
+    rows = zip(*([_text(value) for value in values] for _, values in columns), strict=True)
+    write_rows(path, [name for name, _ in columns], rows)
+
+
+def write_rows(path: Path, heads: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV file: a line of heads, then a line for each row; whole or not at all.
+
+    Raises:
+        OSError: where nothing can be written.
+    """
+    with draft_of(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([name for name, _ in columns])
-        writer.writerows(zip(*([_text(value) for value in values] for _, values in columns), strict=True))
+        writer.writerow(heads)
+        writer.writerows(rows)
 
 
 def _rows(dataset: "xarray.Dataset") -> list[str]:

@@ -4,6 +4,7 @@ from os import PathLike
 from pathlib import Path
 
 from spherejax.files.fields.objects import same
+from spherejax.files.paths.drafts import draft_of
 from spherejax.files.scenes.reading import SceneFile, read_scene_file
 from spherejax.files.scenes.settings import SimulationSettings
 from spherejax.foundations.errors import SceneError
@@ -54,19 +55,19 @@ def save_scene(
 
 def _store(text: str, path: Path, file: SceneFile) -> None:
     """Write beside the target, read back, compare, and only then take its place."""
-    draft = path.with_name(path.name + ".part")
     try:
-        draft.write_text(text, encoding="utf-8")
+        with draft_of(path) as draft:
+            draft.write_text(text, encoding="utf-8")
+            _check_draft(draft, path, file)
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+
+
+def _check_draft(draft: Path, path: Path, file: SceneFile) -> None:
     try:
-        try:
-            # Its classes are those of the scene, whose code runs already.
-            again = read_scene_file(draft, allow_code=True)
-        except SceneError as error:
-            raise SceneError(f"{str(path)!r} was not written, for it could not be read again: {error}") from error
-        if not same(again.scene, file.scene) or again[1:] != file[1:]:
-            raise SceneError(f"{str(path)!r}: the file would not give the scene back; nothing was written")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+        # Its classes are those of the scene, whose code runs already.
+        again = read_scene_file(draft, allow_code=True)
+    except SceneError as error:
+        raise SceneError(f"{str(path)!r} was not written, for it could not be read again: {error}") from error
+    if not same(again.scene, file.scene) or again[1:] != file[1:]:
+        raise SceneError(f"{str(path)!r}: the file would not give the scene back; nothing was written")

@@ -7,6 +7,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
+from spherejax.files.paths.drafts import draft_of
 from spherejax.files.scenes.reading import load_scene
 from spherejax.files.scenes.writing import save_scene
 from spherejax.foundations.errors import SceneError
@@ -68,9 +69,8 @@ def write_python(
         module.write_text(MODULE.format(identifier=identifier), encoding="utf-8")
         resources = [folder / each for each in ("scene.toml", "settings.json", "description.xml")]
         made = library.FmuBuilder.build_FMU(module, dest=folder / "made", project_files=resources)
-        draft = path.with_name(path.name + ".part")
-        shutil.move(made, draft)
-        draft.replace(path)
+        with draft_of(path) as draft:
+            shutil.move(made, draft)
 
 
 def _library() -> Any:

@@ -18,6 +18,7 @@ from typing import Any
 import diffrax
 import numpy as np
 
+from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.scalar.c_source import PRELUDE
 from spherejax.foundations.scalar.graph import NotScalarizable
@@ -78,14 +79,12 @@ def write_native(
     xml = description(identifier, token, words, kinds, experiment, ports, states, indicators)
     with tempfile.TemporaryDirectory(prefix="spherejax_fmu_") as folder:
         library = _compiled(compiler, Path(folder), source, instance)
-        draft = path.with_name(path.name + ".part")
-        with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as file:
+        with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as file:
             file.writestr("modelDescription.xml", xml)
             file.writestr("sources/model.c", source)
             file.writestr("sources/instance.c", instance)
             file.writestr("sources/buildDescription.xml", _build_description(identifier))
             file.write(library, f"binaries/{platform_name()}/{identifier}{_suffix()}")
-        draft.replace(path)
 
 
 def compiler_of() -> str:

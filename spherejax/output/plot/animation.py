@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
 from spherejax.output.paths import make_folder, require_free
 from spherejax.output.plot.mechanism import Mechanism
@@ -132,10 +133,11 @@ def write_animation(
     palette = Palette(list(drawn_frames(sheet, few, None))) if is_gif else None
     frames = drawn_frames(sheet, times, report)
     try:
-        if palette is not None:
-            _write_gif(frames, palette, path, seconds)
-        else:
-            _write_mp4(frames, path, seconds)
+        with draft_of(path) as draft:
+            if palette is not None:
+                _write_gif(frames, palette, draft, seconds)
+            else:
+                _write_mp4(frames, draft, seconds)
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     return path

@@ -1,9 +1,12 @@
 """One look for all figures: colors, lines, labels with units, and axes that a spike does not flatten."""
 
+import os
 import re
 from collections.abc import Sequence
 from io import BytesIO
 from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rcParams
@@ -14,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
 
 RESOLUTION = 150
@@ -95,12 +99,25 @@ class Picture(Figure):
         super().draw(renderer)
 
     def savefig(self, fname, **options) -> None:
-        """As matplotlib's, which goes through a whole drawing of its own to lay the figure out: a quarter of the time.
+        """Write the figure as matplotlib's method does, but in a quarter of the time, and files whole or not at all.
+
+        matplotlib draws the whole figure once only to lay it out, which is left out here.
 
         Args:
             fname: path or file.
             **options: of `matplotlib.figure.Figure.savefig`.
         """
+        if isinstance(fname, str | os.PathLike):
+            # matplotlib adds the suffix of its format where a path has none.
+            path = Path(fname)
+            if not path.suffix:
+                path = path.with_name(f"{path.name}.{options.get('format') or rcParams['savefig.format']}")
+            with draft_of(path) as draft:
+                self._savefig(draft, options)
+        else:
+            self._savefig(fname, options)
+
+    def _savefig(self, fname: Any, options: dict[str, Any]) -> None:
         engine, as_format = self.get_layout_engine(), options.get("format")
         is_png = as_format == "png" or (as_format is None and str(fname).endswith(".png"))
         # With other options, such as a resolution, the layout may be another one.

@@ -17,6 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
 from spherejax.output.paths import make_folder, require_free
 
@@ -217,7 +218,8 @@ class Page:
         """
         path = target(path, overwrite=overwrite)
         try:
-            path.write_text(self.html(), encoding="utf-8")
+            with draft_of(path) as draft:
+                draft.write_text(self.html(), encoding="utf-8")
         except OSError as error:
             raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
         return path

@@ -1,11 +1,11 @@
 """The rig's answer as a dataset, as a table, as a file of it."""
 
-import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spherejax.output.tables import write_rows
 from spherejax.studies.rig.bench import LOADS
 from spherejax.studies.rig.characteristics import GIVES
 from spherejax.studies.rig.shown import SHOWN, RigStatus, ShownCharacteristic, compliance_shown
@@ -118,10 +118,7 @@ def write_csv(rig: Any, path: Any) -> None:
         for j, load in enumerate(LOADS)
     ]
     columns.append(("status", [RigStatus(int(each)).name for each in np.asarray(rig.status)]))
-    with Path(path).open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([name for name, _ in columns])
-        writer.writerows(zip(*(values for _, values in columns), strict=True))
+    write_rows(Path(path), [name for name, _ in columns], zip(*(values for _, values in columns), strict=True))
 
 
 def _column(name: str, shown: ShownCharacteristic, values: Any) -> tuple[str, Any]:

@@ -1,6 +1,5 @@
 """`sj.dynamic_stiffness`: what a test stand measures of a bushing, over frequency and amplitude."""
 
-import csv
 import os
 from functools import reduce
 from pathlib import Path
@@ -18,6 +17,7 @@ from spherejax.foundations.forms import misformed, shape_of
 from spherejax.foundations.types import Number, Numeric
 from spherejax.output.io import save
 from spherejax.output.paths import writable
+from spherejax.output.tables import write_rows
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.harmonic import complex_stiffness
 from spherejax.physics.laws.elastomer import AbstractElastomer
@@ -106,10 +106,8 @@ class DynamicStiffness(eqx.Module):
         path = writable(path, overwrite=overwrite)
         if path.suffix == ".nc":
             return save(self.to_xarray(), path, overwrite=overwrite)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([f"{name} [{self.units[name]}]" for name in COLUMNS])
-            writer.writerows([[repr(float(x)) for x in row] for row in self.rows])
+        heads = [f"{name} [{self.units[name]}]" for name in COLUMNS]
+        write_rows(path, heads, ([repr(float(x)) for x in row] for row in self.rows))
         return path
 
     def figure(self, title: str = "") -> "Figure":

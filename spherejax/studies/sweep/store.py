@@ -22,6 +22,8 @@ import jax
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
+from spherejax.output.escapes import RENAMED, escapes_of
+from spherejax.output.wholeness import check_store_is_whole
 from spherejax.studies.sweep.chunks import ChunkResult
 from spherejax.studies.sweep.dataset import RUN, RunsColumn, SweepAccount
 from spherejax.studies.sweep.failures import StoreWarning, writing
@@ -60,7 +62,9 @@ class Store:
         self.n_chunks = -(-self.n_runs // self.chunk_size)
         # A look-up in a group reads and parses a file: once for each array, not once for each chunk.
         try:
-            self.arrays: dict[str, Any] = {name: group[name] for name in (*self.names, *OF_CHUNKS, *self.parameters)}
+            escapes = {name: word for word, name in json.loads(group.attrs.get(RENAMED, "{}")).items()}
+            names = (*self.names, *OF_CHUNKS, *self.parameters)
+            self.arrays: dict[str, Any] = {name: group[escapes.get(name, name)] for name in names}
         except Exception as error:
             raise damaged(path, f"an array cannot be opened ({error})") from error
 
@@ -245,7 +249,12 @@ def opened(path: Path, mode: Any = "r+") -> Any:
     import zarr
 
     try:
+<<<<<<< HEAD
         group = zarr.open_group(path, mode=mode, zarr_format=3)  # version 2 knows pickles, which are code
+=======
+        check_store_is_whole(path)
+        group = zarr.open_group(path, mode=mode)
+>>>>>>> e0debc5 (Files are whole or not there, hold every name that a scene can have, and their own numbers alone)
         is_store = group.attrs.get("mark") == MARK and {"identity", "chunk_size", "grid_shape"} <= set(group.attrs)
     except Exception as error:
         raise SceneError(f"{str(path)!r} exists and is no store of a sweep ({error}); choose another path") from error
@@ -263,8 +272,12 @@ def _made(path: Path, identity, facts, shapes, columns, grid: Grid, ts, chunk_si
     with writing(path, "the store"):
         path.parent.mkdir(parents=True, exist_ok=True)
         group = zarr.open_group(unfinished, mode="w")
-        _add_arrays(group, shapes, columns, grid, chunk_size)
-        _describe(group, facts, grid, ts)
+        # A slash in a name would make a group of its own, which no reader of the store looks into.
+        escapes = escapes_of((*columns, *OF_CHUNKS, *grid.names))
+        _add_arrays(group, shapes, columns, grid, chunk_size, escapes)
+        _describe(group, facts, grid, ts, escapes)
+        if escapes:
+            group.attrs[RENAMED] = json.dumps({word: name for name, word in escapes.items()})
         group.attrs.update(
             {
                 "mark": MARK,
@@ -276,7 +289,7 @@ def _made(path: Path, identity, facts, shapes, columns, grid: Grid, ts, chunk_si
                 "grid_shape": list(grid.shape),
                 "parameters": list(grid.names),
                 # What readers of Zarr take for coordinates.
-                "coordinates": " ".join(grid.names),
+                "coordinates": " ".join(escapes.get(name, name) for name in grid.names),
             }
         )
         group.attrs["seal"] = _seal(unfinished, zarr.open_group(unfinished, mode="r"))
@@ -284,12 +297,12 @@ def _made(path: Path, identity, facts, shapes, columns, grid: Grid, ts, chunk_si
     return Store(path, zarr.open_group(path, mode="r+"))
 
 
-def _add_arrays(group: Any, shapes, columns, grid: Grid, chunk_size: int) -> None:
+def _add_arrays(group: Any, shapes, columns, grid: Grid, chunk_size: int, escapes: Mapping[str, str]) -> None:
     kinds = {name: (each.shape, each.dtype) for name, each in shapes.items()}
     kinds |= {name: ((), dtype) for name, dtype in COUNTED.items()}
     for name, (shape, dtype) in kinds.items():
         group.create_array(
-            name,
+            escapes.get(name, name),
             shape=(grid.n_runs, *shape),
             chunks=(chunk_size, *shape),
             dtype=np.dtype(dtype),
@@ -304,12 +317,13 @@ def _add_arrays(group: Any, shapes, columns, grid: Grid, chunk_size: int) -> Non
         )
 
 
-def _describe(group: Any, facts: Mapping[str, Any], grid: Grid, ts: np.ndarray) -> None:
+def _describe(group: Any, facts: Mapping[str, Any], grid: Grid, ts: np.ndarray, escapes: Mapping[str, str]) -> None:
     """Times, parameters and what a reader wants to know."""
     group.create_array("time", data=ts, dimension_names=("time",), attributes={"units": "s", "long_name": "time"})
     for name in grid.names:
         size = min(grid.n_runs, SLAB)
-        array = group.create_array(name, shape=(grid.n_runs,), chunks=(size,), dtype="float64", dimension_names=(RUN,))
+        word = escapes.get(name, name)
+        array = group.create_array(word, shape=(grid.n_runs,), chunks=(size,), dtype="float64", dimension_names=(RUN,))
         for number, values in enumerate(grid.slabs(name)):
             array[number * SLAB : number * SLAB + len(values)] = values
     group.attrs.update({"facts": dict(facts)})
