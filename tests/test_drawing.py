@@ -466,7 +466,7 @@ def test_an_mp4_has_its_frames_and_its_length(run, tmp_path):
     assert "Duration: 00:00:01.03" in seen
     blocked = tmp_path / "folder.mp4"
     blocked.mkdir()
-    with pytest.raises(sj.SceneError, match=r"ffmpeg cannot write .*folder.mp4.*or write a GIF"):
+    with pytest.raises(sj.SceneError, match=r"cannot write .*folder.mp4.*Is a directory"):
         sj.animate(run, blocked, overwrite=True, dpi=51)
 
 

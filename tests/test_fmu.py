@@ -423,6 +423,119 @@ def test_operations_are_those_of_jax(tmp_path):
     assert np.isnan(out[-2])
 
 
+# Starts and compilers -------------------------------------------------------------------------------------------------
+
+
+def hurried(speed):
+    """A pendulum whose rod is pulled along its own axis, which the pivot does not allow."""
+    return eqx.tree_at(lambda s: s.bodies["rod"].velocity, pendulum(), jnp.asarray([0.0, 0.0, speed]))
+
+
+def left_start(opened):
+    """The status that fmi3ExitInitializationMode returns; FMPy raises from fmi3Discard on, and hides warnings."""
+    return opened.slave.dll.fmi3ExitInitializationMode(ctypes.c_void_p(opened.slave.component))
+
+
+def test_a_start_that_the_joints_change_is_told(tmp_path):
+    """At the export, and by each instance: the velocity of a parameter that was set counts."""
+    with pytest.warns(sj.StartWarning, match="violate the constraint"):
+        path = sj.export_fmu(hurried(1.0), tmp_path / "hurried.fmu", outputs=["velocity.rod"], parameters="gravity.z")
+    told = instance_of(path, tmp_path)
+    told.slave.enterInitializationMode(startTime=0.0)
+    assert left_start(told) == 1  # fmi3Warning
+    assert "do not allow was removed: rod starts with" in told.logged[-1]
+    assert "instead of (0, 0, 1) m/s" in told.logged[-1]
+    told.slave.doStep(0.0, 0.01)
+    told.slave.freeInstance()
+
+
+def test_a_start_that_parameters_spoil_is_told(tmp_path):
+    scene = hurried(0.0)
+    path = sj.export_fmu(scene, tmp_path / "quiet.fmu", outputs=["velocity.rod"], parameters="bodies.rod.velocity.z")
+    for speed, status in ((0.0, 0), (1e-3, 1)):
+        opened = instance_of(path, tmp_path / str(status))
+        opened.slave.setFloat64([opened.ref["bodies.rod.velocity.z"]], [speed])
+        opened.slave.enterInitializationMode(startTime=0.0)
+        assert left_start(opened) == status
+        assert bool(opened.logged) == bool(status)
+        opened.slave.freeInstance()
+
+
+def test_bodies_that_are_moved_are_told(tmp_path):
+    parameters = [f"bodies.rod.position.{axis}" for axis in "xyz"]
+    path = sj.export_fmu(pendulum(), tmp_path / "moved.fmu", outputs=["position.rod"], parameters=parameters)
+    opened = instance_of(path, tmp_path)
+    opened.slave.setFloat64([opened.ref[parameters[2]]], [0.1])
+    opened.slave.enterInitializationMode(startTime=0.0)
+    assert left_start(opened) == 1
+    assert "the bodies were moved: rod by" in opened.logged[-1]
+    opened.slave.freeInstance()
+
+
+def recompiled(path, folder, *options, change=lambda source: source):
+    """The library of an FMU, compiled anew from its source with other options."""
+    unzipped = Path(fmpy.extract(path, folder / "unzipped"))
+    library = next((unzipped / "binaries").rglob("*.so"))
+    for name in ("model.c", "instance.c"):
+        source = unzipped / "sources" / name
+        source.write_text(change(source.read_text()))
+    command = ["cc", "-O2", "-fPIC", "-shared", *options, "-o", library, unzipped / "sources" / "model.c", "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    told = fmpy.read_model_description(path)
+    logged = []
+    slave = FMU3Slave(guid=told.guid, unzipDirectory=unzipped, modelIdentifier=path.stem, instanceName="one")
+    return SimpleNamespace(done=done, slave=slave, logged=logged, log=lambda *said: logged.append(said[-1].decode()))
+
+
+@pytest.mark.parametrize("option", ["-ffast-math", "-Ofast", "-ffinite-math-only"])
+def test_fast_math_does_not_compile(ideal, tmp_path, option):
+    """A start with NaN was OK where it did."""
+    made = recompiled(ideal, tmp_path, option)
+    assert made.done.returncode
+    assert "compile without -ffast-math" in made.done.stderr
+
+
+def test_fast_math_that_no_macro_tells_makes_no_instance(ideal, tmp_path):
+    made = recompiled(ideal, tmp_path, "-ffast-math", change=lambda source: source.replace("#error", "//"))
+    assert made.done.returncode == 0, made.done.stderr
+    with pytest.raises(Exception, match="instantiate"):
+        made.slave.instantiate(logMessage=made.log, loggingOn=True)
+    assert "takes no number for NaN" in made.logged[-1]
+
+
+def test_products_and_sums_are_not_contracted(ideal, tmp_path):
+    """Neither by the options of the export nor, on another machine, by those that ask for it."""
+    from spherejax.output.fmu.native import OPTIONS
+
+    assert "-ffp-contract=off" in OPTIONS
+    if "fma" not in Path("/proc/cpuinfo").read_text().split():
+        pytest.skip("this processor has no fused multiply-add")
+    asked = ("-mfma", "-ffp-contract=fast")
+    for number, (change, contracts) in enumerate(
+        ((lambda source: source, False), (lambda source: source.replace("#pragma", "//"), True))
+    ):
+        made = recompiled(ideal, tmp_path / str(number), *asked, change=change)
+        assert made.done.returncode == 0, made.done.stderr
+        made.slave.instantiate(logMessage=made.log, loggingOn=True)
+        assert ("fused multiply-add" in "".join(made.logged)) == contracts
+        made.slave.freeInstance()
+
+
+def test_names_are_no_code(tmp_path):
+    """A quote ends a text of C."""
+    rod = sj.gallery.physical_pendulum(mass=MASS, length=LENGTH).bodies["rod"]
+    name = 'r"};int x=1/0;//\\'
+    scene = sj.Scene({name: rod}, {}, {"push": sj.AppliedWrench(name, (0.0, 0.0, 0.0))})
+    path = sj.export_fmu(scene, tmp_path / "odd.fmu", outputs=[f"position.{name}.z"], parameters=f"bodies.{name}.mass")
+    opened = instance_of(path, tmp_path)
+    opened.slave.setFloat64([opened.ref[f"bodies.{name}.mass"]], [np.nan])
+    opened.slave.enterInitializationMode(startTime=0.0)
+    with pytest.raises(FMICallException):
+        opened.slave.exitInitializationMode()
+    assert f"bodies.{name}.mass is not finite" in opened.logged[-1]
+    opened.slave.freeInstance()
+
+
 # A motion in pieces, and FMUs in Python -------------------------------------------------------------------------------
 
 
@@ -441,6 +554,15 @@ def test_pieces_are_the_whole():
     np.testing.assert_allclose(y[:3], run.position("rod")[-1], atol=1e-8)
     with pytest.raises(sj.SceneError, match="does not go on"):
         pieces.go_on(t, y, t, np.array([-9.81]))
+
+
+@pytest.mark.slow
+def test_python_fmu_tells_a_start_that_the_joints_change(tmp_path):
+    with pytest.warns(sj.StartWarning):
+        path = sj.export_fmu(hurried(1.0), tmp_path / "hurried.fmu", kind="python", outputs=["velocity.rod"])
+    opened = started(instance_of(path, tmp_path))
+    assert "'pivot' (1 m/s): the velocities given to the bodies violate the constraint" in opened.logged[-1]
+    opened.slave.freeInstance()
 
 
 @pytest.mark.slow

@@ -1,8 +1,9 @@
 """A straight-line scalar program written out as a C function, for machines without Python.
 
 Each operation becomes one statement on doubles (predicates and whole numbers: `int`, `long long`), in the order of the
-program, so that a compiler that does not reorder arithmetic (no -ffast-math) gives the numbers of the program itself up
-to the rounding of the mathematical library.
+program, so that a compiler that does not reorder arithmetic (no -ffast-math) and does not contract it (no fused
+multiply-add: -ffp-contract=off) gives the numbers of the program itself up to the rounding of the mathematical library.
+Compilers that are told to do the former are refused by `#error`; the latter is switched off by pragmas.
 """
 
 import math
@@ -14,8 +15,28 @@ import numpy as np
 from spherejax.foundations.scalar.graph import BOOL, FLOAT, Graph, NotScalarizable
 
 PRELUDE = """\
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST) || \\
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__)
+#error "compile without -ffast-math, -Ofast, -ffinite-math-only, -funsafe-math-optimizations (/fp:fast): NaN would pass"
+#endif
+/* No fused multiply-add: where two ways to the same number differ by a rounding, contacts begin and end without end. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#endif
 #include <math.h>
+#include <stdint.h>
+#include <string.h>
 
+/* By its bits, which no option of a compiler takes for granted. */
+static inline int is_finite(double a) {
+  uint64_t bits;
+  memcpy(&bits, &a, sizeof bits);
+  return (bits >> 52 & 0x7ff) != 0x7ff;
+}
 static inline double larger(double a, double b) { return a != a || a > b ? a : b; }   /* NaN wins, as in the library */
 static inline double smaller(double a, double b) { return a != a || a < b ? a : b; }
 static inline double sign_of(double a) { return a > 0 ? 1.0 : a < 0 ? -1.0 : a; }
@@ -47,7 +68,7 @@ C: dict[str, Callable[..., str]] = {
     "abs": _call("fabs"),
     "rsqrt": lambda a: f"1.0 / sqrt({a})",
     "logistic": lambda a: f"1.0 / (1.0 + exp(-{a}))",
-    "is_finite": lambda a: f"isfinite({a}) != 0",
+    "is_finite": lambda a: f"is_finite({a})",
     "rem": _call("fmod"),
     "stop_gradient": lambda a: a,
     "marked": lambda a: a,

@@ -43,6 +43,9 @@ class Pieces:
     Each piece is integrated as `simulate` does it: by the same method, landing on contacts, audited. The memory of
     joints and the account of energy go on from piece to piece; the size of the first step does not.
 
+    Attributes:
+        changes: what the last start changed of the positions and velocities that the scene describes, in sentences.
+
     Args:
         scene_of: the scene from the numbers that may change; it is traced.
         values: these numbers.
@@ -64,6 +67,7 @@ class Pieces:
         max_steps: int = 20_000_000,
     ):
         self.scene_of = scene_of
+        self.changes: tuple[str, ...] = ()
         system = self.system_with(values)
         self._theta = jax.jit(self._traced)
         plan: list[Plan] = []
@@ -97,6 +101,7 @@ class Pieces:
         system = self.system_with(values)
         start = known_start(system, np.array([t]))
         assert start is not None
+        self.changes = start.changes
         return np.asarray(initial_state(system, start.assembly))
 
     def go_on(

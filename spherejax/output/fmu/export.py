@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from spherejax.model.scene import Scene
 from spherejax.motion.runs.known_scenes import prepared
 from spherejax.motion.runs.simulate import check_tolerances, choice_for
 from spherejax.motion.solvers.automatic import SolverChoice
+from spherejax.motion.start.start_now import StartWarning
 from spherejax.output.fmu.description import DefaultExperiment
 from spherejax.output.fmu.in_python import write_python
 from spherejax.output.fmu.native import write_native
@@ -74,6 +76,11 @@ def export_fmu(
     Returns:
         The path.
 
+    Warns:
+        StartWarning: where the joints do not allow the positions or velocities of the scene. The FMU itself compares
+            them at each start, with the parameters that are set then: its log says what was changed, and
+            fmi3ExitInitializationMode returns fmi3Warning.
+
     Raises:
         SceneError: for names that lead nowhere, with the nearest ones; for inputs that move a constraint; for a scene
             that this kind cannot hold; without a C compiler or without pythonfmu3; each with the remedy.
@@ -118,7 +125,9 @@ def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver
             "explicit Runge-Kutta method, e.g. diffrax.Dopri8(), and in Python the scene chooses; leave it out"
         )
     choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
-    found.start(np.zeros(1))
+    start = found.start(np.zeros(1))
+    for change in start.changes if start is not None else ():
+        warnings.warn(change, StartWarning, stacklevel=3)
     return choice
 
 

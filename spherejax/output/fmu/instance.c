@@ -4,9 +4,10 @@
 
      N_VALUES, N_INPUTS     numbers that can be set: inputs, then parameters
      N_STATES, N_CONTINUOUS entries of the flat state; those whose errors are judged (the work put in comes behind)
-     N_START, N_OUTPUTS, N_CONTACTS, N_CROSSINGS, N_CORRECTIONS, HAS_ROOM, READS_TIME, N_STAGES, ORDER, TOKEN
-     start_values, value_names, relative, absolute, nominal, stage_times, stage_weights, weights, error_weights
-     and the functions legal, described, newton_step, velocities, gaps, first_memory, rate, crossing, after, correction,
+     N_BODIES, N_START, N_OUTPUTS, N_CONTACTS, N_CROSSINGS, N_CORRECTIONS, HAS_ROOM, READS_TIME, N_STAGES, ORDER, TOKEN
+     IS_DRIVEN, FAR, FAR_TURNED, NOTICEABLE, RADIUS    which changes of a start are told
+     body_names, start_values, value_names, relative, absolute, nominal, stage_times, stage_weights, weights, error_weights
+     and the functions legal, described, newton_step, velocities, gaps, open_gap, first_memory, rate, crossing, after, correction,
      outputs, vitals, room, each with what depends on the values alone ahead.
 
    Value references: 0 time; then the values; then outputs, states, their derivatives, event indicators.
@@ -60,7 +61,7 @@ typedef struct {
   double t, t_start, y[N_STATES];
   double step;                                  /* size of the next trial step [s]; 0: to be found */
   double lowest, bottom, top, agitation;        /* of the audit [J] */
-  bool is_audited, has_start;
+  bool is_audited, has_start, is_start_changed;
   Mode mode;
 } State;
 
@@ -75,6 +76,7 @@ typedef struct {
   double newton_ahead[AT_LEAST_ONE(newton_step_ahead_size)];
   double velocities_ahead[AT_LEAST_ONE(velocities_ahead_size)];
   double gaps_ahead[AT_LEAST_ONE(gaps_ahead_size)];
+  double open_ahead[AT_LEAST_ONE(open_gap_ahead_size)];
   double memory_ahead[AT_LEAST_ONE(first_memory_ahead_size)];
   double rate_ahead_[AT_LEAST_ONE(rate_ahead_size)];
   double crossing_ahead_[AT_LEAST_ONE(crossing_ahead_size)];
@@ -106,6 +108,7 @@ static void look_ahead(Instance *c) {
   newton_step_ahead(v, c->newton_ahead);
   velocities_ahead(v, c->velocities_ahead);
   gaps_ahead(v, c->gaps_ahead);
+  open_gap_ahead(v, c->open_ahead);
   first_memory_ahead(v, c->memory_ahead);
   rate_ahead(v, c->rate_ahead_);
   crossing_ahead(v, c->crossing_ahead_);
@@ -126,7 +129,14 @@ static void crossing_at(Instance *c, double t, const double *y, double *out) { A
 
 static bool all_finite(const double *x, int n) {
   for (int i = 0; i < n; i++)
-    if (!isfinite(x[i])) return false;
+    if (!is_finite(x[i])) return false;
+  return true;
+}
+
+/* No NaN; what is unlimited may be infinite. */
+static bool all_numbers(const double *x, int n) {
+  for (int i = 0; i < n; i++)
+    if (!is_finite(x[i]) && !(x[i] > 0) && !(x[i] < 0)) return false;
   return true;
 }
 
@@ -136,7 +146,7 @@ static bool values_are_legal(Instance *c) {
   double is_legal = 0, t = c->now.t, none = 0;
   look_ahead(c);
   for (int i = 0; i < N_VALUES; i++)
-    if (!isfinite(c->now.values[i])) {
+    if (!is_finite(c->now.values[i])) {
       say(c, ERROR, "%s is not finite", value_names[i]);
       return false;
     }
@@ -147,19 +157,75 @@ static bool values_are_legal(Instance *c) {
   return false;
 }
 
+enum { PLACES = 7, RATES = 6, RATES_BEGIN = PLACES * N_BODIES }; /* of a body: position and quaternion; velocities */
+
+static double length_of(const double *a, const double *b, double sign, int n) {
+  double sum = 0;
+  for (int i = 0; i < n; i++) sum += (a[i] - sign * (b ? b[i] : 0)) * (a[i] - sign * (b ? b[i] : 0));
+  return sqrt(sum);
+}
+
+/* The largest speed among the bodies' translations and, at RADIUS, rotations [m/s]; of which body. */
+static double largest_speed(const double *a, const double *b, int *which) {
+  double found = 0;
+  for (int i = 0; i < N_BODIES; i++) {
+    int k = RATES_BEGIN + RATES * i;
+    double speed = fmax(length_of(a + k, b ? b + k : NULL, 1, 3),
+                        RADIUS * length_of(a + k + 3, b ? b + k + 3 : NULL, 1, 3));
+    if (speed > found) {
+      found = speed;
+      *which = i;
+    }
+  }
+  return found;
+}
+
+/* Says what the joints change of the positions and velocities that the values describe, as `simulate` warns of it. */
+static void tell_changes(Instance *c, const double *described, const double *taken) {
+  double t = c->now.t, farthest = 0, moved = 0, turned = 0, open = 0, asked, change;
+  int which = 0;
+  for (int i = 0; i < N_BODIES; i++) {
+    const double *a = taken + PLACES * i, *b = described + PLACES * i;
+    double distance = length_of(a, b, 1, 3);
+    double angle = 2 * fmin(length_of(a + 3, b + 3, 1, 4), length_of(a + 3, b + 3, -1, 4)); /* q and -q are one turn */
+    double share = fmax(distance / FAR, angle / FAR_TURNED);
+    if (share > farthest) farthest = share, moved = distance, turned = angle, which = i;
+  }
+  /* A driver may put a mechanism where its motion begins; the other joints must close as they are described. */
+  if (IS_DRIVEN) AT(open_gap, open_ahead, described, &open);
+  if (farthest > 1 && (!IS_DRIVEN || open > FAR)) {
+    c->now.is_start_changed = true;
+    say(c, WARNING, "where the values put the bodies the joints do not close, and the bodies were moved: %s by %.3g m "
+        "and %.3g rad; set parameters that close the joints", body_names[which], moved, turned);
+  }
+  asked = largest_speed(described, NULL, &which);
+  change = largest_speed(described, taken, &which);
+  if (change > NOTICEABLE * asked && asked > 0) {
+    const double *a = taken + RATES_BEGIN + RATES * which, *b = described + RATES_BEGIN + RATES * which;
+    c->now.is_start_changed = true;
+    say(c, WARNING, "the joints do not allow the velocities at the start, and what they do not allow was removed: %s "
+        "starts with (%.4g, %.4g, %.4g) m/s and (%.4g, %.4g, %.4g) rad/s instead of (%.4g, %.4g, %.4g) m/s and "
+        "(%.4g, %.4g, %.4g) rad/s; set velocities that agree, or export the joint with starts_concentric=False",
+        body_names[which], a[0], a[1], a[2], a[3], a[4], a[5], b[0], b[1], b[2], b[3], b[4], b[5]);
+  }
+}
+
 static bool start(Instance *c) {
   double y[AT_LEAST_ONE(N_START)], moved[AT_LEAST_ONE(N_START)], gap = 0, t = c->now.t;
+  double as_described[AT_LEAST_ONE(N_START)];
   State *now = &c->now;
   if (now->has_start) return true;
   if (!values_are_legal(c)) return false;
-  AT(described, described_ahead, y, y);
+  memset(y, 0, sizeof y); /* `described` reads nothing of it */
+  AT(described, described_ahead, y, as_described);
+  memcpy(y, as_described, sizeof y);
   for (int k = 0; k < N_NEWTON_STEPS; k++) {
     AT(newton_step, newton_ahead, y, moved);
     memcpy(y, moved, sizeof y);
   }
   AT(velocities, velocities_ahead, y, moved);
   AT(gaps, gaps_ahead, moved, &gap);
-  if (!(gap < CLOSING_TOLERANCE) || !all_finite(moved, N_START)) {
+  if (!is_finite(gap) || !(gap < CLOSING_TOLERANCE) || !all_finite(moved, N_START)) {
     say(c, ERROR, "the joints cannot be closed at the start: a residual of %.3g remains; check the parameters that "
         "place bodies and joints, and drivers that contradict each other", gap);
     return false;
@@ -174,6 +240,8 @@ static bool start(Instance *c) {
   now->step = 0;
   now->is_audited = false;
   now->has_start = true;
+  now->is_start_changed = false;
+  tell_changes(c, as_described, moved);
   return true;
 }
 
@@ -187,7 +255,7 @@ static bool is_sound(Instance *c, double t, const double *y, bool with_energy, S
   State *now = &c->now;
   AT(vitals, vitals_ahead_, y, v);
   energy = v[POTENTIAL] + v[AGITATION];
-  if (!all_finite(y, N_STATES) || !isfinite(energy)) {
+  if (!all_finite(y, N_STATES) || !all_numbers(v, N_VITALS) || !is_finite(energy)) {
     say(c, status, "at t = %.9g s: numbers are not finite", t);
     return false;
   }
@@ -204,7 +272,7 @@ static bool is_sound(Instance *c, double t, const double *y, bool with_energy, S
     say(c, status, "at t = %.9g s: a ball is outside its socket without contact: an event was passed over", t);
     return false;
   }
-  if (!with_energy || !isfinite(ENERGY_SHARE)) return true;
+  if (!with_energy || !is_finite(ENERGY_SHARE)) return true;
   if (!now->is_audited) {
     now->lowest = energy;
     now->bottom = now->top = v[POTENTIAL];
@@ -387,7 +455,7 @@ static Status advance(Instance *c, double t_end) {
     }
     error = try_step(c, t, now->y, h, end);
     if (!(error <= 1)) {
-      now->step = h * (isfinite(error) ? fmax(0.2, 0.9 * pow(error, -1.0 / ORDER)) : 0.1);
+      now->step = h * (is_finite(error) ? fmax(0.2, 0.9 * pow(error, -1.0 / ORDER)) : 0.1);
       if (now->step < 1e-15 * fmax(fabs(t), 1e-3)) {
         say(c, DISCARD, "at t = %.9g s: the step size shrank to the rounding of time: the accelerations are not finite "
             "or grow without bound there", t);
@@ -422,14 +490,37 @@ static void reset(Instance *c) {
   c->is_ahead_known = false;
 }
 
+/* Whether NaN is seen in comparisons; the compiler cannot know the numbers beforehand. */
+static bool takes_nan_for_nan(void) {
+  volatile double zero = 0, infinite = INFINITY;
+  double nan = infinite * zero;
+  return nan != nan && !(nan > 0) && !(nan <= 0) && !is_finite(nan) && !is_finite(infinite) && is_finite(zero);
+}
+
+/* Whether products and sums are contracted: (1 + 2^-30)^2 - (1 + 2^-29) is 2^-60 without a rounding between. */
+static bool contracts(void) {
+  volatile double x = 1 + 0x1p-30, rounded = -(1 + 0x1p-29);
+  double a = x, b = x, c = rounded;
+  return a * b + c != 0;
+}
+
 static Instance *instantiate(const char *token, bool logs, void *environment, Log log, bool is_model_exchange) {
   Instance *c;
   if (!token || strcmp(token, TOKEN) != 0) {
     if (log) log(environment, ERROR, "logStatusError", "the instantiation token is not that of this FMU");
     return NULL;
   }
+  if (!takes_nan_for_nan()) {
+    if (log)
+      log(environment, ERROR, "logStatusError", "this FMU was compiled with arithmetic that takes no number for NaN "
+          "(-ffast-math or the like), where nothing wrong would be noticed; compile its source without");
+    return NULL;
+  }
   c = calloc(1, sizeof *c);
   if (!c) return NULL;
+  if (log && contracts())
+    log(environment, WARNING, "logStatusWarning", "this FMU was compiled with fused multiply-add, and contacts may "
+        "begin and end without end; compile its source with -ffp-contract=off");
   c->environment = environment;
   c->log = log;
   c->logs = logs;
@@ -478,7 +569,7 @@ EXPORT void FMI(fmi3FreeInstance)(Instance *c) { free(c); }
 EXPORT Status FMI(fmi3EnterInitializationMode)(Instance *c, bool has_tolerance, double tolerance, double t,
                                                 bool has_stop, double stop) {
   (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
-  if (c->now.mode != INSTANTIATED || !isfinite(t)) {
+  if (c->now.mode != INSTANTIATED || !is_finite(t)) {
     say(c, ERROR, "fmi3EnterInitializationMode: not now, or a start time that is not finite");
     return ERROR;
   }
@@ -493,7 +584,7 @@ EXPORT Status FMI(fmi3ExitInitializationMode)(Instance *c) {
   if (!start(c)) return ERROR;
   if (!is_sound(c, c->now.t, c->now.y, false, ERROR)) return ERROR;
   c->now.mode = c->is_model_exchange ? EVENT_MODE : STEPPING;
-  return OK;
+  return c->now.is_start_changed ? WARNING : OK;
 }
 
 EXPORT Status FMI(fmi3Terminate)(Instance *c) {
@@ -548,7 +639,7 @@ EXPORT Status FMI(fmi3GetFloat64)(Instance *c, const Reference refs[], size_t n,
       has_indicators = true;
       values[i] = indicators[r - FIRST_INDICATOR];
     }
-    if (!isfinite(values[i])) {
+    if (!is_finite(values[i])) {
       say(c, ERROR, "the variable with the value reference %u is not finite at t = %.9g s", (unsigned)r, t);
       return ERROR;
     }
@@ -648,7 +739,7 @@ EXPORT Status FMI(fmi3DoStep)(Instance *c, double t, double step, bool no_set_st
   *event_needed = *terminate = *early_return = false;
   *last_time = c->now.t;
   if (c->is_model_exchange || c->now.mode != STEPPING) return ERROR;
-  if (!(step > 0) || !isfinite(step) || !(fabs(t - c->now.t) <= 1e-9 * fmax(step, fabs(t)))) {
+  if (!(step > 0) || !is_finite(step) || !(fabs(t - c->now.t) <= 1e-9 * fmax(step, fabs(t)))) {
     say(c, ERROR, "fmi3DoStep from %.17g s by %.17g s: the FMU stands at %.17g s, and steps must be positive", t, step,
         c->now.t);
     return ERROR;
@@ -707,7 +798,7 @@ EXPORT Status FMI(fmi3CompletedIntegratorStep)(Instance *c, bool no_set_state, b
 }
 
 EXPORT Status FMI(fmi3SetTime)(Instance *c, double t) {
-  if (!isfinite(t)) return ERROR;
+  if (!is_finite(t)) return ERROR;
   c->now.t = t;
   return OK;
 }

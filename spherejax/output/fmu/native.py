@@ -11,6 +11,7 @@ import sys
 import tempfile
 import uuid
 import zipfile
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -23,19 +24,24 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.scalar.c_source import PRELUDE
 from spherejax.foundations.scalar.graph import NotScalarizable
 from spherejax.model.scene import Scene
-from spherejax.model.system import System
+from spherejax.model.system import System, flatten_system
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
-from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS
-from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances
+from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS, as_ideal
+from spherejax.motion.start.positions import FAR_TURNED, far_distance
+from spherejax.motion.start.tolerances import ABSOLUTE_SHARE, component_tolerances, length_scale
+from spherejax.motion.start.velocities import NOTICEABLE
 from spherejax.output.fmu.description import DefaultExperiment, Kinds, description
 from spherejax.output.fmu.ports import Port, Ports
 from spherejax.output.fmu.programs import Written, n_crossings, written
 from spherejax.output.search_path import program_on_path
 
-OPTIONS = ("-std=c11", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wno-unused-function")
-"""No -ffast-math: the order of the arithmetic is that of the scalar program."""
+OPTIONS = (
+    "-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wno-unused-function"
+)  # fmt: skip
+"""No -ffast-math, and no fused multiply-add: the order and the roundings of the arithmetic are those of the scalar
+program."""
 
 LANDING_WINDOW = 1e-9
 """Steps end within this of a contact's surface, in its crossing function, as in `motion/solvers/landing.py`."""
@@ -111,6 +117,7 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Def
     relative, absolute = (np.broadcast_to(np.asarray(x), (layout.size,)) for x in (tolerances.rtol, tolerances.atol))
     limits = limits_of(system, experiment.rtol, diffrax.Dopri8())
     method = diffrax.Dopri8() if explicit is None else explicit
+    ideal = flatten_system(as_ideal(system))
     tableau: Any = method.tableau
     # Of two estimates of the error the one of the higher order is taken alone: it is never less than both together.
     n_stages = n_stages_of_end(tableau)
@@ -119,6 +126,8 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Def
         "N_INPUTS": len(ports.inputs),
         "N_STATES": layout.size,
         "N_CONTINUOUS": layout.work_start,
+        "N_BODIES": layout.n_bodies,
+        "IS_DRIVEN": int(system.is_driven),
         "N_START": layout.memory_start,
         "N_MEMORY": layout.n_memory,
         "N_OUTPUTS": len(ports.outputs),
@@ -144,14 +153,18 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Def
         "ENERGY_SHARE": limits.energy,
         "LEAST_ENERGY": limits.least,
         "DRIFT_SHARE": CONSTRAINT_SHARE,
+        "FAR": far_distance(system, *ideal),
+        "FAR_TURNED": FAR_TURNED,
+        "NOTICEABLE": NOTICEABLE,
+        "RADIUS": float(length_scale(ideal[0].system(ideal[1]))),
     }
-    names = ", ".join(f'"{port.name}"' for port in ports.values) or '""'
     lines = [
         "/* Written by spherejax: the equations of one mechanism as straight-line programs. */",
         PRELUDE,
         *(f"#define {name} {value}" for name, value in sizes.items()),
         *(f"#define {name} {_number(value)}" for name, value in levels.items()),
-        f"static const char *value_names[] = {{{names}}};",
+        _texts("value_names", [port.name for port in ports.values]),
+        _texts("body_names", list(system.bodies)),
         _array("start_values", [port.start for port in ports.values]),
         _array("relative", relative),
         _array("absolute", absolute),
@@ -226,6 +239,18 @@ def _build_description(identifier: str) -> str:
 
 
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
+
+
+def _texts(name: str, texts: Sequence[str]) -> str:
+    """An array of texts: a name in a scene may have a quote, which would end a text of C and begin code."""
+    quoted = ", ".join(_quoted(text) for text in texts) or '""'
+    return f"static const char *{name}[] = {{{quoted}}};"
+
+
+def _quoted(text: str) -> str:
+    """A text of C: bytes other than plain letters in octal, always three digits; `?` too, because of trigraphs."""
+    plain = set(range(32, 127)) - set(b'"\\?')
+    return '"' + "".join(chr(byte) if byte in plain else f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
 def _array(name: str, values: Any) -> str:

@@ -74,6 +74,7 @@ def written(scene: Scene, ports: Ports) -> Written:
         "newton_step": of(newton_step, n_start, True),
         "velocities": of(consistent_velocities, n_start, True),
         "gaps": of(_gap, n_start, True),
+        "open_gap": of(_open_gap if system.is_driven else _nothing, n_start, True),
         "first_memory": of(_first_memory, size),
         "rate": of(state_rate, size),
         "crossing": of(_crossing, size),
@@ -137,6 +138,13 @@ def _gap(system: System, t, y) -> Any:
         return largest
     unmet = unmet_demands(system, t, y)
     return jnp.maximum(largest, jnp.where(unmet > UNMET_TOLERANCE, unmet, 0.0))
+
+
+def _open_gap(system: System, t, y) -> Any:
+    """The largest residual of the joints that no driver moves [m or rad]."""
+    gaps = assembly_residuals(system, t, y)
+    kept = [jnp.abs(gap) for name, gap in gaps.items() if not system.joints[name].is_driven]
+    return jnp.max(jnp.concatenate([jnp.zeros(1), *kept]))
 
 
 def _crossing(system: System, t, y) -> Any:

@@ -72,9 +72,14 @@ class SceneSlave(Fmi3SlaveBase, CoSimulation):
         theta, _ = self.pieces.theta_at(np.array(self.values))
         return np.asarray(program.compute(np.asarray(theta), self.time, self.y))
 
+    def _start(self) -> None:
+        self.y = self.pieces.start(self.time, np.array(self.values))
+        for change in self.pieces.changes:
+            self.log(change, Fmi3Status.warning)
+
     def exit_initialization_mode(self) -> None:
         """Close the joints; errors say which cannot be, and which number is not legal."""
-        self.y = self.pieces.start(self.time, np.array(self.values))
+        self._start()
         self._has_begun = True
 
     def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
@@ -82,7 +87,7 @@ class SceneSlave(Fmi3SlaveBase, CoSimulation):
         if not self._has_stepped and current_time != self.time:
             # pythonfmu3 does not hand on the start time: it is that of the first step.
             self.time = current_time
-            self.y = self.pieces.start(self.time, np.array(self.values))
+            self._start()
         if abs(current_time - self.time) > 1e-9 * max(step_size, abs(current_time)):
             self.log(f"the FMU stands at {self.time!r} s, not at {current_time!r} s", Fmi3Status.error)
             return Fmi3StepResult(status=Fmi3Status.error)

@@ -137,7 +137,7 @@ def write_animation(
             if palette is not None:
                 _write_gif(frames, palette, draft, seconds)
             else:
-                _write_mp4(frames, draft, seconds)
+                _write_mp4(frames, draft, seconds, path)
     except OSError as error:
         raise SceneError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     return path
@@ -211,8 +211,8 @@ def _write_gif(frames: Iterator[np.ndarray], palette: Palette, path: Path, secon
     first.save(path, save_all=True, append_images=images, duration=round(1000 * seconds), loop=0, optimize=False)
 
 
-def _write_mp4(frames: Iterator[np.ndarray], path: Path, seconds: float) -> None:
-    """Raw frames through a pipe into ffmpeg."""
+def _write_mp4(frames: Iterator[np.ndarray], path: Path, seconds: float, shown: Path) -> None:
+    """Raw frames through a pipe into ffmpeg; an error names the path that is shown."""
     first = _even(next(frames))
     height, width = first.shape[:2]
     command = [
@@ -232,7 +232,7 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, seconds: float) -> None
             pass  # ffmpeg has stopped; what it says follows
         words = " ".join(process.stderr.read().decode(errors="replace").split())
     if process.returncode:
-        raise SceneError(f"ffmpeg cannot write {str(path)!r}: {words[-300:]}; or write a GIF (.gif)")
+        raise SceneError(f"ffmpeg cannot write {str(shown)!r}: {words[-300:]}; or write a GIF (.gif)")
 
 
 def _even(frame: np.ndarray) -> np.ndarray:
