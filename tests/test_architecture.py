@@ -92,8 +92,8 @@ def test_rooms_of_motion_follow_the_run():
     assert between_rooms("motion", ROOMS) == []
 
 
-ROOMS_OF_FILES = ["paths", "numbers", "fields", "scenes", "robots"]
-"""Of `files`: how one is written, what a number is, an argument, a scene; robot descriptions beside it."""
+ROOMS_OF_FILES = ["paths", "fields", "scenes", "robots"]
+"""Of `files`: how one is written, an argument, a scene; robot descriptions beside it."""
 
 
 def test_rooms_of_files_go_from_numbers_to_scenes():

@@ -232,5 +232,5 @@ def test_a_store_that_runs_code_is_not_loaded(tmp_path):
     described = json.loads((path / "x" / ".zarray").read_text())
     described |= {"filters": [{"id": "pickle", "protocol": 5}], "dtype": "|O"}
     (path / "x" / ".zarray").write_text(json.dumps(described))
-    with pytest.raises(sj.SceneError, match="pickle, which runs code"):
+    with pytest.raises(sj.SceneError, match="stored as pickles, which may be code"):
         sj.load(path)

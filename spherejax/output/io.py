@@ -1,6 +1,5 @@
 """Files: netCDF, Zarr, HDF5 and CSV of data sets, read back by any tool that knows these formats."""
 
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,44 +87,13 @@ def load(path: str | os.PathLike) -> "xarray.Dataset":
             "read a CSV file with any table reader"
         )
     try:
-<<<<<<< HEAD
-        if path.suffix == ".nc":
-            return xarray.load_dataset(path, engine="h5netcdf")
-        if path.suffix == ".zarr":
-            _check_codecs(path)
-            return xarray.load_dataset(path, engine="zarr")
-        return read_hdf5(path)
-    except (OSError, ValueError, KeyError) as error:
-=======
         if path.suffix == ".zarr":
             check_store_is_whole(path)
             return unescaped(xarray.load_dataset(path, engine="zarr"))
         check_hdf5_is_whole(path)
         return unescaped(xarray.load_dataset(path, engine="h5netcdf") if path.suffix == ".nc" else read_hdf5(path))
     except (OSError, ValueError, KeyError, RuntimeError) as error:
->>>>>>> e0debc5 (Files are whole or not there, hold every name that a scene can have, and their own numbers alone)
         raise SceneError(f"{str(path)!r} is no readable file of this kind ({kind}): {error}") from error
-
-
-def _check_codecs(path: Path) -> None:
-    """Raise `SceneError` for a Zarr store whose values are pickles, which may be code that is run when they are read.
-
-    numcodecs refuses them itself only in its newest versions.
-    """
-    for file in (each for name in (".zarray", ".zmetadata", "zarr.json") for each in path.rglob(name)):
-        if _names_pickle(json.loads(file.read_bytes())):
-            raise SceneError(
-                f"{str(path)!r}: {str(file.relative_to(path))!r} says that values are stored as pickles, which may be "
-                "code; load does not read them. Write the store anew with numbers and texts alone"
-            )
-
-
-def _names_pickle(metadata: Any) -> bool:
-    """Whether a codec of a Zarr store's metadata is `pickle`, at whatever depth."""
-    if isinstance(metadata, dict):
-        named = metadata.get("id"), metadata.get("name")  # versions 2 and 3
-        return "pickle" in named or "numcodecs.pickle" in named or any(map(_names_pickle, metadata.values()))
-    return isinstance(metadata, list) and any(map(_names_pickle, metadata))
 
 
 def _dataset(result: Any) -> "xarray.Dataset":

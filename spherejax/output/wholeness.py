@@ -51,7 +51,8 @@ def _address(group: Any) -> tuple[int, int]:
 def check_store_is_whole(path: Path) -> None:
     """Raise `ValueError` where a Zarr store takes bytes from elsewhere, or names a codec that runs code.
 
-    A symbolic link in it gives bytes of another file as numbers; the codec `pickle` runs what its bytes say.
+    A symbolic link in it gives bytes of another file as numbers. Pickles may be code that is run when they are read;
+    numcodecs refuses them itself only in its newest versions.
     """
     for entry in _entries(path):
         if entry.is_symlink():
@@ -59,7 +60,10 @@ def check_store_is_whole(path: Path) -> None:
         if entry.name in (".zarray", ".zmetadata", "zarr.json"):
             text = Path(entry.path).read_text(encoding="utf-8")
             if _names_pickle(json.loads(text)):
-                raise ValueError(f"{os.path.relpath(entry.path, path)!r} names the codec pickle, which runs code")
+                raise ValueError(
+                    f"{os.path.relpath(entry.path, path)!r} says that values are stored as pickles, which may be code; "
+                    "write the store anew with numbers and texts alone"
+                )
 
 
 def _entries(folder: Path | str) -> Iterator[os.DirEntry[str]]:

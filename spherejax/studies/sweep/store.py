@@ -249,12 +249,8 @@ def opened(path: Path, mode: Any = "r+") -> Any:
     import zarr
 
     try:
-<<<<<<< HEAD
-        group = zarr.open_group(path, mode=mode, zarr_format=3)  # version 2 knows pickles, which are code
-=======
         check_store_is_whole(path)
-        group = zarr.open_group(path, mode=mode)
->>>>>>> e0debc5 (Files are whole or not there, hold every name that a scene can have, and their own numbers alone)
+        group = zarr.open_group(path, mode=mode, zarr_format=3)  # version 2 knows pickles, which are code
         is_store = group.attrs.get("mark") == MARK and {"identity", "chunk_size", "grid_shape"} <= set(group.attrs)
     except Exception as error:
         raise SceneError(f"{str(path)!r} exists and is no store of a sweep ({error}); choose another path") from error
