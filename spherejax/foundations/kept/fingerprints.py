@@ -11,12 +11,15 @@ import dis
 import enum
 import functools
 import hashlib
+import os
 import re
 import site
 import sys
 import sysconfig
 import types
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,7 +62,8 @@ def program_fingerprint(function: Callable, *examples: Any) -> Traced:
     words = _Words()
     words.program(closed.jaxpr, closed.consts)
     words.value([(each.shape, str(each.dtype)) for each in jax.tree.leaves(shapes)])
-    return Traced(words.fingerprint, words.is_bound)
+    fingerprint = words.fingerprint  # to the end, before anything else is known
+    return Traced(fingerprint, words.is_bound)
 
 
 def value_fingerprint(value: Any) -> str:
@@ -77,15 +81,17 @@ def known_fingerprint(value: Any) -> str | None:
     words = _Words(is_known_only=True)
     try:
         words.value(value)
-    except _ForeignError:
+        fingerprint = words.fingerprint
+    except (_ForeignError, RecursionError):  # the latter in a text that an object makes of itself
         return None
-    return None if words.is_bound else words.fingerprint
+    return None if words.is_bound else fingerprint
 
 
 def own_parts(value: Any) -> tuple:
     """Classes, functions and objects in a value that no version tells: code of a user's own, not looked into."""
     words = _Words(is_collecting=True)
     words.value(value)
+    words.finish()
     return tuple(words.foreign.values())
 
 
@@ -114,8 +120,19 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
+MOST = 10_000
+"""Functions and classes of a user's own that are looked into for one fingerprint: a package of some size has fewer.
+
+Beyond that, what is looked into is no code of a user's own but a library that nobody has installed."""
+
+
 class _Words:
-    """Words that are hashed one after the other."""
+    """Words that are hashed one after the other.
+
+    An object within another one is hashed as a number, and looked into when the one around it is finished. So the depth
+    of calls is that of one object's own parts, however deep objects lie in each other, and however long a chain of
+    functions is that look each other up.
+    """
 
     def __init__(
         self,
@@ -131,10 +148,19 @@ class _Words:
         self.is_bound = False
         self.foreign: dict[int, Any] = {}  # what no version tells, where that is collected
         self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
+        self._waiting: deque[Any] = deque()
+        self._n_looked_into = 0
+        self._around: frozenset[int] = frozenset()  # sets in which this is a part
 
     @property
     def fingerprint(self) -> str:
+        self.finish()
         return self._hash.hexdigest()[:32]
+
+    def finish(self) -> None:
+        """Look into all objects that were met."""
+        while self._waiting:
+            self._composed(self._waiting.popleft())
 
     def _meets(self, is_foreign: bool, value: Any) -> bool:
         """Note what no version tells; whether it is not to be looked into."""
@@ -207,11 +233,11 @@ class _Words:
             self.word(_name_of(type(value)), value.name)
         elif isinstance(value, types.ModuleType):
             self.word("module", value.__name__)
-        elif id(value) in self._met:
-            self.word("met", self._met[id(value)][0])
         else:
-            self._met[id(value)] = (len(self._met), value)
-            self._composed(value)
+            if id(value) not in self._met:
+                self._met[id(value)] = (len(self._met), value)
+                self._waiting.append(value)
+            self.word("met", self._met[id(value)][0])
 
     def _composed(self, value: Any) -> None:
         if isinstance(value, Mapping):
@@ -220,7 +246,8 @@ class _Words:
                 self.value(key)
                 self.value(value[key])
         elif isinstance(value, set | frozenset):
-            self.word(type(value).__name__, *sorted(self._alone(each) for each in value))
+            around = self._around | {id(value)}
+            self.word(type(value).__name__, *sorted(self._alone(each, around) for each in value))
         elif isinstance(value, tuple | list | np.ndarray):
             self.word(type(value).__name__, len(value))
             for each in value:
@@ -242,12 +269,22 @@ class _Words:
         else:
             self._object(value)
 
-    def _alone(self, value: Any) -> str:
-        """The fingerprint of a part, whatever came before it."""
-        words = _Words(self._is_known_only)
+    def _alone(self, value: Any, around: frozenset[int]) -> str:
+        """The fingerprint of a part of a set, whatever came before it."""
+        words = _Words(
+            self._is_known_only,
+            is_collecting=self._is_collecting,
+            is_of_code=self._is_of_code,
+            with_state=self._with_state,
+        )
+        words.foreign, words._n_looked_into = self.foreign, self._n_looked_into
+        # A function in a set may look up that set.
+        words._around, words._met = around, {each: (-1, None) for each in around}
         words.value(value)
+        fingerprint = words.fingerprint
         self.is_bound |= words.is_bound
-        return words.fingerprint
+        self._n_looked_into = words._n_looked_into
+        return fingerprint
 
     def _object(self, value: Any) -> None:
         if hasattr(type(value), "told_by"):  # it knows better than its fields
@@ -288,8 +325,9 @@ class _Words:
 
     def _class(self, kind: type) -> None:
         self.word("class", _name_of(kind))
-        if self._meets(not _is_versioned(kind.__module__), kind) or is_installed(kind.__module__, None):
+        if self._meets(not _is_versioned(kind.__module__), kind) or self._is_told(kind.__module__, None):
             return
+        self._look_into()
         self.value([base for base in kind.__bases__ if base is not object])
         own = {name: each for name, each in vars(kind).items() if not name.startswith("__") or name == "__call__"}
         own = {name: each for name, each in own.items() if not name.startswith("_abc")}
@@ -303,11 +341,12 @@ class _Words:
     def _function(self, function: types.FunctionType) -> None:
         if self._meets(not _is_versioned(function.__module__), function):
             return
-        if is_installed(function.__module__, function.__code__.co_filename):
+        if self._is_told(function.__module__, function.__code__.co_filename):
             self.word("function", _name_of(function))
             if _top(function.__module__) == _OWN:
                 self._closed_over(function)
             return
+        self._look_into()
         self._code(function.__code__, function.__doc__)
         self._closed_over(function)
         assigned = _assigned_in(function.__code__) if self._is_of_code else frozenset()
@@ -318,6 +357,26 @@ class _Words:
             self.word(name)
             if name not in assigned:
                 self._used(used)
+
+    def _is_told(self, module: str | None, file: str | None) -> bool:
+        """Whether code is told by its name: that of Python, and of packages.
+
+        Raises:
+            _ForeignError: for a package of `VERSIONED` that is not installed, such as a checkout of JAX, where versions
+                shall tell: its version does not. Within a process it stays what it is.
+        """
+        if is_installed(module, file):
+            return True
+        if not (_is_versioned(module) and _is_in_package(module, file)):
+            return False
+        if self._is_known_only:
+            raise _ForeignError
+        return True
+
+    def _look_into(self) -> None:
+        self._n_looked_into += 1
+        if self._n_looked_into > MOST:
+            raise RuntimeError(f"more than {MOST:,} functions and classes are looked up")
 
     def _closed_over(self, function: types.FunctionType) -> None:
         self.value([function.__defaults__, function.__kwdefaults__])
@@ -431,7 +490,45 @@ def is_installed(module: str | None, file: str | None) -> bool:
     if top == _OWN or top in sys.builtin_module_names or top in sys.stdlib_module_names:
         return top != "__main__"
     file = file or getattr(sys.modules.get(module or ""), "__file__", None)
-    return file is not None and (file.startswith(("<frozen", *_installed_folders())))
+    if file is None or file.startswith(("<frozen", *_installed_folders())):
+        return file is not None
+    return not file.startswith("<") and _is_distributed(file, tuple(sys.path))
+
+
+@functools.lru_cache(maxsize=4096)
+def _is_distributed(file: str, path: tuple[str, ...]) -> bool:
+    """Whether a file belongs to a package that an installer has put into a folder of the search path.
+
+    So packages of a cluster's modules (PYTHONPATH), of `pip install --target` and of `uv run --with` are known, which
+    are in none of the interpreter's own folders. A user's modules may lie beside them: only what a distribution lists
+    is installed.
+    """
+    for entry in path:
+        folder = os.path.join(os.path.abspath(entry), "")
+        if file.startswith(folder):
+            if os.path.basename(folder[:-1]) in ("site-packages", "dist-packages"):
+                return True
+            if file[len(folder) :].split(os.sep)[0] in _distributed_in(folder):
+                return True
+    return False
+
+
+@functools.lru_cache(maxsize=64)
+def _distributed_in(folder: str) -> frozenset[str]:
+    """Folders and files of distributions that were installed into a folder.
+
+    Those have a list of their files, `RECORD`. A project that its developer has installed (`pip install -e`) has none
+    in its own folder, where `egg-info` lies: its code changes, and its version does not.
+    """
+    listed = (distribution.read_text("RECORD") or "" for distribution in distributions(path=[folder]))
+    # A line is a path, a hash and a size; paths have slashes on all systems.
+    return frozenset(line.split(",")[0].split("/")[0].strip('"') for text in listed for line in text.splitlines())
+
+
+def _is_in_package(module: str | None, file: str | None) -> bool:
+    """Whether the file of a function lies within its module's package: not where `functools.wraps` has lent a name."""
+    folders = getattr(sys.modules.get(_top(module)), "__path__", None)
+    return file is None or any(file.startswith(os.path.join(folder, "")) for folder in folders or ())
 
 
 def _name_of(value: Any) -> str:

@@ -3,8 +3,8 @@
 A thing is found again by a key over everything that it was made from: the arguments, the sources of this package, the
 versions of what it stands on, and the settings of JAX. Where that cannot be told for certain nothing is kept, and the
 thing is made anew as if there were no store: code of a user's own is part of it, a function of this package has been
-replaced, or a source file has changed since the process began. What others patch in JAX is not seen: set
-`SPHEREJAX_CACHE=0` then.
+replaced, a source file has changed since the process began, or a package is not an installed one. What others patch in
+JAX is not seen: set `SPHEREJAX_CACHE=0` then.
 
 Whatever is wrong with the folder (damaged files, a full disk, no permission), a run does not notice. A file is written
 beside its place and moved there, so that processes may share the folder. A file holds a hash of its key and its
@@ -137,13 +137,18 @@ def _sources() -> tuple[Path, ...]:
 
 def _package() -> str | None:
     """This package as it is, and what it stands on; None where that cannot be told. It takes 5 ms each time."""
-    constants = None if _has_changed() else _constants()
+    constants = None if _has_changed() or not _are_versions_true() else _constants()
     return None if constants is None else f"{_code()}\0{constants}"
 
 
 def _has_changed() -> bool:
     """Whether what is on disk may be something else than what was imported."""
     return any(file.stat().st_mtime >= _began for file in _sources())
+
+
+def _are_versions_true() -> bool:
+    """Whether packages that versions tell are installed: a checkout of JAX changes, and its version does not."""
+    return all(is_installed(name, None) for name in VERSIONED if name in sys.modules)
 
 
 @lru_cache(maxsize=1)
