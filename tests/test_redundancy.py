@@ -116,3 +116,15 @@ def test_the_mark_of_reactions_is_in_files_and_reports(tmp_path):
     assert sj.load(tmp_path / "door.nc")["reaction"].attrs["not_unique_for"] == "high, low"
     run.report(tmp_path / "door.html")
     assert "Reactions of joints high, low are not unique" in (tmp_path / "door.html").read_text()
+
+
+def test_a_sweep_marks_reactions_that_are_not_unique():
+    def build(mass):
+        scene = door(HIGH)
+        leaf = sj.Body(mass, (1.0, 1.0, 1.0), (0.5, 0.0, 1.0))
+        return sj.Scene({"door": leaf}, scene.joints)
+
+    kept = sj.sweep(build, {"mass": [1.0, 2.0]}, np.array([0.0, 0.01]), record=["peak reaction.low"], progress=False)
+    assert kept.attrs["not_unique_for"] == "low"
+    other = sj.sweep(build, {"mass": [1.0, 2.0]}, np.array([0.0, 0.01]), record=["final position.door"], progress=False)
+    assert "not_unique_for" not in other.attrs

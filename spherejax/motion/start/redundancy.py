@@ -94,12 +94,29 @@ def constraint_report(scene: Scene, t: float = 0.0) -> ConstraintReport:
     Raises:
         SceneError: for a scene that cannot be simulated, or whose numbers are traced.
     """
+    return report_at(*_assembled(scene, t, "constraint_report"))
+
+
+def _assembled(scene: Scene, t: float, asker: str) -> tuple[System, float, Float[np.ndarray, " size"]]:
+    """The system, the time, and the state at which the joints close."""
     system = compile_scene(scene).system
     structure, theta = flatten_system(as_ideal(system))
     if not is_concrete(theta):
-        raise SceneError("constraint_report looks at numbers; call it outside jit, vmap and grad")
-    y = np.asarray(assemble_now(structure, theta, t).y)
-    return report_at(system, t, y)
+        raise SceneError(f"{asker} looks at numbers; call it outside jit, vmap and grad")
+    return system, t, np.asarray(assemble_now(structure, theta, t).y)
+
+
+def undetermined_reactions_of(scene: Scene, t: float = 0.0) -> dict[str, tuple[Literal["force", "moment"], ...]]:
+    """As `undetermined_reactions`, of a scene at its assembled start.
+
+    Args:
+        scene: the scene, with concrete numbers.
+        t: time of the start [s], for drivers.
+
+    Raises:
+        SceneError: as `constraint_report`.
+    """
+    return undetermined_reactions(*_assembled(scene, t, "undetermined_reactions_of"))
 
 
 def report_at(system: System, t: float, y: Float[np.ndarray, " size"]) -> ConstraintReport:

@@ -12,12 +12,15 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
+from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.integration.lanes import Block
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.runs.known_builds import Build, known_build
 from spherejax.motion.runs.many import method_for, warn_of_starts, with_sensitivities
+from spherejax.motion.results.dataset import NOT_UNIQUE
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
+from spherejax.motion.start.redundancy import undetermined_reactions_of
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import ChunkWork
 from spherejax.studies.sweep.crew import crew_for, default_workers, work_off
@@ -88,7 +91,8 @@ def sweep(
 
     Returns:
         A data set with the parameters as coordinates, what was asked for, and each run's `status`, `t_reached`,
-        `n_steps` and `n_rejected`; the attributes tell lane efficiency, seconds, failures, methods and versions.
+        `n_steps` and `n_rejected`; the attributes tell lane efficiency, seconds, failures, methods and versions, and in
+        `not_unique_for` joints of which a reaction is kept that the motion does not determine.
 
     Raises:
         SceneError: for a request that cannot be simulated, before anything is computed: among them a store that another
@@ -124,7 +128,7 @@ def sweep(
         workers = workers or default_workers()
         size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
         work = ChunkWork(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
-        facts = provenance(example, grid, method, times, wanted)
+        facts = {**provenance(example, grid, method, times, wanted), **_marks(example, wanted, float(times[0]))}
         results = Results(grid, work, path, facts, identity_of(build, grid, wanted))
         with reporting(progress, grid.n_runs) as report:
             work_off(results, crew_for(results, workers, executor), report)
@@ -150,6 +154,21 @@ def _some_runs(grid: Grid, n: int = 4) -> dict[str, Float[np.ndarray, " n"]]:
     """Runs that stand for all: the first, the last, and some in between."""
     rows = [grid.row(run) for run in sorted({(grid.n_runs - 1) * k // (n - 1) for k in range(n)})]
     return {name: np.array([row[name] for row in rows]) for name in grid.names}
+
+
+def _marks(example: Scene, wanted: Record, t: float) -> dict[str, str]:
+    """Which reactions that are kept the motion does not determine, as an attribute of the result; none where all are.
+
+    Of the first run: redundancy belongs to the structure, which all runs share.
+    """
+    quantities = [kept.quantity for kept in ((one.inner or one) for one in wanted.kept) if kept.quantity is not None]
+    parts = {"reaction": "force", "reaction_moment": "moment"}
+    asked = [(quantity.owner, parts[quantity.kind]) for quantity in quantities if quantity.kind in parts]
+    if not asked:
+        return {}
+    undetermined = undetermined_reactions_of(example, t)
+    names = dict.fromkeys(str(joint) for joint, part in asked if part in undetermined.get(str(joint), ()))
+    return {"not_unique_for": ", ".join(names), "comment": NOT_UNIQUE} if names else {}
 
 
 def _check_names(grid: Grid, wanted: Record) -> None:
