@@ -38,7 +38,7 @@ def panda() -> Path:
 
 def measured(control: str) -> dict[str, object]:
     """The row of this process."""
-    scene = sj.load_urdf(panda(), base="ground", ignore=("friction", "mimic"), drift=CONTROLS[control])
+    scene = sj.load_urdf(panda(), base="ground", ignore=("friction", "mimic", "extensions"), drift=CONTROLS[control])
 
     def run():
         return jax.block_until_ready(sj.simulate(scene, TS, rtol=1e-8).ys)

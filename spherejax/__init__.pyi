@@ -2,6 +2,7 @@
 
 from . import gallery, plot, priors, runtime
 from .files import SceneFile, SimulationSettings, load_mjcf, load_scene, load_urdf, read_scene_file, save_scene
+from .files.robots.urdf_left_out import RobotWarning
 from .foundations.checks import Requirement
 from .foundations.errors import SceneError
 from .foundations.scalar.graph import NotScalarizable
@@ -307,6 +308,7 @@ __all__ = [
     "RigStatus",
     "RigWarning",
     "Rim",
+    "RobotWarning",
     "Rodas4P",
     "Rodas5P",
     "Ros34PW2",

@@ -102,7 +102,7 @@ def test_accelerations_are_those_of_the_articulated_body_algorithm(path, base):
     model = pin.buildModelFromUrdf(str(path), *([pin.JointModelFreeFlyer()] if free else []))
     q, v, start = random_state(pin, model, free, np.random.default_rng(0))
     mended = MENDED.get(path.name, {})
-    left_out = ("friction", "mimic")
+    left_out = ("friction", "mimic", "extensions")
     scene = sj.load_urdf(path, base=base, ignore=left_out, drift=sj.NoDriftControl(), **start, **mended)
     frames = frames_by_body(pin, model)
     for name, body in scene.bodies.items() if mended else ():

@@ -41,7 +41,6 @@ ROBOT = """<?xml version="1.0"?>
     <origin xyz="0.02 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>
   <joint name="mount" type="fixed"><parent link="load"/><child link="camera"/><origin xyz="0 0 0.01"/></joint>
   <transmission name="t"><type>simple</type></transmission>
-  <gazebo reference="cart"><mu1>0.2</mu1></gazebo>
 </robot>
 """
 

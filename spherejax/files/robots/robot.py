@@ -9,6 +9,7 @@ as "ground_link", for the ground is the body that does not move.
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,8 +81,26 @@ class Edge(NamedTuple):
     second: np.ndarray | None = None
 
 
+class Loop(NamedTuple):
+    """A joint between two links of the tree, which closes a loop.
+
+    Attributes:
+        kind: spherical, revolute, prismatic, cylindrical or fixed.
+        links: names of the two.
+        places: of the joint on each, in its axes [m].
+        quaternions: of the joint's axes in those of each link.
+        axis: unit vector in the joint's axes.
+    """
+
+    kind: str
+    links: tuple[str, str]
+    places: tuple[np.ndarray, np.ndarray]
+    quaternions: tuple[np.ndarray, np.ndarray]
+    axis: np.ndarray
+
+
 class Robot(NamedTuple):
-    """A tree of links.
+    """A tree of links, and loops in it.
 
     Attributes:
         path: the file.
@@ -89,6 +108,7 @@ class Robot(NamedTuple):
         edges: joints by name, parents first.
         base: name of the link without a parent.
         loader: the function that users call, for remedies.
+        loops: joints that close loops, by name.
     """
 
     path: Path
@@ -96,6 +116,7 @@ class Robot(NamedTuple):
     edges: dict[str, Edge]
     base: str
     loader: str = "load_urdf"
+    loops: Mapping[str, Loop] = MappingProxyType({})
 
 
 class LinkPose(NamedTuple):
@@ -219,7 +240,7 @@ def base_of(path: Path, links: Mapping[str, Link], edges: Mapping[str, Edge]) ->
         if edge.child in parents:
             raise SceneError(
                 f"{path}: link {edge.child!r} has two parents, joints {parents[edge.child]!r} and {name!r}: URDF is a "
-                "tree; leave one joint out, write the scene file, and add the loop's joint there"
+                "tree; write one of them as a <loop_joint>, which closes a loop"
             )
         parents[edge.child] = name
     bases = [name for name in links if name not in parents]

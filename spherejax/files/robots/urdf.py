@@ -23,6 +23,8 @@ from spherejax.files.robots.robot_bodies import groups_of
 from spherejax.files.robots.robot_joints import Ways
 from spherejax.files.robots.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
 from spherejax.files.robots.urdf_elements import read_robot
+from spherejax.files.robots.urdf_left_out import EXTENSIONS
+from spherejax.files.robots.urdf_loops import closed, loop_joints
 from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene
@@ -30,7 +32,7 @@ from spherejax.physics.bodies import GROUND, UNIT_NORM_TOLERANCE, numbers
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.orientations import as_quaternion
 
-CAN_BE_IGNORED = ("friction", "mimic", "damping")
+CAN_BE_IGNORED = ("friction", "mimic", "damping", "loops", EXTENSIONS)
 """What a description may ask for and no joint here does by itself."""
 
 
@@ -69,7 +71,14 @@ def load_urdf(
     A description says where a joint's stops are, not how stiff; how large its friction is, not what it does at rest;
     and that a joint follows another, not by what. So these three are asked for: limits are left out without `stops`;
     friction and mimic joints are errors until `friction`, `mimic` or `ignore` says what to do. Limits of velocities and
-    efforts, shapes, materials and transmissions are not read.
+    efforts, shapes, materials, transmissions, calibration and safety controllers are not read. Whatever else a file has
+    that URDF does not have is told: a warning for elements of other programs (`<gazebo>`, `<ros2_control>`), an error
+    for what would move the mechanism otherwise, or is written where every word counts (`<dynamics stiffness=...>`).
+
+    A `<loop_joint>` (of Drake and Isaac Sim: `link1` and `link2` with `link`, `xyz`, `rpy`, an `axis`, a type:
+    revolute, continuous, spherical, prismatic, cylindrical or fixed) closes a loop. Joints that are not named in
+    `positions` and not held are moved to where the loops close, which is told; its axis is the same in both ends' axes.
+    Names of a default namespace are read as plain ones.
 
     Args:
         path: the file; xacro must have been expanded.
@@ -80,7 +89,7 @@ def load_urdf(
         gravity: world axes [m/s^2].
         drift: drift control.
         ignore: what to leave out where a joint asks for it: "friction", "mimic" (joints that follow others then move by
-            themselves), "damping" (of planar and floating joints).
+            themselves), "damping" (of planar and floating joints), "loops", "extensions" (what URDF does not have).
         fixed: names of joints that are held where they are at the start, as if they were fixed ones; their velocity,
             friction and mimicry do not count.
         least_mass: given to bodies with less [kg]; as MuJoCo's boundmass.
@@ -106,9 +115,13 @@ def load_urdf(
 
     Raises:
         SceneError: naming file, link or joint, and remedy: for a link that moves and has no mass, for what a joint asks
-            for and no argument answers, for what is no tree.
+            for and no argument answers, for what is no tree, for loops that cannot be closed.
+
+    Warns:
+        RobotWarning: for what is left out, and for joints that were moved to close loops.
     """
-    robot = read_robot(Path(path).expanduser())
+    check_ignored(ignore, CAN_BE_IGNORED)
+    robot = read_robot(Path(path).expanduser(), ignore)
     positions, velocities = by_plain_name(positions), by_plain_name(velocities)
     fixed = [undotted(name) for name in fixed]
     ways = Ways(friction, by_plain_name(mimic), by_plain_name(stops), tuple(ignore))
@@ -119,6 +132,12 @@ def load_urdf(
             edges={name: e._replace(follows=None) if name in own else e for name, e in robot.edges.items()}
         )
         positions = with_followers(alone, positions, "positions")
+    if robot.loops:
+        follows = {} if "mimic" not in ignore else dict.fromkeys(robot.edges, None)
+        free = robot._replace(
+            edges={name: e._replace(follows=follows.get(name, e.follows)) for name, e in robot.edges.items()}
+        )
+        positions = closed(free, positions, [*positions, *fixed])
     robot = with_fixed(robot, fixed, positions)
     if "mimic" not in ignore:
         velocities = with_followers(robot, velocities, "velocities")
@@ -129,7 +148,8 @@ def load_urdf(
     groups = groups_of(robot, base, first)
     start = poses(robot, positions, velocities, first)
     least = least_of(least_mass, least_moment, balance_inertia)
-    return scene_of(robot, groups, start, positions, ways, least, gravity=gravity, drift=drift)
+    loops = loop_joints(robot, groups, start)
+    return scene_of(robot, groups, start, positions, ways, least, gravity=gravity, drift=drift, loops=loops)
 
 
 def _base_pose(base: str, position, quaternion, velocity, angular_velocity) -> LinkPose:
@@ -157,7 +177,6 @@ def _check(robot: Robot, base, positions: Mapping, velocities: Mapping, ignore, 
     """Names, and what no scene can hold."""
     if base not in (GROUND, "free"):
         raise SceneError(f"base = {base!r} is unknown; give 'ground' or 'free'")
-    check_ignored(ignore, CAN_BE_IGNORED)
     movable = [name for name, edge in robot.edges.items() if edge.kind in (*TURNING, *SLIDING)]
     check_names(robot, movable, positions, velocities, fixed)
 

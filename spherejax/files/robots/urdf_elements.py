@@ -1,8 +1,8 @@
 """Reading URDF: links and joints as they are written, before anything is made of them."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from spherejax.files.robots.robot import (
     TURNING,
     Edge,
     Link,
+    Loop,
     Robot,
     base_of,
     in_other_axes,
@@ -19,14 +20,14 @@ from spherejax.files.robots.robot import (
     parents_first,
     undotted,
 )
-from spherejax.foundations.errors import SceneError
+from spherejax.files.robots.urdf_left_out import EXTENSIONS, KNOWN, left_out_of, name_of, tell_left_out
+from spherejax.files.robots.urdf_loops import KINDS
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.units.number_texts import NumberError, number_in
-
-_READ = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "dynamics", "mimic", "limit")}
-"""What counts of a description; shapes, materials, transmissions and plugins do not."""
 
 _NUMERIC = {
     **dict.fromkeys(("mass", "inertia", "origin", "axis", "dynamics"), None),
+    **dict.fromkeys(("link1", "link2"), ("xyz", "rpy")),
     "mimic": ("multiplier", "offset"),
     "limit": ("lower", "upper"),
 }
@@ -37,16 +38,26 @@ _DIRECTED = (*TURNING, *SLIDING, "planar")
 """Types of joints whose axis counts: vendors write zeros for that of a fixed one."""
 
 
-def read_robot(path: Path) -> Robot:
-    """The links and joints of a URDF file.
+def read_robot(path: Path, ignore: Collection[str] = ()) -> Robot:
+    """The links, joints and loops of a URDF file.
+
+    Args:
+        path: the file.
+        ignore: what is left out on purpose: loops, extensions.
 
     Raises:
-        SceneError: with file, line and element; for a missing library.
+        SceneError: with file, line and element; for a missing library; for what would be lost.
+
+    Warns:
+        RobotWarning: for what is left out.
     """
+    root = _root(path)
+    tell_left_out(path, left_out_of(root), EXTENSIONS in ignore)
+    loops = {} if "loops" in ignore else _loops(path, root)
     links: dict[str, Link] = {}
     edges: dict[str, Edge] = {}
     written: dict[tuple[str, str], str] = {}
-    for tag, as_written, line, made, limits in _elements(path):
+    for tag, as_written, line, made, limits in _elements(path, root):
         kept: dict = links if tag == "link" else edges
         name = link_name(as_written) if tag == "link" else undotted(as_written)
         if name in kept:
@@ -61,32 +72,112 @@ def read_robot(path: Path) -> Robot:
     if not links:
         raise SceneError(f"{path}: has no link; a file that only includes others must be expanded with xacro first")
     base = base_of(path, links, edges)
-    return Robot(path, links, parents_first(path, base, edges), base)
+    for name, loop in loops.items():
+        for link in loop.links:
+            if link not in links:
+                raise SceneError(f"{path}: loop joint {name!r}: there is no link {link!r}; {one_of(links, link)}")
+        if name in edges:
+            raise SceneError(f"{path}: loop joint {name!r} has the name of a joint; rename one of them")
+    return Robot(path, links, parents_first(path, base, edges), base, loops=loops)
 
 
-def _elements(path: Path) -> Iterator[tuple[str, str, int, Any, tuple[float, float]]]:
-    """Tag, name, line, parsed object, and least and largest position of each link and joint."""
+def _library() -> tuple[Any, Any, Any]:
     try:
         from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
         from urdf_parser_py import urdf
         from urdf_parser_py.xml_reflection.core import Path as XmlPath
     except ImportError as error:
         raise SceneError(f"reading URDF needs a library: pip install 'spherejax[urdf]' ({error})") from error
+    return etree, urdf, XmlPath
+
+
+def _root(path: Path) -> Any:
+    """The element <robot>, with plain names where a default namespace is all that they have."""
+    etree, *_ = _library()
     try:
-        parser = etree.XMLParser(remove_comments=True, resolve_entities=False, no_network=True)
-        root = etree.fromstring(path.read_bytes(), parser)
+        root = _parsed(etree, path.read_bytes())
     except OSError as error:
         raise SceneError(f"cannot read {str(path)!r}: {error.strerror or error}") from error
     except etree.XMLSyntaxError as error:
         raise SceneError(f"{path}: is no XML: {error.msg}") from error
+    for node in root.iter(etree.Element):
+        name = name_of(node.tag, node.nsmap)
+        local = name.rpartition(":")[2]
+        # Drake's own elements may have its prefix; of these it is read.
+        if local == name or local in ("loop_joint", "link1", "link2"):
+            node.tag = local
     if root.tag != "robot":
         remedy = "; expand it with xacro first" if "xacro" in str(root.tag) else ""
-        raise SceneError(f"{path}:{root.sourceline}: begins with <{root.tag}>, not with <robot>{remedy}")
+        shown = name_of(root.tag, root.nsmap)
+        raise SceneError(f"{path}:{root.sourceline}: begins with <{shown}>, not with <robot>{remedy}")
+    return root
+
+
+def _parsed(etree: Any, text: bytes) -> Any:
+    how = {"remove_comments": True, "resolve_entities": False, "no_network": True}
+    parser = etree.XMLParser(**how)
+    try:
+        return etree.fromstring(text, parser)
+    except etree.XMLSyntaxError:
+        # A prefix without a declaration, as other readers of URDF take it: they know nothing of namespaces.
+        if any(entry.type_name != "NS_ERR_UNDEFINED_NAMESPACE" for entry in parser.error_log):
+            raise
+    return etree.fromstring(text, etree.XMLParser(recover=True, **how))
+
+
+def _loops(path: Path, root: Any) -> dict[str, Loop]:
+    """The <loop_joint> elements.
+
+    Raises:
+        SceneError: for one without two links, of another type, or with what is no number.
+    """
+    found: dict[str, Loop] = {}
+    for node in (each for each in root if each.tag == "loop_joint"):
+        as_written, kind = str(node.get("name")), node.get("type")
+        name, place = undotted(as_written), f"loop_joint {as_written!r}"
+
+        def fail(what: str, place: str = place, line: int = node.sourceline) -> NoReturn:
+            raise SceneError(f'{path}:{line}: {place}: {what}, or leave loops out with ignore=("loops",)')
+
+        _check_numbers(path, node, place)
+        if name in found:
+            fail(f"there are two loop joints {name!r}; rename one of them")
+        if kind not in KINDS:
+            fail(f"its type is {kind!r}; {one_of(KINDS, str(kind))}")
+        # Some exporters write <link1> twice.
+        ends = [child for child in node if child.tag in ("link1", "link2")]
+        if len(ends) != 2 or not all(end.get("link") for end in ends):
+            fail('needs a <link1 link="..."/> and a <link2 link="..."/>')
+        axes = node.findall("axis")
+        axis = _vector(axes[0].get("xyz") if axes else None, (1.0, 0.0, 0.0))
+        places = [_vector(end.get("xyz"), (0.0, 0.0, 0.0)) for end in ends]
+        angles = [_vector(end.get("rpy"), (0.0, 0.0, 0.0)) for end in ends]
+        if any(vector.shape != (3,) for vector in (axis, *places, *angles)):
+            fail("xyz and rpy are three numbers each; correct it")
+        if not np.linalg.norm(axis) > 0:
+            fail("<axis> must be a direction; give a vector that is not zero")
+        found[name] = Loop(
+            KINDS[kind],
+            (link_name(ends[0].get("link")), link_name(ends[1].get("link"))),
+            (places[0], places[1]),
+            (_turn(angles[0]), _turn(angles[1])),
+            axis / np.linalg.norm(axis),
+        )
+    return found
+
+
+def _vector(text: str | None, otherwise: tuple[float, ...]) -> np.ndarray:
+    return np.array(otherwise if text is None else [float(word) for word in text.split()], np.float64)
+
+
+def _elements(path: Path, root: Any) -> Iterator[tuple[str, str, int, Any, tuple[float, float]]]:
+    """Tag, name, line, parsed object, and least and largest position of each link and joint."""
+    etree, urdf, XmlPath = _library()
     for node in root:
-        if node.tag not in _READ:
+        if node.tag not in ("link", "joint"):
             continue
         for child in list(node):
-            if child.tag not in _READ[node.tag]:
+            if child.tag not in KNOWN[node.tag][1]:
                 node.remove(child)
         name, line = node.get("name"), node.sourceline
         _check_numbers(path, node, f"{node.tag} {name!r}")
@@ -193,10 +284,15 @@ def _edge(made: Any, limits: tuple[float, float]) -> Edge:
 
 
 def _origin(origin: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Quaternion and place of an <origin>: roll, pitch and yaw are turns about the axes x, y and z that stay."""
-    roll, pitch, yaw = (None if origin is None else origin.rpy) or (0.0, 0.0, 0.0)
+    """Quaternion and place of an <origin>."""
+    angles = (None if origin is None else origin.rpy) or (0.0, 0.0, 0.0)
     place = (None if origin is None else origin.xyz) or (0.0, 0.0, 0.0)
+    return _turn(angles), np.array(place, np.float64)
+
+
+def _turn(angles: Sequence[float] | np.ndarray) -> np.ndarray:
+    """The quaternion of roll, pitch and yaw: turns about the axes x, y and z that stay."""
     quaternion = UNTURNED
-    for axis, angle in zip(np.eye(3), (roll, pitch, yaw), strict=True):
-        quaternion = product(turn_about(axis, angle), quaternion)
-    return quaternion, np.array(place, np.float64)
+    for axis, angle in zip(np.eye(3), angles, strict=True):
+        quaternion = product(turn_about(axis, float(angle)), quaternion)
+    return quaternion
