@@ -115,7 +115,7 @@ def gap_of(loop: Loop, found: Mapping[str, LinkPose]) -> np.ndarray:
     first, second = (ends_of(loop, found[link], k) for k, link in enumerate(loop.links))
     apart = second[0] - first[0]
     axes = [turned(quaternion, loop.axis) for _, quaternion in (first, second)]
-    tilt = np.cross(*axes) + (axes[0] - axes[1]) * (axes[0] @ axes[1] < 0)  # not the other way round
+    tilt = np.cross(axes[0], axes[1]) + (axes[0] - axes[1]) * (axes[0] @ axes[1] < 0)  # not the other way round
     relative = product(first[1] * np.array([1.0, -1.0, -1.0, -1.0]), second[1])
     turn = 2 * relative[1:] * np.sign(relative[0] or 1.0)
     across = apart - (apart @ axes[0]) * axes[0]
