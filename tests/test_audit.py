@@ -134,7 +134,7 @@ def test_a_failed_audit_names_the_joint_and_the_body():
     assert found["energy"] == "the ball of joint 'socket' is 2 clearances outside"
     assert found["constraints"].startswith("joint 'hinge' gapes by 0.0")
     assert found["quaternions"] == "body 'rod'"
-    text = findings([2.0, 0.5, 3.0, 0.5], found)
+    text = findings([2.0, 0.5, 3.0, 0.5, 0.1], found)
     assert text.startswith("the energy rose by more than was put in (2 times the limit: the ball of joint 'socket'")
     assert "were violated (3 times the limit: joint 'hinge'" in text
     assert "quaternion" not in text
@@ -169,7 +169,7 @@ def test_who_pays_for_an_account_of_what_is_put_in(scene, supplied):
 
 
 LIMITS = Limits(energy=jnp.array(1e-3), least=jnp.array(1e-9), violation=jnp.array(1e-3))
-SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2)))
+SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2, 1e-6, 0.1)))
 
 
 @pytest.mark.parametrize(
@@ -180,6 +180,7 @@ SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2)))
         ("constraints", SOUND._replace(violation=jnp.asarray(2e-3))),
         ("quaternions", SOUND._replace(norm=jnp.asarray(0.1))),
         ("energy", SOUND._replace(potential=jnp.asarray(jnp.nan))),
+        ("turns", SOUND._replace(turns=jnp.asarray(1.5))),
     ],
 )
 def test_each_check_fails_on_what_it_is_for(check, wrong):
@@ -200,6 +201,7 @@ def test_each_check_fails_on_what_it_is_for(check, wrong):
         ("pressed", "a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...)"),
         ("tilt", "give the bearing its other rim"),
         ("offset", "leave e_h1 and e_h0 out"),
+        ("axes", "give the two bodies a joint about that axis"),
     ],
 )
 def test_use_beyond_a_range_is_said_and_fails_nothing(vital, remedy):

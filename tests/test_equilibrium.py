@@ -9,6 +9,7 @@ import pytest
 import spherejax as sj
 from spherejax.model.system import flatten_system
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.integrate import initial_state
 from spherejax.motion.start.equilibrium import rest_conditions
 from spherejax.motion.start.start_now import start_now
 
@@ -119,7 +120,9 @@ def loaded(joint):
 def accelerations(scene):
     """With which a run of the scene begins."""
     system = sj.compile_scene(scene).system
-    y = start_now(system, np.zeros(1)).y
+    start = start_now(system, np.zeros(1))
+    assert start is not None
+    y = initial_state(system, start)
     structure, numbers = flatten_system(system)
     return program_for(rest_conditions, structure).compute(numbers, 0.0, y)[0]
 

@@ -107,6 +107,11 @@ class System(eqx.Module):
         """Names of the force elements that sample: their memory jumps at instants of their own."""
         return tuple(slot.joint for slot in self.force_slots if is_sampled(self.forces[slot.joint]))
 
+    @property
+    def force_states(self) -> tuple[MemorySlot, ...]:
+        """Where force elements remember more than how often their angles went round."""
+        return tuple(slot for slot in self.force_slots if not all(entry.counts_turns for entry in slot.contents))
+
     def forces_with(self, memory: Float[Array, " n_memory"]) -> Mapping[str, ActingForce]:
         """The force elements, those that remember with what they remember."""
         if not self.force_slots:
@@ -205,9 +210,6 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> CompiledScene:
     forces = {name: place("force", name, scene.forces[name]) for name in sorted(scene.forces)}
     slots = _slots({name: joint.memory for name, joint in joints.items()}, 0)
     force_slots = _slots({name: memory_entries(force) for name, force in forces.items()}, _end_of(slots))
-    twice = {slot.joint for slot in slots} & {slot.joint for slot in force_slots}
-    if twice:
-        raise SceneError(f"a joint and a force element that both remember are named {min(twice)!r}; rename one of them")
     refines = _masses_are_far_apart(bodies)
     # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
     is_driven = any(joint.is_driven for joint in joints.values())
@@ -216,6 +218,9 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> CompiledScene:
     system = System(
         bodies, joints, forces, scene.gravity, scene.drift, slots, track_work, gains, refines, smallest, force_slots
     )
+    twice = {slot.joint for slot in slots} & {slot.joint for slot in system.force_states}
+    if twice:
+        raise SceneError(f"a joint and a force element that both remember are named {min(twice)!r}; rename one of them")
     return CompiledScene(system, conditions)
 
 

@@ -22,12 +22,15 @@ class MemoryEntry(NamedTuple):
         scale: what its errors are judged against: `"length"`, `"angle"`, `"speed"`, `"angular_speed"`, `"force"` or
             `"moment"` of the mechanism, or a number in its unit; see `component_tolerances`.
         lasts: whether it goes on through onsets and releases; others take the values of `memory_at_onset` there.
+        counts_turns: whether it only says in which turn an angle is, which nothing hangs on besides: no state of a
+            linearization, and no part of what has to come back in a cycle.
     """
 
     name: str
     unit: str
     scale: Scale | float
     lasts: bool = False
+    counts_turns: bool = False
 
 
 ONSET_RATE = MemoryEntry("onset_rate", "m/s", "speed")

@@ -28,13 +28,14 @@ def crossings(system: System, t: Scalar, y: Float[Array, " size"]) -> Crossing:
 
     A touch is located as a contact is, but remembers nothing; its depth [m] is the crossing function.
     """
-    motions = body_motions(system, unpack(system.layout, y))
+    state = unpack(system.layout, y)
+    motions, forces = body_motions(system, state), system.forces_with(state.memory)
     each = [
         contact.model.crossing(contact.relative_motion(motions))
         for contact in map(system.spherical, system.contact_joints)
     ]
     for name in system.touching_forces:
-        for depth, rate in system.forces[name].touches(t, motions):
+        for depth, rate in forces[name].touches(t, motions):
             each.append(Crossing(depth, rate, rate * jnp.array([1.0, 0.0, 0.0])))
     return Crossing(*(jnp.stack(parts) for parts in zip(*each, strict=True)))
 

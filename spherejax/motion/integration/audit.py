@@ -4,10 +4,12 @@
     flight      no ball is beyond its socket's surface while it counts as flying
     constraints  the constraint equations hold; friction that follows reactions agrees with them
     quaternions  have unit norm
+    turns        the angles that count turns are those of the orientations (`spherejax.physics.forces.turns`)
     conformity   surfaces are pressed in by no more than their elastic law is for, e.g. with the stiffness of Eq. 24 by
                  little against their clearance; beyond that the run goes on, and says so
     film         the offset e_h1 that keeps a film finite at the wall is small against the clearance; above a
                  twentieth of it the run goes on, and says so
+    axes         that an angle is about are not tilted against each other by half a turn, where there is none
 
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
 forces, roads that move, bristles, parts of a user's own) is integrated beside the state, and what they store does not
@@ -64,10 +66,10 @@ OUTSIDE = 1e-6
 NOT_MADE = -1.0
 """Share that says that a check is not made."""
 
-CHECKS = ("energy", "flight", "constraints", "quaternions", "conformity", "tilt", "film")
+CHECKS = ("energy", "flight", "constraints", "quaternions", "turns", "conformity", "tilt", "film", "axes")
 """What is audited, in the order of `run.stats.audit`."""
 
-WARNINGS = ("conformity", "tilt", "film")
+WARNINGS = ("conformity", "tilt", "film", "axes")
 """Checks, the last of them all, that do not fail a run: its equations are solved, but they are used out of range."""
 
 N_FATAL = len(CHECKS) - len(WARNINGS)
@@ -77,6 +79,7 @@ FINDINGS = {
     "flight": "a ball was outside its socket without contact",
     "constraints": "the joints' equations were violated",
     "quaternions": "a body's quaternion lost its norm",
+    "turns": "how often an angle about an axis has gone round is in doubt: tighten rtol",
     "conformity": "surfaces were pressed in beyond the range of their elastic law (that of Eq. 24 ends at a tenth of "
     "the clearance): give a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...), a journal "
     "sj.EsduCylinder(...), or the normal law a stiffness of its own",
@@ -85,6 +88,9 @@ FINDINGS = {
     "film": "the offset e_h1 of a film is more than a twentieth of the clearance: the film acts as if it were thicker "
     "by e_h1, and eccentricities under a load are too large by about the share e_h1/c; leave e_h1 and e_h0 out (they "
     "are 0.02 and 0.01 of the clearance then), or give smaller ones",
+    "axes": "the axis that an angle is about was tilted by more than 170 degrees against its start, where there is no "
+    "angle (a torsional spring, an actuator, a coupler between bodies that tilt): give the two bodies a joint about "
+    "that axis, or the element another axis",
 }
 """What a failed check says."""
 
@@ -93,7 +99,7 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     """What an audit has found, in words; empty for a sound run.
 
     Args:
-        shares: the worst of each of `CHECKS` as a share of its limit, shape (7,).
+        shares: the worst of each of `CHECKS` as a share of its limit, one each.
 
     Other args:
         suspected: for a check the part of which it was largest where the run ended.
@@ -108,7 +114,7 @@ def cautions(shares) -> str:
     """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
 
     Args:
-        shares: as for `findings`, of one run or of many, shape (..., 7).
+        shares: as for `findings`, of one run or of many, shape (..., n_checks).
     """
     worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
     found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
@@ -151,6 +157,11 @@ def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[st
         found["constraints"] = trouble
     norms = np.abs(np.sum(np.asarray(state.quaternion) ** 2, axis=-1) - 1)
     found["quaternions"] = f"body {list(system.bodies)[int(np.argmax(norms))]!r}"
+    forces: Any = system.forces_with(state.memory)
+    turned = {slot.joint: forces[slot.joint].doubts(motions) for slot in system.force_slots}
+    doubts = {name: max(map(float, own)) for name, own in turned.items() if own}
+    if doubts:
+        found["turns"] = f"force element {max(doubts, key=lambda name: doubts[name])!r}"
     return found
 
 
@@ -165,6 +176,9 @@ class Vitals(NamedTuple):
         norm: largest | |q|^2 - 1 |.
         pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
         tilt: largest tilt of a journal in a rim, as a share of what its circles are for; -1 without one.
+        turns: largest difference of an angle from what was integrated of it, as a share of what is allowed; -1 where
+            nothing has an angle.
+        axes: largest tilt of an axis that an angle is about, as a share of the largest; -1 where nothing has an angle.
         friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
         offset: largest offset of a film, as a share of what is allowed; None without a film.
     """
@@ -176,6 +190,8 @@ class Vitals(NamedTuple):
     norm: Scalar
     pressed: Scalar
     tilt: Scalar
+    turns: Scalar
+    axes: Scalar
     friction: Scalar | None = None
     offset: Scalar | None = None
 
@@ -205,6 +221,11 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
             if joint.model.largest_ratio is not None:
                 depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1
                 pressed.append(depth / joint.model.largest_ratio)
+    doubts, leaning = [jnp.asarray(NOT_MADE)], [jnp.asarray(NOT_MADE)]
+    forces: Any = system.forces_with(state.memory)
+    for slot in system.force_slots:
+        doubts += forces[slot.joint].doubts(motions)
+        leaning += forces[slot.joint].tilts(motions)
     constraints = constraint_set(system, t, motions)
     residual = jnp.abs(constraints.residual) if constraints.groups else jnp.zeros(1)
     norms = jnp.sum(state.quaternion * state.quaternion, axis=-1)
@@ -219,6 +240,8 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(jnp.abs(norms - 1)),
         jnp.max(jnp.stack(pressed)),
         jnp.max(jnp.stack(tilts)),
+        jnp.max(jnp.stack(doubts)),
+        jnp.max(jnp.stack(leaning)),
         friction,
         jnp.max(jnp.stack(offsets)) if offsets else None,
     )
@@ -231,7 +254,7 @@ class Watch(NamedTuple):
         lowest: the lowest energy [J].
         bottom, top: the lowest and the highest potential energy [J].
         agitation: the highest agitation [J].
-        worst: of each of `CHECKS` the worst, as a share of its limit, shape (7,): above 1 the run is wrong, or what it
+        worst: of each of `CHECKS` the worst, as a share of its limit, one each: above 1 the run is wrong, or what it
             says of the last one is to be read.
     """
 
@@ -239,7 +262,7 @@ class Watch(NamedTuple):
     bottom: Array
     top: Array
     agitation: Array
-    worst: Float[Array, "7"]
+    worst: Float[Array, " n_checks"]
 
     @classmethod
     def of_nothing(cls) -> "Watch":
@@ -271,7 +294,7 @@ class Limits(eqx.Module):
         energy = now.potential + now.agitation
         # A check that is not made says so from the start.
         worst = jnp.zeros(len(CHECKS)).at[0].set(jnp.where(jnp.isinf(self.energy), NOT_MADE, 0.0))
-        worst = worst.at[N_FATAL:].set(NOT_MADE)
+        worst = worst.at[N_FATAL:].set(NOT_MADE).at[CHECKS.index("turns")].set(NOT_MADE)
         watch = Watch(energy, now.potential, now.potential, now.agitation, worst)
         return self.seen(watch, now)
 
@@ -291,9 +314,11 @@ class Limits(eqx.Module):
             jnp.maximum(now.outside, 0.0) / OUTSIDE,
             equations,
             now.norm / NORM,
+            now.turns,
             now.pressed,
             now.tilt,
             jnp.asarray(NOT_MADE if now.offset is None else now.offset),
+            now.axes,
         ]
         return Watch(lowest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))
 

@@ -23,6 +23,7 @@ from spherejax.foundations.kept.kept_on_disk import is_debugging
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Limits
 from spherejax.motion.integration.compiling import SOON, options_for
 from spherejax.motion.integration.implicit_rows import slack_of
@@ -124,12 +125,18 @@ def _as_flying(plan: Plan, theta: Float[np.ndarray, " p"], t: float, start: Asse
     With what leads a ball to a place beyond its socket's surface the program has twice as many operations.
     """
     system = example_of(plan.structure)
-    if start is None or not system.contact_joints or system.force_slots or len(start.y) == system.layout.size:
+    if start is None or not system.contact_joints or system.force_states or len(start.y) == system.layout.size:
         return start
     crossing = program_for(crossings, plan.structure, plan.scalar, is_quiet=True)  # which the run needs as well
     if crossing.scalar is None:
         return start
     y = np.concatenate([start.y, np.zeros(system.layout.size - len(start.y))])
+    if system.force_slots:
+        turned = program_for(initial_force_memory, plan.structure, plan.scalar, is_quiet=True)
+        if turned.scalar is None:
+            return start
+        first = system.layout.memory_start + system.force_slots[0].start
+        y[first : system.layout.work_start] = np.asarray(turned.compute(theta, t, y))
     values = crossing.compute(theta, t, y).value[: len(system.contact_joints)]
     return start._replace(y=y) if np.all(values <= 0) else start
 

@@ -200,7 +200,8 @@ def _of_forces(run: Any) -> dict[str, Column]:
     for name in run.system.forces:
         columns |= _named_parts(name, run.force(name), "force element", run.system.forces[name].part_units)
     for slot in run.system.force_slots:
-        for entry, values in zip(slot.contents, run.memory(slot.joint).values(), strict=True):
+        for i, entry in enumerate(slot.contents):
+            values = run.state.memory[..., slot.start + i]
             what = f"{entry.name} that force element {slot.joint} remembers"
             columns.setdefault(f"{slot.joint}.{entry.name}", (("time",), values, entry.unit, what))
     return columns

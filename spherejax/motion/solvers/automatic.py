@@ -138,7 +138,7 @@ def _choice(system: System, known_rtol: float) -> SolverChoice:
     by_forces = _choice_by_forces(system, known_rtol)
     if not isinstance(by_forces.solver, diffrax.Dopri8):
         return by_forces
-    if system.force_slots:
+    if system.force_states:
         by_memory = _choice_by_memory(system, known_rtol)
         if not isinstance(by_memory.solver, diffrax.Dopri8):
             return by_memory

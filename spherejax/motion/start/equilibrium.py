@@ -7,6 +7,7 @@ free hinge) are left as they are. Accelerations count as the lengths that they l
 rotations as the lengths that they lead to at its size, so that nothing depends on units.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -81,11 +82,13 @@ def equilibrium(scene: Scene, *, t: float = 0.0) -> Equilibrium:
             f"joint {loose[0]!r} has a clearance, in which the ball has no place of its own at rest. Take Ideal() for "
             "the joint, find the equilibrium, and start the motion there"
         )
-    if system.force_slots:
+    if system.force_states:
         raise SceneError(
-            f"force {system.force_slots[0].joint!r} has states of its own, whose rest is not looked for here. Replace "
+            f"force {system.force_states[0].joint!r} has states of its own, whose rest is not looked for here. Replace "
             "it by what it exerts at rest, or let a damped motion come to rest first"
         )
+    # Rest has no history: angles are those of the orientations, within one turn to either side of the described start.
+    system = dataclasses.replace(system, force_slots=())
     y, residual = _found(system, t)
     if is_concrete(residual) and not float(residual) < LARGEST_RESIDUAL:
         raise SceneError(

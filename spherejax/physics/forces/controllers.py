@@ -1,7 +1,6 @@
 """A PID controller in continuous time, and what it shares with a digital one (`sampled_pid`).
 
-Units as of actuators: coordinates in m, efforts in N; with a `Turn` of the radius 1 rad and N m. A `Turn` may go round
-any number of times here: the controller remembers how far it has turned.
+Units as of actuators: coordinates in m, efforts in N; with a `Turn` of the radius 1 rad and N m.
 """
 
 import abc
@@ -60,9 +59,8 @@ class AbstractController(AbstractForceWithMemory):
 
     @property
     def memory(self):
-        """Turns of the coordinate, where it has some, then what the controller computes with."""
-        turned = (MemoryEntry("turned", "rad", "angle"),) if self._counts_turns else ()
-        return (*turned, *self._states)
+        """What the controller computes with."""
+        return self._states
 
     @property
     @abc.abstractmethod
@@ -71,32 +69,19 @@ class AbstractController(AbstractForceWithMemory):
 
     def memory_at_start(self, t, motions):
         """No effort, nothing integrated, and a filter that has settled: no error is new to it."""
-        seen = self._measured(t, motions, jnp.zeros(len(self.memory)))
-        return jnp.stack([seen.error if entry.name == "filtered" else jnp.zeros(()) for entry in self.memory])
-
-    @property
-    def _counts_turns(self) -> bool:
-        return isinstance(self.coordinate, Turn) and not self.of_rate
-
-    def _own(self, memory):
-        """The controller's own entries of the memory."""
-        return memory[1:] if self._counts_turns else memory
+        seen = self._measured(t, motions)
+        start = [seen.error if entry.name == "filtered" else jnp.zeros(()) for entry in self.memory]
+        return jnp.stack(start) if start else jnp.zeros(0)
 
     def _entries(self, memory) -> dict[str, Scalar]:
         return {entry.name: memory[i] for i, entry in enumerate(self.memory)}
 
-    def _measured(self, t: Scalar, motions: Motions, memory) -> Sensed:
+    def _measured(self, t: Scalar, motions: Motions) -> Sensed:
         motion = self.coordinate.motion(motions)
-        if self._counts_turns:
-            motion = motion._replace(value=_unwrapped(self.coordinate, motion.value, memory[0]))
         reference = self.reference(t)
         value = motion.rate if self.of_rate else motion.value
         rate = None if self.of_rate else self.reference.derivative(t) - motion.rate
         return Sensed(motion, value, reference, reference - value, rate)
-
-    def _turning(self, motion: CoordinateMotion) -> list[Scalar]:
-        """Rate of the turns that are counted."""
-        return [motion.rate / _radius(self.coordinate)] if self._counts_turns else []
 
     def _limited(self, effort: Scalar) -> Scalar:
         if self.limits is None:
@@ -194,7 +179,7 @@ class PID(AbstractController):
         of_rate: whether the coordinate's rate is controlled; gains are then [N s/m] and so on.
         smooth_limits: whether the effort comes to its limits as a hyperbolic tangent; else it is clipped.
 
-    It remembers `integral` i [N], `filtered` z, and of a `Turn` how far that has `turned` [rad].
+    It remembers `integral` i [N] and `filtered` z.
 
     Limits: at a jump of the reference the derivative is that of the parts beside it, without the jump; with a filter it
     is the filter's answer. A controlled rate needs the filter for a derivative. The motion begins with i = 0, z = e.
@@ -252,9 +237,9 @@ class PID(AbstractController):
 
     def action(self, t, motions, memory):
         """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""
-        kept, seen = self._entries(memory), self._measured(t, motions, memory)
+        kept, seen = self._entries(memory), self._measured(t, motions)
         asked = self.proportional * seen.error + self.offset
-        rates = self._turning(seen.motion)
+        rates = []
         if self.integral is not None:
             asked = asked + kept["integral"]
         rate = self._error_rate(seen, kept)
@@ -295,21 +280,6 @@ def filtered_error(controller: AbstractController) -> tuple[MemoryEntry, ...]:
 def effort_scale(coordinate: AbstractCoordinate) -> Scale:
     """By what errors of an effort are judged."""
     return "moment" if isinstance(coordinate, Turn) else "force"
-
-
-def _radius(coordinate: AbstractCoordinate) -> Number:
-    assert isinstance(coordinate, Turn), type(coordinate).__name__
-    return coordinate.radius
-
-
-def _unwrapped(coordinate: AbstractCoordinate, arc: Scalar, turned: Scalar) -> Scalar:
-    """The arc through any number of turns, from the one within a turn and how far the body has turned by its rate.
-
-    The second says in which turn the first is: so the arc is as exact as the orientation is.
-    """
-    radius = _radius(coordinate)
-    whole = 4 * np.pi
-    return arc + radius * whole * jnp.round((turned - arc / radius) / whole)
 
 
 def _limits_requirement(limits) -> Requirement:

@@ -31,7 +31,7 @@ from spherejax.physics.forces.line import (
     start_quaternion,
     two_ends,
 )
-from spherejax.physics.forces.torsional import TorsionalAttachment, Twist, attached
+from spherejax.physics.forces.turns import TorsionalAttachment, Twist, attached
 from spherejax.physics.functions.shapes import finite
 
 
@@ -81,7 +81,8 @@ class Turn(AbstractCoordinate):
         radius: on which the arc is measured, as a gear's pitch radius [m]; with 1, forces along it are moments.
         attachment: the geometry in body axes, once the scene is compiled.
 
-    Limits: as those of a `TorsionalSpring`: within one full turn to either side of the start.
+    The arc goes on through any number of turns: an element with such a coordinate has an entry of the state for how
+    far it has `turned` [rad]. Limits: as those of a `TorsionalSpring`.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -122,8 +123,7 @@ class Turn(AbstractCoordinate):
         return eqx.tree_at(lambda turn: turn.attachment, self, attachment, is_leaf=lambda x: x is None)
 
     def _twist(self, motions: Motions) -> Twist:
-        first, second = (motions[body] for body in self.bodies)
-        return known_geometry(self.attachment).twist(first, second)
+        return known_geometry(self.attachment).twist(motions)
 
     def requirements(self):
         """Two bodies, an axis, a radius."""

@@ -9,6 +9,13 @@ a step:
 The number of the coming sample stands in the state in front of its memory, as `samples`: so an instant is never missed
 or taken twice, whatever the steps are, and the same holds in lanes and under derivatives. At an instant the value is
 the one behind it.
+
+Any element that has an angle about an axis has entries for its turns besides, behind the number of samples and in front
+of what it remembers itself: see the module `turns`. So the state of an element is
+
+    samples, turned, own memory
+
+and `Recalling` is the one place that knows.
 """
 
 import abc
@@ -24,6 +31,14 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import positive
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.forces.base import AbstractForce, Motions, Wrench
+from spherejax.physics.forces.turns import (
+    attachments_of,
+    turn_doubts,
+    turn_entries,
+    turn_rates,
+    turns_at_start,
+    with_turns,
+)
 from spherejax.physics.functions.shapes import finite
 from spherejax.physics.memory import MemoryEntry
 
@@ -171,14 +186,14 @@ class AbstractForceWithMemory(AbstractForce):
 
 
 class Recalling(eqx.Module):
-    """An element together with what it remembers: it answers as an element without memory does.
+    """An element together with its entries of the state: it answers as an element without memory does.
 
     Attributes:
         force: the element.
-        recalled: its entries of the state, the number of samples among them.
+        recalled: its entries of the state: the number of samples, its turns, what it remembers itself.
     """
 
-    force: AbstractForceWithMemory
+    force: AbstractForce
     recalled: Array
 
     @property
@@ -197,33 +212,48 @@ class Recalling(eqx.Module):
         return self.force.n_touches
 
     def touches(self, t, motions):
-        """As the element."""
-        return self.force.touches(t, motions)
+        """As the element, with its turns."""
+        return self._counted.touches(t, motions)
 
     def action(self, t: Scalar, motions: Motions) -> ForceAction:
-        """What the element does."""
-        return self.force.action(t, motions, self._own)
+        """What an element with a memory of its own does."""
+        element = self._counted
+        assert isinstance(element, AbstractForceWithMemory), type(element).__name__
+        return element.action(t, motions, self._own)
 
     def wrenches(self, t, motions):
-        """Of its action."""
-        return self.action(t, motions).wrenches
+        """Of the element with its turns, or of its action."""
+        return self.action(t, motions).wrenches if self._acts else self._counted.wrenches(t, motions)
 
     def potential_energy(self, t, motions):
-        """Of its action [J]."""
+        """Of the element with its turns, or of its action [J]."""
+        if not self._acts:
+            return self._counted.potential_energy(t, motions)
         return jnp.asarray(self.action(t, motions).potential_energy, jnp.float64)
 
     def parts(self, t, motions):
-        """Of its action."""
-        return dict(self.action(t, motions).parts)
+        """Of the element with its turns, or of its action."""
+        return dict(self.action(t, motions).parts) if self._acts else self._counted.parts(t, motions)
 
     def room(self, t, motions):
         """As the element's; the coming sample is another thing, see `next_sample`."""
-        return self.force.room(t, motions)
+        return self._counted.room(t, motions)
 
     def memory_rate(self, t: Scalar, motions: Motions) -> Array:
         """Of all its entries of the state."""
-        rate = jnp.asarray(self.action(t, motions).memory_rate, jnp.float64)
-        return jnp.concatenate([jnp.zeros(1), rate]) if is_sampled(self.force) else rate
+        rates = [*([jnp.zeros(())] if is_sampled(self.force) else []), *turn_rates(self._counted, motions)]
+        front = jnp.stack([jnp.asarray(rate, jnp.float64) for rate in rates]) if rates else jnp.zeros(0)
+        if not self._acts:
+            return front
+        return jnp.concatenate([front, jnp.asarray(self.action(t, motions).memory_rate, jnp.float64)])
+
+    def doubts(self, motions: Motions) -> list[Scalar]:
+        """How much the number of turns of each angle is in doubt; see `turns.turn_doubts`."""
+        return turn_doubts(self._counted, motions)
+
+    def tilts(self, motions: Motions) -> list[Scalar]:
+        """How far the axis of each angle is tilted; see `TorsionalAttachment.tilt_share`."""
+        return [attachment.tilt_share(motions) for attachment in attachments_of(self.force)]
 
     def next_sample(self) -> Scalar:
         """The instant of the coming sample [s]."""
@@ -236,11 +266,22 @@ class Recalling(eqx.Module):
 
     def sampled(self, t: Scalar, motions: Motions) -> Array:
         """Its entries of the state behind the coming sample; one behind the last is taken at t."""
+        element = self._counted
+        assert isinstance(element, AbstractForceWithMemory), type(element).__name__
         # The instant itself, not the end of a step that rounding has put beside it: derivatives by it come along.
         instant = self.next_sample()
         instant = jnp.where(jnp.abs(instant) < jnp.inf, instant, t)
-        after = jnp.asarray(self.force.sampled(instant, motions, self._own), jnp.float64)
-        return jnp.concatenate([(self._number + 1.0)[None], after])
+        after = jnp.asarray(element.sampled(instant, motions, self._own), jnp.float64)
+        return jnp.concatenate([(self._number + 1.0)[None], self._turned, after])
+
+    @property
+    def _acts(self) -> bool:
+        return isinstance(self.force, AbstractForceWithMemory)
+
+    @property
+    def _counted(self) -> Any:
+        """The element whose angles know their turns."""
+        return with_turns(self.force, self._turned)
 
     @property
     def _number(self) -> Scalar:
@@ -248,16 +289,21 @@ class Recalling(eqx.Module):
         return jnp.round(self.recalled[0])
 
     @property
+    def _turned(self) -> Array:
+        start = int(is_sampled(self.force))
+        return self.recalled[start : start + len(attachments_of(self.force))]
+
+    @property
     def _own(self) -> Array:
-        return self.recalled[1:] if is_sampled(self.force) else self.recalled
+        return self.recalled[int(is_sampled(self.force)) + len(attachments_of(self.force)) :]
 
 
 ActingForce = AbstractForce | Recalling
-"""An element without memory, or one with what it remembers."""
+"""An element without memory, or one with its entries of the state."""
 
 
-def _sampling_of(force: AbstractForceWithMemory) -> Sampling | Instants:
-    sampling = force.sampling
+def _sampling_of(force: AbstractForce) -> Sampling | Instants:
+    sampling = force.sampling if isinstance(force, AbstractForceWithMemory) else None
     assert sampling is not None, type(force).__name__
     return sampling
 
@@ -268,24 +314,27 @@ def is_sampled(force: AbstractForce) -> bool:
 
 
 def memory_entries(force: AbstractForce) -> tuple[MemoryEntry, ...]:
-    """Its entries of the state: what it remembers, behind the number of samples of one that samples."""
-    if not isinstance(force, AbstractForceWithMemory):
-        return ()
-    return (SAMPLES, *force.memory) if is_sampled(force) else tuple(force.memory)
+    """Entries of the state of a placed element: the number of samples, its turns, what it remembers itself."""
+    samples = (SAMPLES,) if is_sampled(force) else ()
+    own = tuple(force.memory) if isinstance(force, AbstractForceWithMemory) else ()
+    return (*samples, *turn_entries(force), *own)
 
 
 def recalling(force: AbstractForce, recalled: Array) -> Recalling:
-    """The element with what it remembers."""
-    assert isinstance(force, AbstractForceWithMemory), type(force).__name__
+    """The element with its entries of the state."""
     return Recalling(force, recalled)
 
 
 def memory_at_start(force: AbstractForce, t: Scalar, motions: Motions) -> Array:
     """Its entries of the state where a motion begins; with the sample that is due there."""
-    assert isinstance(force, AbstractForceWithMemory), type(force).__name__
-    own = jnp.asarray(force.memory_at_start(t, motions), jnp.float64)
+    turned = [jnp.asarray(angle, jnp.float64) for angle in turns_at_start(force, motions)]
+    front = jnp.stack(turned) if turned else jnp.zeros(0)
+    if not isinstance(force, AbstractForceWithMemory):
+        return front
+    own = jnp.asarray(with_turns(force, front).memory_at_start(t, motions), jnp.float64)
+    found = jnp.concatenate([front, own])
     if not is_sampled(force):
-        return own
+        return found
     t = jnp.asarray(t, jnp.float64)
-    before = Recalling(force, jnp.concatenate([_sampling_of(force).number_at(t)[None], own]))
+    before = Recalling(force, jnp.concatenate([_sampling_of(force).number_at(t)[None], found]))
     return jnp.where(before.is_due(t), before.sampled(t, motions), before.recalled)

@@ -50,8 +50,8 @@ class SampledPID(AbstractController):
         smooth_limits: whether the effort comes to its limits as a hyperbolic tangent; else it is clipped.
         delayed: whether an effort acts one period after its sample.
 
-    It remembers `samples`, the number of the coming one, `effort` f [N], `integral` i [N], `filtered` z, `coming`, the
-    effort that is delayed, and of a `Turn` how far that has `turned` [rad].
+    It remembers `samples`, the number of the coming one, `effort` f [N], `integral` i [N], `filtered` z, and `coming`,
+    the effort that is delayed.
 
     Limits: the motion begins with i = 0 and z = e, so that the first sample has no derivative.
 
@@ -121,7 +121,7 @@ class SampledPID(AbstractController):
 
     def sampled(self, t, motions, memory):
         """The memory behind a sample."""
-        now, seen = self._entries(memory), self._measured(t, motions, memory)
+        now, seen = self._entries(memory), self._measured(t, motions)
         asked = self.proportional * seen.error + self.offset
         if self.integral is not None:
             asked = asked + now["integral"]
@@ -139,10 +139,9 @@ class SampledPID(AbstractController):
 
     def action(self, t, motions, memory):
         """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""
-        seen, effort = self._measured(t, motions, memory), self._entries(memory)["effort"]
-        rates = [*self._turning(seen.motion), *(jnp.zeros(()) for _ in self._states)]
+        seen, effort = self._measured(t, motions), self._entries(memory)["effort"]
         wrenches = self.coordinate.wrenches(motions, effort)
-        return ForceAction(wrenches, jnp.stack(rates), parts=self._parts(seen, effort))
+        return ForceAction(wrenches, jnp.zeros(len(memory)), parts=self._parts(seen, effort))
 
     def requirements(self):
         """A coordinate, a positive period, a reference, finite gains, limits in order, positive times."""

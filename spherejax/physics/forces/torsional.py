@@ -1,83 +1,26 @@
 """Torsion springs and dampers about an axis between two bodies.
 
-The angle is that of the twist: with the relative orientation (c, q) since the start, in the first body's axes, and the
-axis n,
-
-    angle = 2 atan2(s, c),    s = n . q
-    d angle/dt = g . (w_2 - w_1),    g = (c^2 n + c q x n + s q)/(c^2 + s^2)
-
-and g, which is n while the bodies turn about the axis alone, is what the torque acts along: so the torque derives from
-the energy however the axes tilt.
+The angle, through any number of turns, and the direction along which the torque acts are those of the module `turns`.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import two_names
 from spherejax.foundations.legal import non_negative
-from spherejax.foundations.rotation import conjugate, normalized, quaternion_product
-from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar, Triple, Unit, Vector3
+from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench
-from spherejax.physics.forces.line import Pull, direction_on, elastic_part, is_direction, start_quaternion, stores_all
+from spherejax.physics.forces.line import Pull, elastic_part, is_direction, stores_all
+from spherejax.physics.forces.turns import TorsionalAttachment, Twist, attached
 from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
-from spherejax.physics.kinematics import BodyMotion
-
-SMALLEST_TWIST_SQUARE = 1e-12
-"""Of c^2 + s^2, below which the axis is tilted by pi to 2e-6 and no twist is defined; there g is held finite."""
-
-
-class Twist(NamedTuple):
-    """How far an element is twisted.
-
-    Attributes:
-        angle: [rad].
-        rate: [rad/s].
-        direction: g, world axes.
-    """
-
-    angle: Scalar
-    rate: Scalar
-    direction: Vector3
-
-
-class TorsionalAttachment(eqx.Module):
-    """A torsion spring's geometry in body axes.
-
-    Attributes:
-        axis: n, unit vector in the first body's axes.
-        start_quaternion: second body against the first at the start.
-    """
-
-    axis: Numeric
-    start_quaternion: Numeric
-
-    def twist(self, first: BodyMotion, second: BodyMotion) -> Twist:
-        """Angle, rate and direction of the second body's turn against the first."""
-        axis = jnp.asarray(self.axis)
-        now = quaternion_product(conjugate(first.quaternion), second.quaternion)
-        relative = quaternion_product(now, conjugate(jnp.asarray(self.start_quaternion)))
-        c, q = relative[0], relative[1:]
-        s = axis @ q
-        square = c * c + s * s
-        defined = square > SMALLEST_TWIST_SQUARE
-        angle = 2.0 * jnp.arctan2(jnp.where(defined, s, 0.0), jnp.where(defined, c, 1.0))
-        g = (c * c * axis + c * jnp.cross(q, axis) + s * q) / jnp.where(defined, square, SMALLEST_TWIST_SQUARE)
-        direction = first.rotation @ g
-        return Twist(angle, direction @ (second.angular_velocity - first.angular_velocity), direction)
-
-
-def attached(bodies: Mapping[str, Body], names: tuple[str, str], axis: Numeric) -> TorsionalAttachment:
-    """An axis, world axes at the start, and the two bodies' orientations as geometry in body axes."""
-    first, second = (start_quaternion(bodies, name) for name in names)
-    return TorsionalAttachment(concretely(direction_on, axis, first), concretely(_relative, first, second))
 
 
 class TorsionalSpring(AbstractForce):
@@ -97,9 +40,11 @@ class TorsionalSpring(AbstractForce):
         damper: torque [N m] by rate [rad/s]; any function of one number.
         attachment: the geometry in body axes, once the scene is compiled.
 
-    Limits: the angle is continuous within one full turn to either side of the start, (-2 pi, 2 pi), and jumps by 4 pi
-    at the end of it: a spring that is wound up further needs an element of its own. Where the axes of the two bodies
-    are tilted by pi against each other there is no twist; values and derivatives stay finite.
+    The angle goes through any number of turns; how far the element has `turned` [rad] is an entry of the state, which
+    `run.memory(name)` shows.
+
+    Limits: where the axes of the two bodies are tilted by pi against each other there is no angle: values and
+    derivatives stay finite, and a run with a tilt beyond 170 degrees warns (`sj.OutOfRangeWarning`).
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -140,8 +85,7 @@ class TorsionalSpring(AbstractForce):
         """Angle, rate and direction of the placed element."""
         if self.attachment is None:
             raise SceneError("the element is not in a scene yet: its axis is known once the scene is compiled")
-        first, second = (motions[body] for body in self.bodies)
-        return self.attachment.twist(first, second)
+        return self.attachment.twist(motions)
 
     def torque(self, angle: Scalar, rate: Scalar) -> Pull:
         """Torque [N m], its elastic part, and the energy stored [J]."""
@@ -201,7 +145,3 @@ class TorsionalSpring(AbstractForce):
     def body_names(self) -> tuple[str, str]:
         """The two bodies."""
         return self.bodies
-
-
-def _relative(first, second):
-    return quaternion_product(conjugate(normalized(first)), normalized(second))

@@ -44,6 +44,9 @@ SINGULAR = 1e-6
 CLOSED = 1e-3
 """Newton's method ends where a cycle closes to this share of the tolerance: the next step would be rounding."""
 
+UNLIKE = 1e-6
+"""Rates that differ by more than this share of the largest: something depends on how often an angle has gone round."""
+
 SEEN = 16
 """Instants of a cycle at which its size is looked at."""
 
@@ -148,6 +151,7 @@ class Shooting:
         memory = atol / (ABSOLUTE_SHARE * family.rtol)
         self.memory_units = np.where(memory > 0, memory, 1.0)
         self.onsets = _onset_entries(family)
+        self.turns = _turn_entries(family)
 
     @property
     def scale(self) -> float:
@@ -177,11 +181,31 @@ class Shooting:
         found = periods(
             family, places, deviations, begin=self.begin, scale=self.scale, by=self.by, made=made, shares=shares
         )
-        rates = family.looked_at(theta, times + places.period, np.stack([one.end for one in found])).rate
-        return [self._shot(places, k, *about[k], deviations[k], found[k], rates[k], bool(made[k])) for k in range(n)]
+        ends = np.stack([one.end for one in found])
+        rates = family.looked_at(theta, times + places.period, ends).rate
+        wound = self._are_wound(theta, times + places.period, places.y, ends, rates)
+        return [
+            self._shot(places, k, *about[k], deviations[k], found[k], rates[k], bool(made[k]), bool(wound[k]))
+            for k in range(n)
+        ]
+
+    def _are_wound(self, theta, times, starts: np.ndarray, ends: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Whether an angle went round within the period, and something depends on how often: a spring is wound up.
+
+        A wheel that its motor drives round and round is where it was, and so is a pair of gears.
+        """
+        turns = np.round((ends[:, self.turns] - starts[:, self.turns]) / (2 * np.pi))
+        went = np.any(np.nan_to_num(turns) != 0, axis=1)
+        if not np.any(went):
+            return went
+        unwound = np.array(ends)
+        unwound[:, self.turns] -= 2 * np.pi * turns
+        others = self.family.looked_at(theta, times, np.nan_to_num(unwound)).rate
+        size = np.max(np.abs(rates), axis=1, initial=1e-300)
+        return went & (np.max(np.abs(others - rates), axis=1) > UNLIKE * size)
 
     def _shot(
-        self, places: CandidateState, k: int, coordinates, units, chosen, deviations, found: Period, rate, wanted
+        self, places: CandidateState, k: int, coordinates, units, chosen, deviations, found: Period, rate, wanted, wound
     ) -> Shot:
         layout = self.family.layout
         start, last = deviations.by_number, found.end
@@ -197,6 +221,8 @@ class Shooting:
         touching = self.onsets
         if status == Status.SUCCEEDED and np.any((place.y[touching] > 0) != (last[touching] > 0)):
             residual = residual + np.inf  # a ball that touches after the period, and did not before
+        if status == Status.SUCCEEDED and wound:
+            residual = residual + np.inf
         return Shot(
             place, last, coordinates, units, chosen, residual, columns[:, :-1], by_period, by_number, start, size,
             status, found.t_reached, float(np.linalg.norm(doubt[:, :-1])),
@@ -207,6 +233,7 @@ class Shooting:
         n_v = self.family.layout.n_velocity
         q, v = changes[:, :n_v], changes[:, n_v : 2 * n_v] * period / (2 * np.pi)
         m = changes[:, 2 * n_v :] / self.memory_units * self.scale
+        m[:, [entry - self.family.layout.memory_start for entry in self.turns]] = 0.0
         square = sum(np.sum((each @ coordinates.mass) * each, 1) for each in (q, v)) + np.sum(m * m, 1)
         return max(float(np.nan_to_num(np.sqrt(square)).max()), RESTING * self.scale)
 
@@ -222,12 +249,17 @@ class Shooting:
         return (self.period_of(values + h * self.by) - self.period_of(values - h * self.by)) / (2 * h)
 
     def _units(self, coordinates: Coordinates, y: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Of each coordinate what counts as one length of x; and which are unknowns: no onset of a ball in flight."""
+        """Of each coordinate what counts as one length of x; and which are unknowns.
+
+        Not the onset of a ball in flight, and not what counts turns: it follows from the orientations.
+        """
         f, layout = coordinates.degrees_of_freedom, self.family.layout
         units = np.concatenate([np.ones(f), np.full(f, 2 * np.pi / period), self.memory_units / self.scale])
         chosen = np.ones(len(units), bool)
         for entry in self.onsets:
             chosen[2 * f + entry - layout.memory_start] = y[entry] > 0
+        for entry in self.turns:
+            chosen[2 * f + entry - layout.memory_start] = False
         return units[chosen], np.flatnonzero(chosen)
 
     def _number(self, values, geometry, coordinates, theta, y) -> tuple[np.ndarray, np.ndarray]:
@@ -247,6 +279,13 @@ def _onset_entries(family: Family) -> list[int]:
     """Entries of the flat state that say whether a ball touches."""
     system = family.example
     return [family.layout.memory_start + system.memory_of(name).start for name in system.contact_joints]
+
+
+def _turn_entries(family: Family) -> list[int]:
+    """Entries of the flat state that say in which turn an angle is."""
+    slots = family.example.all_slots
+    entries = [(slot.start + i, entry) for slot in slots for i, entry in enumerate(slot.contents)]
+    return [family.layout.memory_start + i for i, entry in entries if entry.counts_turns]
 
 
 class SearchOutcome(NamedTuple):
@@ -367,7 +406,8 @@ def _judged(shooting: Shooting, one: _CycleSearch, tolerance: float) -> SearchOu
         remedy = REMEDIES.get(Status(failed.status), "it did not end well")
         return SearchOutcome(shot, False, one.n, f"the integration of a cycle stopped at t = {at:.6g} s: {remedy}")
     if not np.isfinite(shot.error):
-        return SearchOutcome(shot, False, one.n, TOUCHES)
+        turned = np.abs(shot.end - shot.place.y)[shooting.turns] > np.pi
+        return SearchOutcome(shot, False, one.n, WOUND_UP if np.any(turned) else TOUCHES)
     return SearchOutcome(
         shot,
         False,
@@ -377,6 +417,11 @@ def _judged(shooting: Shooting, one: _CycleSearch, tolerance: float) -> SearchOu
         "repeat itself after several periods only, or never",
     )
 
+
+WOUND_UP = (
+    "an angle goes round within the period, and a force depends on how often it has (a spring is wound up): such a "
+    "motion does not repeat itself"
+)
 
 TOUCHES = (
     "a ball touches its socket after the period and did not before, or the other way round: let the cycle begin at "

@@ -98,12 +98,13 @@ def _linearized(point: OperatingPoint, numbers: list[Number], outputs: Outputs, 
     basis, inverse = coordinates.basis, coordinates.inverse
     rates, values = equations.rates_along(axes, basis), equations.values_along(names, basis)
     _require_finite(rates, point)
-    # Entries of memory that nothing changes (a rate that is remembered while a contact lasts), or that change nothing
-    # (how far a controlled motor has turned, which only says in which turn it is), are no states.
+    # Entries of memory that nothing changes (a rate that is remembered while a contact lasts), that change nothing, or
+    # that only say in which turn an angle is, are no states.
     n_v = 2 * coordinates.degrees_of_freedom
     changes = np.any(rates[2 * layout.n_velocity :] != 0, axis=1)
     acts = np.any(rates[:, n_v:] != 0, axis=0) | np.any(values[:, n_v:] != 0, axis=0)
-    keep = np.concatenate([np.ones(n_v, bool), changes & acts])
+    counts = [entry.counts_turns for slot in point.system.all_slots for entry in slot.contents]
+    keep = np.concatenate([np.ones(n_v, bool), changes & acts & ~np.array(counts, bool)])
     basis_rate = coordinates.turned(found, equations.geometry_rate, axes)
     A, C = (inverse @ (rates - basis_rate))[np.ix_(keep, keep)], values[:, keep]
     B, D = np.zeros((len(A), 0)), np.zeros((len(C), 0))
