@@ -1,6 +1,11 @@
 """Runs of numbers, whose samples are written window after window: one program for any number of samples."""
 
 import gc
+import os
+import re
+import signal
+import threading
+import time
 import weakref
 
 import jax
@@ -120,6 +125,103 @@ def test_a_run_that_fails_fails_in_its_window(small_windows, monkeypatch):
     reached = np.asarray(run.ts) <= float(run.t_reached)
     assert 7 < reached.sum() < 61
     np.testing.assert_array_equal(np.isfinite(np.asarray(run.ys)).all(axis=1), reached)
+
+
+@pytest.mark.parametrize("turns", [1, 3, 100])
+@pytest.mark.parametrize("name", ["friction", pytest.param("lubricated", marks=pytest.mark.slow)])
+def test_a_run_is_the_same_bits_wherever_it_pauses(name, turns, monkeypatch):
+    """After each turn (a look at the start, a step, one that is repeated, one with several samples), and seldom."""
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS[name])
+
+    def made():
+        known_scenes._calls.clear()
+        return sj.simulate(scene, np.linspace(0.0, 0.02, 199), track_work=True)
+
+    whole = made()
+    n_calls = []
+
+    class Short(windows.Pace):
+        @property
+        def n_turns(self):
+            n_calls.append(1)
+            return turns
+
+    monkeypatch.setattr(one_run, "_pace", lambda *_: Short())
+    run = made()
+    assert len(n_calls) > int(whole.stats.n_steps) // turns
+    for found, expected in zip(jax.tree.leaves(run), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_a_run_that_fails_between_pauses_fails_as_it_would(monkeypatch):
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["bushing"])
+
+    def made():
+        known_scenes._calls.clear()
+        with pytest.warns(sj.SimulationWarning):
+            return sj.simulate(scene, np.linspace(0.0, 0.01, 61), max_steps=30)
+
+    whole = made()
+    monkeypatch.setattr(windows, "FIRST_TURNS", 4)
+    monkeypatch.setattr(windows.Pace, "note", lambda *_: None)
+    run = made()
+    for found, expected in zip(jax.tree.leaves(run), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_calls_are_as_long_as_ctrl_c_may_wait():
+    pace = windows.Pace()
+    assert pace.n_turns == windows.FIRST_TURNS
+    pace.note(1000, 5.0)  # it was compiled
+    assert pace.n_turns == windows.FIRST_TURNS
+    pace.note(1000, 1.0)  # 1 ms each
+    assert pace.n_turns == 1000 * windows.HEARD_AFTER
+    pace.note(250, 0.0)  # a clock with large ticks
+    assert pace.n_turns * windows.SHORTEST_TURN <= 1.01 * windows.HEARD_AFTER
+    pace.note(0, 0.1)
+    pace.note(10, 100.0)
+    assert pace.n_turns == 1
+
+
+@pytest.mark.usefixtures("hears_interrupts")
+def test_ctrl_c_stops_a_long_run_and_says_how_far_it_came(monkeypatch):
+    """A pendulum for a day; it was heard when the run had ended."""
+    scene, ts = sj.gallery.simple_pendulum(), np.linspace(0.0, 86400.0, 1001)
+    sj.simulate(scene, ts[:3] / 1000)  # compiled
+    known_scenes._calls.clear()
+    steps = []
+
+    def noted(pace, n_turns, seconds):
+        steps.append(n_turns)
+        if len(steps) == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(windows.Pace, "note", noted)
+    with pytest.raises(KeyboardInterrupt) as stop:
+        sj.simulate(scene, ts)
+    assert steps == [windows.FIRST_TURNS] * 3
+    (note,) = stop.value.__notes__
+    assert re.fullmatch(r"simulate: stopped at t = [\d.]+ s of 86400 s, after [\d,]+ steps; .*", note)
+    assert sj.simulate(scene, ts[:3] / 1000).status == sj.Status.SUCCEEDED
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("hears_interrupts")
+def test_ctrl_c_is_heard_within_a_second():
+    """In the pauses of a run of minutes; the time is of the processor, for a machine may be busy."""
+    scene, ts = sj.gallery.simple_pendulum(), np.linspace(0.0, 1e7, 1001)
+    sj.simulate(scene, ts[:3] / 1000)
+    sent = []
+
+    def send():
+        sent.append(time.process_time())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    timer = threading.Timer(2.0, send)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        sj.simulate(scene, ts)
+    assert time.process_time() - sent[0] < 1.0
 
 
 def test_a_known_run_is_numbers_where_something_else_is_traced():

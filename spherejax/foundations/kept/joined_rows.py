@@ -56,6 +56,34 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
         return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=True))
 
 
+def placed_rows(parts: Iterator[tuple[int, Any]], n: int) -> Any:
+    """n rows out of overlapping parts: of what two parts have, the first row of the later one is left out.
+
+    Args:
+        parts: where a part begins, and an array of some rows; all of the same shape. A part that begins at a row other
+            than the first repeats what has been written there. Its rows behind the beginning of the next part, and
+            those behind the last row, are passed over. What no part has is NaN.
+        n: rows of the whole.
+
+    Returns:
+        One of JAX's arrays, in memory that nobody else writes to.
+    """
+    with as_numbers():
+        _, part = next(parts)
+        first, size = np.asarray(part), part.shape[0]
+        begin, part = next(parts, (None, None))
+        if begin is None and n <= size:
+            # A few rows of a large part would keep all of it in memory: those are copied.
+            return jax.device_put(first[:n] if 2 * n > size else first[:n].copy(), may_alias=True)
+        rows = _room((n, *first.shape[1:]), first.dtype)
+        rows[:size], end = first[:n], size
+        while begin is not None:
+            rows[begin + 1 : begin + size], end = np.asarray(part)[1 : n - begin], begin + size
+            begin, part = next(parts, (None, None))
+        rows[end:] = np.nan
+        return jax.device_put(rows, may_alias=True)
+
+
 def in_blocks(function: BoundedJit, fixed: tuple, size: int, *arrays: Any) -> Any:
     """A compiled function of rows, evaluated block after block: one program for any number of rows.
 

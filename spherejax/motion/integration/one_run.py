@@ -5,6 +5,7 @@ A run of numbers is two programs, its start and its windows of samples, which se
 """
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import as_numbers, joined_rows
+from spherejax.foundations.kept.joined_rows import as_numbers, placed_rows
 from spherejax.foundations.kept.kept_on_disk import is_debugging
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
@@ -37,7 +38,7 @@ from spherejax.motion.integration.integrate import (
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.lanes.operation import runs
-from spherejax.motion.integration.lanes.windows import Paused, begun, gone_on, windows_of
+from spherejax.motion.integration.lanes.windows import Pace, Paused, Progress, begun, gone_on, window_at
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.traits import can_step_in_lanes
@@ -89,7 +90,8 @@ def _are_known(given: tuple) -> bool:
 def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
     """A run of numbers, by programs that are the same for any number of samples."""
     times = np.asarray(ts)
-    ends, windows = jnp.asarray(times[[0, -1]]), list(windows_of(times))
+    ends = jnp.asarray(times[[0, -1]])
+    pace = _pace(plan.structure, request.rest)
     theta = np.array(known)
     theta[list(plan.unknown)] = values
     described = None if start is None else jnp.asarray(start.y)
@@ -101,22 +103,52 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
         with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
             (vectors, forms), assembly = begin()
         if not known_how:  # the forms are known now
-            known_how.append(gone_on_with.bound_but(2, plan, request, ends, forms, vectors, windows[0]))
+            window, n_turns = window_at(times, 0), np.asarray(pace.n_turns)
+            known_how.append(gone_on_with.bound_but(3, plan, request, ends, forms, vectors, window, n_turns))
         (go_on,) = known_how
         found: Any = None
 
-        def samples() -> Iterator[Array]:
+        def samples() -> Iterator[tuple[int, Array]]:
             nonlocal vectors, found
-            for window in windows:
-                ys, found, vectors = go_on(vectors, window)
-                yield ys
+            first, n_turns_before = 0, 0
+            while True:
+                began = time.perf_counter()
+                ys, found, vectors, numbers = go_on(vectors, window_at(times, first), np.asarray(pace.n_turns))
+                progress = Progress.of(numbers)  # waits for the program
+                pace.note(progress.n_turns - n_turns_before, time.perf_counter() - began)
+                n_turns_before = progress.n_turns
+                yield first, ys
+                first += progress.n_written - 1
+                is_full = progress.n_written == len(ys) and first + 1 < len(times)
+                if not (progress.is_busy or is_full):
+                    return
 
-        ys = joined_rows(samples(), len(times), shared=1)
+        try:
+            ys = placed_rows(samples(), len(times))
+        except KeyboardInterrupt as interrupt:
+            if found is not None:
+                interrupt.add_note(_where_it_stopped(times, found))
+            raise
         t_reached, y_reached, status, stats = found
         assembly = assembly if described is None else assembly._replace(y=described)
         return Outcome(ys, t_reached, y_reached, status, stats, assembly)
 
     return run
+
+
+@lru_cache(maxsize=64)
+def _pace(structure: Structure, rest: Any) -> Pace:
+    """Of runs of one program; the arguments are what its turns depend on."""
+    del structure, rest
+    return Pace()
+
+
+def _where_it_stopped(times: Float[np.ndarray, " n"], found: tuple) -> str:
+    t_reached, _, _, stats = found
+    return (
+        f"simulate: stopped at t = {float(t_reached):.6g} s of {times[-1]:.6g} s, after {int(stats.n_steps):,} steps; "
+        "with a ts that ends there the run succeeds"
+    )
 
 
 def _as_flying(plan: Plan, theta: Float[np.ndarray, " p"], t: float, start: Assembly | None) -> Assembly | None:
@@ -262,18 +294,20 @@ def started(plan: Plan, request: _Request, values, known, ends, start, values_ar
 
 
 @bounded_jit(what="a run", options=options_for)
-def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, window) -> tuple:
-    """Samples of the next window, what else an `Outcome` says at its end but for the assembly, and the run's vectors.
+def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, window, n_turns) -> tuple:
+    """Samples of the next window, what else an `Outcome` says at its end but for the assembly, the run's vectors, and
+    the numbers of a `Progress`.
 
     Args:
         plan, request, ends: as of `started`.
         forms, vectors: of the run that is under way.
         window: sample times [s].
+        n_turns: turns of the loop after which the window ends, whatever is written of it.
     """
-    made, vectors = gone_on(request.problem(plan, ends), Paused(vectors, forms), ends, window)
+    made, vectors, progress = gone_on(request.problem(plan, ends), Paused(vectors, forms), ends, window, n_turns)
     ys, t_reached, y_reached, status = (each[0] for each in (made.ys, made.t_reached, made.y_reached, made.status))
     of_it = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
-    return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors
+    return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors, progress
 
 
 @bounded_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)

@@ -3,17 +3,19 @@
 A program is compiled for arrays of a shape. If it wrote all samples of a run, each number of them would be another
 program, seconds of compiling for nothing new. Here it writes those of a window, which is always as long; where there
 are more the run pauses when its window is full, in the middle of a step if need be, and goes on with the next one.
+
+A window also ends after a number of steps, for Python hears Ctrl-C between two calls of a program and not within one.
+The state of the loop is handed over whole, so a run is the same to the last bit wherever it pauses.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.machine.few_kernels import in_few_kernels
@@ -86,14 +88,66 @@ class _ArrayForm:
     shape: tuple[int, ...]
 
 
-def windows_of(ts: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " w"]]:
-    """The sample times in windows. Each begins with the last one of the window before, which is not written again; what
-    is left of the last window is infinite, and never comes."""
-    for first in range(0, max(1, len(ts) - 1), WINDOW - 1):
-        window = np.full(WINDOW, np.inf)
-        part = ts[first : first + WINDOW]
-        window[: len(part)] = part
-        yield window
+def window_at(ts: Float[np.ndarray, " n"], first: int) -> Float[np.ndarray, " w"]:
+    """The sample times from one on, as a window. That one has been written before, and is not written again; what is
+    left of the last window is infinite, and never comes."""
+    window = np.full(WINDOW, np.inf)
+    part = ts[first : first + WINDOW]
+    window[: len(part)] = part
+    return window
+
+
+class Progress(NamedTuple):
+    """Where a run is when a window has ended.
+
+    Attributes:
+        n_written: samples of the window that are written, with its first one.
+        is_busy: whether the run has not ended.
+        n_turns: turns of the loop since the run began.
+    """
+
+    n_written: int
+    is_busy: bool
+    n_turns: int
+
+    @classmethod
+    def of(cls, numbers: Array) -> "Progress":
+        """From what `gone_on` returns."""
+        n_written, is_busy, n_turns = np.asarray(numbers).tolist()
+        return cls(n_written, bool(is_busy), n_turns)
+
+
+class Pace:
+    """How many turns a call may make so that Ctrl-C is heard soon.
+
+    The time of a turn is taken from calls before, of the same program: it is 2 us for a pendulum and 1 ms for a large
+    robot. The first call compiles the program, and its time says nothing.
+    """
+
+    def __init__(self) -> None:
+        self._n_calls = 0
+        self._seconds: float | None = None  # of a turn
+
+    @property
+    def n_turns(self) -> int:
+        """For the next call."""
+        return FIRST_TURNS if self._seconds is None else max(1, math.ceil(HEARD_AFTER / self._seconds))
+
+    def note(self, n_turns: int, seconds: float) -> None:
+        """Take the time of a call."""
+        self._n_calls += 1
+        if self._n_calls > 1 and n_turns > 0:
+            self._seconds = max(seconds / n_turns, SHORTEST_TURN)
+
+
+FIRST_TURNS = 1000
+"""Of a call whose time is not known: a second where a turn takes 1 ms."""
+
+HEARD_AFTER = 0.25
+"""Time between two moments at which Ctrl-C is heard [s]. To pause takes 0.2 ms, a thousandth of it."""
+
+SHORTEST_TURN = 1e-7
+"""Time that a turn takes at least [s]: clocks of some systems have ticks of 16 ms."""
 
 
 def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> Paused:
@@ -121,16 +175,17 @@ def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "
 
 
 def gone_on(
-    problem: LaneProblem, paused: Paused, ends: Float[Array, "2"], window: Float[Array, " w"]
-) -> tuple[LaneOutcome, dict[str, Array]]:
-    """What a run is when its window is full, or it has ended, and the vectors of how it goes on; see `begun`."""
+    problem: LaneProblem, paused: Paused, ends: Float[Array, "2"], window: Float[Array, " w"], n_turns: Int[Array, ""]
+) -> tuple[LaneOutcome, dict[str, Array], Int[Array, "3"]]:
+    """What a run is when its window is full, when it has ended, or after a number of turns; the vectors of how it goes
+    on, see `begun`; and the numbers of a `Progress`."""
 
-    def go_on() -> tuple[LaneOutcome, RunUnderWay]:
+    def go_on() -> tuple[LaneOutcome, RunUnderWay, Array]:
         run = paused.run
-        return _Windows(problem, run.lanes, ends, window).gone_on_from(run)
+        return _Windows(problem, run.lanes, ends, window).gone_on_from(run, n_turns)
 
-    outcome, run = _compiled(problem, go_on)
-    return outcome, Paused.of(run).vectors
+    outcome, run, progress = _compiled(problem, go_on)
+    return outcome, Paused.of(run).vectors, progress
 
 
 def _compiled(problem: LaneProblem, function):
@@ -147,23 +202,29 @@ class _Windows(Queue):
         super().__init__(problem, parameters, y0, window, jnp.ones(1, bool), lanes.status, Block())
         self.t0, self.t_end = ends
 
-    def gone_on_from(self, run: RunUnderWay) -> tuple[LaneOutcome, RunUnderWay]:
+    def gone_on_from(self, run: RunUnderWay, n_turns: Int[Array, ""]) -> tuple[LaneOutcome, RunUnderWay, Array]:
         """See `gone_on`."""
+        last_turn = run.n_lane_steps + n_turns
         lanes = run.lanes._replace(n_samples=jnp.zeros_like(run.lanes.n_samples))
         account = AccountLayout.of(lanes)
         ys = jnp.full((1, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
 
-        def busy(carry):
-            lanes, *_, looks, _ = carry
-            has_room = jnp.any(lanes.n_samples < self.ts.shape[0])
+        def has_not_ended(lanes, looks):
             is_so = jnp.any(is_busy(lanes, self.n_jobs))
-            return has_room & (is_so if looks is None else is_so | looks.is_looking)
+            return is_so if looks is None else is_so | looks.is_looking
+
+        def busy(carry):
+            lanes, _, _, _, n_lane_steps, _, looks, _ = carry
+            has_room = jnp.any(lanes.n_samples < self.ts.shape[0])
+            return has_room & (n_lane_steps < last_turn) & has_not_ended(lanes, looks)
 
         carry = lanes, jnp.asarray(1), account.rows(1), ys, run.n_lane_steps, None, run.looks, run.last
         lanes, _, rows, ys, n_lane_steps, _, looks, last = self.gone_on(busy, carry)
         if self.corrects_late:
             ys = self._corrected(lanes, ys)
-        return account.outcome(rows, ys, n_lane_steps), RunUnderWay(lanes, n_lane_steps, looks, last)
+        n_written = jnp.maximum(lanes.n_samples[0], 1)
+        progress = jnp.stack([n_written, has_not_ended(lanes, looks).astype(jnp.int64), n_lane_steps])
+        return account.outcome(rows, ys, n_lane_steps), RunUnderWay(lanes, n_lane_steps, looks, last), progress
 
     def refilled(self, lanes: Lane, waiting, account) -> tuple:
         """Write down how far the one run is, whether it has ended or not."""
