@@ -116,6 +116,31 @@ def shape_of(value: Any) -> tuple[int, ...] | None:
     return _given(value).shape
 
 
+def visible(value: Any) -> Any:
+    """The value, with NaN where an array of NumPy is masked; `np.asarray` would give the numbers behind the mask.
+
+    NaN is what every function here takes for missing, or refuses.
+    """
+    return np.ma.filled(value.astype(np.float64), np.nan) if _is_masked(value) else value
+
+
+def refuse_masked(value: Any) -> None:
+    """Refuse masked arrays, and lists with masked entries.
+
+    Raises:
+        SceneError: naming the value.
+    """
+    if _is_masked(value) or (isinstance(value, list | tuple) and any(map(_is_masked, value))):
+        raise SceneError(f"numbers were expected, not {value!r}. {_MASKED}")
+
+
+def _is_masked(value: Any) -> bool:
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
+
+
+_MASKED = "Some of its entries are masked; leave them out, or put numbers there, e.g. with np.ma.filled."
+
+
 def whole_number(name: str, value: Any, remedy: str, least: int = 1) -> int:
     """A count that was asked for.
 
@@ -184,6 +209,8 @@ def _options_of(annotation: Any) -> tuple:
 
 def _given(value: Any) -> _Given:
     """Shape of real numbers, or why a value is none."""
+    if _is_masked(value):
+        return _Given(None, _MASKED)
     if isinstance(value, jax.core.Tracer | jax.Array | np.ndarray | np.generic):
         return _of_kind(value.dtype.kind if value.dtype.kind != "V" else "f", tuple(value.shape))
     if isinstance(value, bool):

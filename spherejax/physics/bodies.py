@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, concretely, is_concrete
-from spherejax.foundations.forms import is_numeric, mapping_of
+from spherejax.foundations.forms import is_numeric, mapping_of, refuse_masked
 from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Matrix3, Moments, Number, Numeric, Quadruple, Triple, Unit, Vector3
 from spherejax.physics import meshes, solids
@@ -289,8 +289,12 @@ def numbers(value):
 
     Concrete values become NumPy arrays, so that they stay concrete inside an outer trace. What is no numbers stays as
     it is, for NumPy would make numbers of texts: it is named with its place when the scene is checked.
+
+    Raises:
+        SceneError: for masked entries: not every field is looked at later, and behind a mask there are numbers.
     """
     if not is_numeric(value):
+        refuse_masked(value)
         return value
     if isinstance(value, np.ndarray):
         return np.asarray(value, np.float64)

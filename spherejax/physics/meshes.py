@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.forms import visible
 from spherejax.foundations.types import Number
 from spherejax.physics.solids import mass_of
 
@@ -109,7 +110,7 @@ def _triangles(mesh: Any, what: str) -> tuple[np.ndarray, np.ndarray]:
             f"Body.from_mesh: {type(mesh).__name__} is no mesh; give a path, or an object with vertices and "
             "faces, e.g. a trimesh.Trimesh"
         )
-    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    vertices, faces = np.asarray(visible(mesh.vertices), np.float64), np.asarray(mesh.faces)
     if len(faces) == 0 or not np.all(np.isfinite(vertices)):
         raise SceneError(f"{what} has no triangles, or corners that are not finite")
     whole = trimesh.Trimesh(vertices, faces, process=True)  # merges corners: STL lists them anew for each triangle

@@ -8,6 +8,7 @@ import numpy as np
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 from spherejax.foundations.types import Number, Numeric
 
 ORTHONORMAL = 1e-3
@@ -75,6 +76,7 @@ def _namespace(*numbers: Any) -> Any:
 
 
 def _as_vector(name: str, given: Any) -> Any:
+    given = visible(given)
     if np.shape(given) != (3,):
         raise SceneError(f"{name} = {given!r} must be three numbers")
     return jnp.asarray(given) if _namespace(*given) is jnp else np.asarray(given, float)

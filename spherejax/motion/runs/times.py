@@ -7,6 +7,7 @@ import numpy as np
 
 from spherejax.foundations.checks import shown
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 
 
 def seconds_of(ts: Any, name: str = "ts") -> np.ndarray:
@@ -18,6 +19,8 @@ def seconds_of(ts: Any, name: str = "ts") -> np.ndarray:
     Raises:
         SceneError: for what is no time: complex numbers, texts, truth values, dates.
     """
+    if visible(ts) is not ts:
+        raise SceneError(f"{name} = {shown(ts)} has masked entries; leave them out")
     try:
         times = np.asarray(ts)
     except ValueError:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 
 Prior = Callable[[Array], Any]
 """From a parameter to the logarithm of its density."""
@@ -81,5 +82,5 @@ class LogNormal:
 
 
 def _check_positive(name: str, value: Any) -> None:
-    if not np.all(np.asarray(value, np.float64) > 0):
+    if not np.all(np.asarray(visible(value), np.float64) > 0):
         raise SceneError(f"{name} of a prior must be positive; it is {value!r}")

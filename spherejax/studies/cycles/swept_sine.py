@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import whole_number
+from spherejax.foundations.forms import visible, whole_number
 from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
@@ -212,7 +212,7 @@ def swept_sine(
 
 def _positive(name: str, given: Any) -> np.ndarray:
     try:
-        values = np.atleast_1d(np.asarray(given, np.float64))
+        values = np.atleast_1d(np.asarray(visible(given), np.float64))
     except (TypeError, ValueError):
         values = np.array([np.nan])
     if values.ndim != 1 or not values.size or not np.all(np.isfinite(values) & (values > 0)):

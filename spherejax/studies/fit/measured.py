@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 from spherejax.motion.runs.many import Build
 from spherejax.motion.runs.times import seconds_of
 
@@ -20,8 +21,8 @@ class Measured:
 
     Attributes:
         ts: instants [s], increasing, shape (n,).
-        values: measured values by observable, shape (n,) or (n, components), in SI units; NaN where nothing was
-            measured. Observables are named as in `spherejax.motion.equations.quantities`, e.g. `"velocity.rocker"`
+        values: measured values by observable, shape (n,) or (n, components), in SI units; NaN, or masked, where nothing
+            was measured. Observables are named as in `spherejax.motion.equations.quantities`, e.g. `"velocity.rocker"`
             (three components) or `"position.rocker.z"` (one of them), results of force elements as `"shock.length"`,
             and `functions` by their own names.
         noise: standard deviation of the errors in the units of the values, a number for all observables, or numbers
@@ -105,7 +106,7 @@ def _times(ts: Any, t0: float) -> np.ndarray:
 
 def _column(name: str, value: Any, n: int) -> np.ndarray:
     try:
-        array = np.asarray(value, np.float64)
+        array = np.asarray(visible(value), np.float64)
     except (TypeError, ValueError) as error:
         raise SceneError(f"measured {name!r} must be numbers") from error
     if array.ndim not in (1, 2) or array.shape[0] != n:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 
 FARTHEST = 30.0
 """A number with bounds stays this far from them: exp(-30) of the interval."""
@@ -169,7 +170,7 @@ def unknowns_from(start: Mapping[str, Any]) -> tuple[FitUnknowns, dict[str, np.n
 
 def _start_of(name: str, parameter: Parameter) -> np.ndarray:
     try:
-        value = np.asarray(parameter.start, np.float64)
+        value = np.asarray(visible(parameter.start), np.float64)
     except (TypeError, ValueError) as error:
         raise SceneError(f"start of {name!r} must be a number or an array; it is {parameter.start!r}") from error
     if value.size == 0 or not np.all(np.isfinite(value)):

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import whole_number
+from spherejax.foundations.forms import visible, whole_number
 from spherejax.foundations.types import Scalar
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.runs.many import Build
@@ -305,7 +305,7 @@ def noise_of(experiment: Experiment, noise: Any) -> np.ndarray | None:
         else:
             given = noise
         try:
-            deviation = np.broadcast_to(np.asarray(given, np.float64), values.shape)
+            deviation = np.broadcast_to(np.asarray(visible(given), np.float64), values.shape)
         except (TypeError, ValueError) as error:
             raise SceneError(
                 f"noise of {name!r} must be a number or an array of shape {values.shape}; it is {given!r}"

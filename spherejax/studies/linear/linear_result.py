@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 from spherejax.studies.linear.coordinates import Coordinates
 from spherejax.studies.linear.modes import Modes
 from spherejax.studies.linear.point import OperatingPoint
@@ -126,7 +127,7 @@ class Linearization:
                 '["forces.push.force.z"], outputs=["position.rocker.z"])'
             )
         try:
-            f = np.atleast_1d(np.asarray(frequencies, np.float64))
+            f = np.atleast_1d(np.asarray(visible(frequencies), np.float64))
         except (TypeError, ValueError):
             f = np.array([np.nan])
         if f.ndim != 1 or not f.size or not np.all(np.isfinite(f) & (f >= 0)):

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.forms import visible
 from spherejax.foundations.units.number_texts import NumberError, number_in
 from spherejax.foundations.units.units import UnitError, factor_of
 from spherejax.output.io import load
@@ -108,7 +109,7 @@ def _checked(given: Mapping[str, Any], name: str) -> MeasuredStiffness:
     if missing:
         raise SceneError(f"{name} has no {missing[0]!r}; it has {', '.join(map(repr, given)) or 'nothing'}")
     try:
-        arrays = [np.asarray(given.get(key, np.nan), np.float64) for key in COLUMNS]
+        arrays = [np.asarray(visible(given.get(key, np.nan)), np.float64) for key in COLUMNS]
         found = MeasuredStiffness(*(np.array(one).ravel() for one in np.broadcast_arrays(*arrays)))
     except (TypeError, ValueError) as error:
         raise SceneError(f"{name}: the numbers of {', '.join(given)} do not go together: {error}") from error

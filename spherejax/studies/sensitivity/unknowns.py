@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 from spherejax.model.scene import Scene
 
 
@@ -72,7 +73,7 @@ def unknowns_of(parameters: Mapping[str, Any]) -> tuple[Unknowns, Float[np.ndarr
     for name, given in parameters.items():
         value = getattr(given, "start", given)
         try:
-            array = np.asarray(value, np.float64) if is_concrete(value) else None
+            array = np.asarray(visible(value), np.float64) if is_concrete(value) else None
         except (TypeError, ValueError):
             array = None
         if array is None:

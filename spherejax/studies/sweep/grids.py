@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import visible
 from spherejax.studies.sweep.spreads import Scattered, Spread, scattered
 
 SLAB = 2**20
@@ -197,7 +198,7 @@ def _named(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _numbers(name: str, given) -> Float[np.ndarray, " n"]:
     try:
-        numbers = np.atleast_1d(np.asarray(given))
+        numbers = np.atleast_1d(np.asarray(visible(given)))
         if numbers.dtype.kind not in "fiuO":  # NumPy would make numbers of texts, times and truth values
             raise TypeError(f"{numbers.dtype} is no kind of number")
         numbers = numbers.astype(np.float64)

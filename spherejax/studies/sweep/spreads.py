@@ -7,7 +7,7 @@ import numpy as np
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import shape_of
+from spherejax.foundations.forms import shape_of, visible
 
 UNBOUNDED = 3.0
 """Standard deviations that stand for the half width of a distribution without limits."""
@@ -121,7 +121,7 @@ def _uniform(name: str, given):
     from scipy import stats
 
     try:
-        ends = np.asarray(given, np.float64)
+        ends = np.asarray(visible(given), np.float64)
     except (TypeError, ValueError):
         ends = np.zeros(0)
     if ends.shape != (2,) or not np.all(np.isfinite(ends)) or not ends[0] < ends[1]:
