@@ -16,6 +16,8 @@ from .motion.equations.programs import ArrayPathWarning
 from .motion.integration.lanes import Block
 from .motion.integration.lanes.operation import SerialRunsWarning
 from .motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from .motion.results.accuracy import Accuracy
+from .motion.results.global_error import AccuracyWarning, GlobalError
 from .motion.results.impacts import Peak
 from .motion.results.modes import Mode
 from .motion.results.spectra import SpectrumWarning
@@ -202,6 +204,8 @@ __all__ = [
     "AbstractPressure",
     "AbstractSphericalModel",
     "AbstractStaticFriction",
+    "Accuracy",
+    "AccuracyWarning",
     "Actuator",
     "Ambrosio",
     "AppliedWrench",
@@ -249,6 +253,7 @@ __all__ = [
     "Flores",
     "ForceAction",
     "FullFilm",
+    "GlobalError",
     "Gonthier",
     "Grid",
     "GrowingHorizon",

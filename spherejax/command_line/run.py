@@ -19,6 +19,7 @@ from spherejax.command_line.reports import add_report, check_report, write_repor
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import AS_DESCRIBED, add_scene, changed_scene, chosen, model_name
 from spherejax.command_line.shown import WantedQuantity
+from spherejax.foundations.units.number_texts import NumberError, number_in
 
 DESCRIPTION = """\
 Simulate a mechanism, print how the run went, and write the sampled motion: positions, velocities,
@@ -34,6 +35,7 @@ EPILOG = """examples:
       --t1 0.2 --rtol 1e-9 --out run.nc
   spherejax run four-bar --joint bushing --stiffness 1e5 --dt 1e-3 --out run.csv
   spherejax run four-bar --t1 1000 --samples 101 --drift projection
+  spherejax run four-bar --joint dry --t1 0.2 --accuracy "1 nm" --accuracy "reaction.coupler_rocker=0.1 N"
   spherejax run my_mechanism.toml --out run.nc
   spherejax run robot.urdf --t1 1
   spherejax run robot.urdf --friction "threlfall v1=0.01" --stops turning=500 --positions "elbow=30 deg"
@@ -44,6 +46,9 @@ EPILOG = """examples:
   spherejax run four-bar --joint dry --t1 0.2 --impacts impacts.csv --peak reaction.coupler_rocker
   spherejax run four-bar --joint dry --t1 0.2 --spectrum reaction.coupler_rocker=spectrum.png
 """
+
+POSITIONS = "positions"
+"""What an accuracy without a name is of, as in `sj.simulate`."""
 
 
 def add_run(commands) -> None:
@@ -67,6 +72,12 @@ def add_run(commands) -> None:
         "--dt", type=measured_in("s"), metavar="S", help="interval of the samples [s], instead of their number"
     )
     times.add_argument("--rtol", type=real, help="relative tolerance of a step (default: 1e-8)")
+    times.add_argument(
+        "--accuracy", action="append", metavar="[QUANTITY=]ERROR",
+        help='largest error of the whole run: "1 um" for the positions of all bodies, or of a quantity, '
+        '"reaction.NAME=0.1 N"; may be repeated. The tolerance is made tighter, from --rtol on, until the estimated '
+        "errors are within it",
+    )  # fmt: skip
     times.add_argument("--atol", type=real, help="absolute tolerance of a step, one number (default: by the scene)")
     times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")
     times.add_argument(
@@ -123,6 +134,7 @@ def run_scene(options: argparse.Namespace) -> int:
             atol=options.atol,
             max_steps=options.max_steps,
             solver=solver,
+            accuracy=accuracy_from(options.accuracy),
         )
     jax.block_until_ready(run.ys)
     seconds = time.perf_counter() - start
@@ -158,6 +170,27 @@ def with_defaults(options: argparse.Namespace, settings: sj.SimulationSettings) 
         if said[name] is None:
             said[name] = last.get(name) if value is None else value
     return argparse.Namespace(**{**vars(options), **said})
+
+
+def accuracy_from(texts: list[str] | None) -> dict[str, str | float] | None:
+    """What `sj.simulate` takes as `accuracy`, from the texts of `--accuracy`.
+
+    Raises:
+        SceneError: for a text without an error, and a quantity that is named twice.
+    """
+    found: dict[str, str | float] = {}
+    for text in texts or ():
+        name, equals, limit = (part.strip() for part in text.rpartition("="))
+        name = name if equals else POSITIONS
+        if not name or not limit:
+            raise sj.SceneError(f'--accuracy {text}: write e.g. "1 um" or "position.rocker=1 um"')
+        if name in found:
+            raise sj.SceneError(f"--accuracy names {name} twice")
+        try:
+            found[name] = number_in(limit)
+        except NumberError:
+            found[name] = limit
+    return found or None
 
 
 def _joint_words(options: argparse.Namespace) -> str:
@@ -247,6 +280,7 @@ def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
         ("method", run.choice),
         ("steps", f"{int(run.stats.n_steps):,} ({int(run.stats.n_rejected):,} rejected)"),
         ("time of the first run, with compilation [s]", f"{seconds:.2f}"),
+        *([] if run.accuracy is None else [("tolerance by accuracy", str(run.accuracy))]),
         ("mechanical energy lost at the end [mJ]", f"{1e3 * (energy[0] - energy[-1]):.6g}"),
         ("largest acceleration at the samples [m/s^2]", f"{peaks[body]:.4g} ({body})"),
         ("drift control", type(run.system.drift).__name__),

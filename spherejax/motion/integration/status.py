@@ -12,7 +12,7 @@ from spherejax.foundations.types import Flag
 
 
 class SimulationWarning(UserWarning):
-    """A run did not reach its end; the message says when, why and what to do."""
+    """A run did not reach its end, or not its accuracy; the message says when, why and what to do."""
 
 
 class OutOfRangeWarning(UserWarning):
@@ -33,6 +33,7 @@ class Status(enum.IntEnum):
     START_NOT_CLOSED = 4
     SOLVER_FAILED = 5
     AUDIT_FAILED = 6
+    INACCURATE = 7
 
     def __str__(self) -> str:
         return f"Status.{self.name}"
@@ -64,6 +65,10 @@ REMEDIES = {
     Status.AUDIT_FAILED: (
         "the audit found what cannot be (`run.audit` says what); the motion is wrong there, and may be from shortly "
         "before. Tighten rtol, choose another solver or drift control, and check the laws and forces of your own"
+    ),
+    Status.INACCURATE: (
+        "no tolerance gives the accuracy that was asked for (`run.accuracy` has the estimated errors). Shorten the "
+        "run, allow larger errors, or ask for statistics of many runs in place of one history"
     ),
     Status.SOLVER_FAILED: (
         "the solver could not make a step (a linear or nonlinear solve failed). Choose another solver or loosen rtol"

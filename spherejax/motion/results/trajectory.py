@@ -18,7 +18,9 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findings, suspects
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
+from spherejax.motion.results.accuracy import Accuracy
 from spherejax.motion.results.dataset import table_of, to_dataset
+from spherejax.motion.results.global_error import POSITIONS, GlobalError, floor_of, usual_limit
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
 from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of, observation_of, state_of
@@ -51,6 +53,7 @@ class Trajectory(eqx.Module, Reported):
         choice: which method was used, and why.
         scalar: whether scalar programs are used; None: those that are not too large.
         asked: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
+        accuracy: what `accuracy=` asked for and what came of it; None where it was not given.
     """
 
     ts: Float[Array, " n"]
@@ -64,6 +67,7 @@ class Trajectory(eqx.Module, Reported):
     choice: str = eqx.field(static=True)
     scalar: bool | None = eqx.field(static=True)
     asked: Asked | None = eqx.field(static=True, default=None)
+    accuracy: Accuracy | None = None
 
     def __repr__(self) -> str:
         if not is_concrete(self.ended):
@@ -93,6 +97,8 @@ class Trajectory(eqx.Module, Reported):
 
         Of a single run that its constraints have stopped, it names the joints whose equations become dependent there.
         """
+        if self.accuracy is not None and self.status == Status.INACCURATE:
+            return self._inaccurate(self.accuracy)
         text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._found)
         if np.ndim(self.ended) or not text or int(self.ended) not in STOPPED_IN_MOTION:
             return text
@@ -288,6 +294,71 @@ class Trajectory(eqx.Module, Reported):
         For a concrete run whose samples are finer than a contact lasts.
         """
         return modes(self.system, self.ts, self.ys, self.penetration(joint), joint)
+
+    # How exact it is ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def global_error(self) -> GlobalError:
+        """What is known of the error of the whole run; prints as a sentence with what it cost. See `error`."""
+        return GlobalError.of_run(self)
+
+    def error(self, name: str) -> np.ndarray:
+        """Estimated error of a quantity at the samples, e.g. `run.error("position.rocker")` [m], of its shape.
+
+        `rtol` bounds the error of each step; this is what has become of it. The motion is made once more, from the same
+        start at a hundredth of the tolerance, which takes about 1.7 times the steps of the run (Rosenbrock methods: 1.7
+        to 3 times), when the first error is asked for; all quantities share it. On ten scenes
+        (`benchmarks/global_error.py`) the largest estimate is within a factor of three of the largest error. Where the
+        motion is lost (see `determined_until`) it is the largest difference so far: as large as the motion.
+
+        Args:
+            name: a quantity as `sj.sweep` records it.
+
+        Returns:
+            The estimate, NaN at samples that the run, or its companion, did not reach.
+
+        Raises:
+            SceneError: for a batched or traced run, or one that cannot be repeated.
+
+        Limits:
+            What both runs have in common is no part of the estimate: the start, the numbers of the scene, a pulse of a
+            user's function that is shorter than all steps.
+        """
+        return self.global_error.of(quantity(name, self.system).name)
+
+    @property
+    def determined_until(self) -> float:
+        """The time until which the motion is determined to the accuracy asked for [s]; the last sample's if all is.
+
+        Where `accuracy=` was not given: until which the positions of all bodies are known to a hundredth of the
+        smallest clearance, or to a thousandth of the mechanism's length where there is none. Later the motion at the
+        samples is one of many that are equally right. Told to 1/200 of the run or better, also between samples. Costs
+        what `error` costs, and up to two runs more where samples are coarse.
+        """
+        if self.accuracy is not None and is_concrete(self.accuracy.until) and not np.ndim(self.ended):
+            return float(self.accuracy.until)
+        return self.global_error.until(((POSITIONS, usual_limit(self.system)),))
+
+    def _inaccurate(self, accuracy: Accuracy) -> str:
+        """Why no tolerance gives the accuracy that was asked for, and until when it holds."""
+        rows = zip(accuracy.names, accuracy.units, accuracy.limits, accuracy.errors, strict=True)
+        missed = [
+            f"{name} within {float(limit):.3g} {unit} (estimated error {float(error):.2g} {unit})"
+            for name, unit, limit, error in rows
+            if not error <= limit
+        ]
+        is_tightest = float(accuracy.rtol) <= 1.01 * floor_of(self.system)
+        why = (
+            "The motion multiplies even the errors of rounding, by impacts, chaos or many periods"
+            if is_tightest
+            else "Runs at tighter tolerances fail or need more than max_steps"
+        )
+        return (
+            f"no tolerance gives {', '.join(missed) or 'what accuracy= asks for with a margin of two'}: at rtol "
+            f"{float(accuracy.rtol):.1e}, the best, it holds until t = {float(accuracy.until):.6g} s of "
+            f"{float(np.asarray(self.ts)[-1]):.6g} s. {why}. Shorten the run, allow larger errors, "
+            f"{'' if is_tightest else 'raise max_steps, '}or ask for statistics of many runs in place of one history."
+        )
 
     # Between the samples -----------------------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 """Simulate a scene: the adapter between the equations of motion and diffrax."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete, shown
+from spherejax.foundations.checks import is_concrete, is_tracing, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.kept.own_code import looked_at_once
@@ -26,14 +26,16 @@ from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.integration.one_run import bound_run, can_be_a_job
 from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.accurate import accurate
 from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
-from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+from spherejax.motion.start.tolerances import controller_for, tolerances_of
 from spherejax.runtime import require_float64
 
 SMALLEST_TOLERANCE = 1e-14
@@ -66,6 +68,7 @@ def simulate(
     track_work: bool = False,
     scalar: bool | None = None,
     throw: bool = False,
+    accuracy: str | float | Mapping[str, str | float] | None = None,
 ) -> Trajectory:
     """Simulate a scene.
 
@@ -106,6 +109,12 @@ def simulate(
         scalar: True runs on the scalar program, False on the array code. With None the scalar program is taken up to
             a size that compiles in seconds; larger systems run on the array code, whose time grows with the number of
             bodies and whose compile time hardly does. `run.stats.explanation` says so.
+        accuracy: the largest error that the whole run may have at its samples: a length for the positions of all
+            bodies, "1 um" or a number [m], or errors by names of quantities, {"position.rocker": "1 um",
+            "reaction.elbow": "0.1 N"}. The tolerance is chosen for it: from `rtol` on it is made tighter until the
+            estimated errors (`run.error`) are at most half of that, and `run.accuracy` says what came of it. It takes 3
+            to 10 times the steps of the run that is returned. Where no tolerance gives it (chaos, impacts without
+            friction), the run has the status `INACCURATE`, and `run.determined_until` says until when it holds.
         throw: raise `SimulationError` when the run fails; otherwise a failed run carries its status, and a
             `SimulationWarning` is given where the outcome is known at once.
 
@@ -118,12 +127,31 @@ def simulate(
     """
     require_float64()
     asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
+    limits = None if accuracy is None else _limits(scene, ts, accuracy, rtol, stepsize_controller, track_work, scalar)
     with looked_at_once():
         call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
         for change in call.changes:
             warnings.warn(change, StartWarning, stacklevel=2)
         run = call.run()
+    if limits is not None:
+        run = accurate(run, limits)
     return _reported(run, throw)
+
+
+def _limits(scene: Scene, ts, accuracy, rtol, stepsize_controller, track_work: bool, scalar) -> Limits:
+    """What `accuracy=` asks for; `SceneError` where no tolerance can be chosen for it."""
+    if stepsize_controller is not None:
+        raise SceneError(
+            "accuracy= chooses the tolerance of spherejax's own step-size control; leave stepsize_controller= out"
+        )
+    found = prepared(scene, track_work, scalar)
+    if is_tracing() or found.unknown or not all(map(is_concrete, (ts, rtol))):
+        raise SceneError(
+            "accuracy= looks at whole runs to choose their tolerance, which a trace (jit, vmap, grad) cannot do. Find "
+            "the tolerance of one run outside of it, rtol = sj.simulate(scene, ts, accuracy=...).asked.rtol, and give "
+            "that"
+        )
+    return limits_from(accuracy, found.system())
 
 
 class _Call(NamedTuple):
@@ -297,16 +325,6 @@ def traced_tolerances(rtol, atol, derivative_rtol=None) -> list:
     if derivative_rtol is not None and not is_concrete(derivative_rtol):
         conditions.append(derivative_rtol > 0)
     return conditions
-
-
-def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
-    """Tolerances of each entry of the state, by the scales of the scene unless they are given."""
-    if atol is not None:
-        return Tolerances(rtol, atol, "tolerances as asked for")
-    if isinstance(solver, diffrax.AbstractImplicitSolver):
-        # Their root finders take their tolerances from the controller, as numbers.
-        return Tolerances(rtol, 1e-2 * rtol, "atol 1e-2 rtol in all units")
-    return component_tolerances(system, rtol)
 
 
 def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
