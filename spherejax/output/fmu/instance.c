@@ -247,7 +247,7 @@ static bool start(Instance *c) {
 
 /* ---- The audit --------------------------------------------------------------------------------------------------- */
 
-enum { POTENTIAL, AGITATION, OUTSIDE, VIOLATION, NORM, PRESSED, TILT, FRICTION, N_VITALS };
+enum { VITALS, N_VITALS }; /* as `Vitals` of motion/integration/audit.py has them */
 
 /* Whether what is seen can be; energy only where `with_energy`. */
 static bool is_sound(Instance *c, double t, const double *y, bool with_energy, Status status) {
@@ -266,6 +266,10 @@ static bool is_sound(Instance *c, double t, const double *y, bool with_energy, S
   }
   if (v[NORM] > LARGEST_NORM) {
     say(c, status, "at t = %.9g s: a body's quaternion lost its norm", t);
+    return false;
+  }
+  if (v[TURNS] > 1) {
+    say(c, status, "at t = %.9g s: how often an angle about an axis has gone round is in doubt: take smaller steps", t);
     return false;
   }
   if (v[OUTSIDE] > LARGEST_OUTSIDE) {

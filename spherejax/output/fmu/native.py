@@ -25,7 +25,7 @@ from spherejax.foundations.scalar.c_source import PRELUDE
 from spherejax.foundations.scalar.graph import NotScalarizable
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, flatten_system
-from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, limits_of
+from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, Vitals, limits_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE, N_NEWTON_STEPS, as_ideal
@@ -163,6 +163,7 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Def
         PRELUDE,
         *(f"#define {name} {value}" for name, value in sizes.items()),
         *(f"#define {name} {_number(value)}" for name, value in levels.items()),
+        f"#define VITALS {', '.join(field.upper() for field in Vitals._fields)}",
         _texts("value_names", [port.name for port in ports.values]),
         _texts("body_names", list(system.bodies)),
         _array("start_values", [port.start for port in ports.values]),
@@ -191,7 +192,7 @@ def state_ports(system: System) -> list[Port]:
     for body in bodies:
         found += [Port(f"states.velocity.{body}.{letter}", "m/s") for letter in "xyz"]
         found += [Port(f"states.angular_velocity.{body}.{letter}", "rad/s") for letter in "xyz"]
-    found += [Port(f"states.{slot.joint}.{name}", "") for slot in system.memory_slots for name in slot.names]
+    found += [Port(f"states.{slot.joint}.{name}", "") for slot in system.all_slots for name in slot.names]
     found += [Port(f"states.work.{i}", "J") for i in range(layout.n_work)]
     return found
 
