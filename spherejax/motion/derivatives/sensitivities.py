@@ -37,6 +37,8 @@ from spherejax.motion.integration.integrate import (
     parameters_from,
     room_of,
     samples,
+    samples_reached,
+    status_at_end,
     with_loop_of,
     wrapped,
 )
@@ -53,9 +55,9 @@ from spherejax.motion.integration.sensitivity_rows import (
     scales_of,
     with_rows,
 )
-from spherejax.motion.integration.status import status_of
+from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
-from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly
+from spherejax.motion.start.assembly import Assembly
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
@@ -293,14 +295,14 @@ class RowsStart(NamedTuple):
     values_are_legal: Flag
 
     @property
-    def is_closed(self) -> Flag:
-        """Whether the mechanism could be assembled."""
-        return self.assembly.residual_after < CLOSING_TOLERANCE
+    def status(self) -> Int[Array, ""]:
+        """Of the run before its first step, an integer of `Status`."""
+        return start_status(self.values_are_legal, self.assembly.residual_after, self.y0)
 
     @property
     def may_run(self) -> Flag:
         """Whether the run can be made."""
-        return self.is_closed & self.values_are_legal & jnp.all(jnp.isfinite(self.y0))
+        return self.status == Status.SUCCEEDED
 
 
 def start_of_rows(
@@ -380,8 +382,8 @@ def integrate_rows(
     sampled: Any = solution.ys
     times: Any = solution.ts
     reached = times[1][0]
-    rows = jnp.where(((ts <= reached) & began.may_run)[:, None, None], sampled[0], jnp.nan)
-    status = status_of(solution.result, began.values_are_legal, began.is_closed)
+    rows = samples_reached(sampled[0], (ts <= reached) & began.may_run)
+    status = status_at_end(began.status, solution.result, reached, ts[-1], rows, sampled[1])
     others = list(zip(times[2:], sampled[2:], strict=True))
     return IntegratedRows(rows, others, status, reached, solution.stats["num_steps"])
 

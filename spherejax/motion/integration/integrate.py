@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
@@ -30,7 +30,7 @@ from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import SampledElements, SamplingSolver, samples_of
 from spherejax.motion.integration.statistics import Statistics
-from spherejax.motion.integration.status import Status, status_of
+from spherejax.motion.integration.status import Status, end_status, start_status, status_of
 from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.implicit import with_structure
@@ -43,7 +43,7 @@ from spherejax.motion.solvers.landing import (
 )
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit, n_stages_of_end
 from spherejax.motion.solvers.wrapping import StepBudget
-from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly, as_ideal, assemble
+from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,8 @@ def integrate(
 def _integrated(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
     theta = plan.theta(values, known)
     assembly, y0 = beginning(plan, theta, ts[0], start)
-    is_closed = assembly.residual_after < CLOSING_TOLERANCE
-    may_run = is_closed & values_are_legal & jnp.all(jnp.isfinite(y0))
+    began = start_status(values_are_legal, assembly.residual_after, y0)
+    may_run = began == Status.SUCCEEDED
     # A lane that cannot run must not hold up the others: it gets an interval of length zero.
     t1 = jnp.where(may_run, ts[-1], ts[0])
     rate = program_for(state_rate, plan.structure, plan.scalar)
@@ -181,14 +181,26 @@ def _integrated(plan, options, values, known, ts, start, values_are_legal) -> Ou
         max_steps=options.max_steps,
         throw=False,
     )
-    status = status_of(solution.result, values_are_legal, is_closed)
     sampled: Any = solution.ys
     times: Any = solution.ts
     reached = times[1][0]
-    is_sampled = (ts <= reached) & ((status == Status.SUCCEEDED) | may_run)
-    ys = jnp.where(is_sampled[:, None], sampled[0], jnp.nan)
+    ys = samples_reached(sampled[0], (ts <= reached) & may_run)
     y_reached = jax.lax.stop_gradient(sampled[1][0])
+    status = status_at_end(began, solution.result, reached, ts[-1], ys, y_reached)
     return Outcome(ys, reached, y_reached, status, _statistics(solution, options.solver, contacts), assembly)
+
+
+def samples_reached(ys: Float[Array, "n ..."], is_reached: Bool[Array, " n"]) -> Float[Array, "n ..."]:
+    """Samples of diffrax, NaN where a run did not come: what diffrax did not write is infinite."""
+    is_reached = is_reached.reshape(-1, *(1 for _ in ys.shape[1:])) & jnp.isfinite(jax.lax.stop_gradient(ys))
+    return jnp.where(is_reached, ys, jnp.nan)
+
+
+def status_at_end(began, result: diffrax.RESULTS, t_reached, t_end, *states) -> Int[Array, ""]:
+    """The status of a run by diffrax, from that at its start, and what came of it; see `end_status`."""
+    are_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(jax.lax.stop_gradient(each))) for each in states]))
+    status = jnp.where(began == Status.SUCCEEDED, status_of(result), began)
+    return end_status(status, t_reached, t_end, are_finite)
 
 
 def with_loop_of(adjoint: diffrax.AbstractAdjoint, solver: Any) -> Any:

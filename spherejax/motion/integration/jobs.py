@@ -44,9 +44,9 @@ from spherejax.motion.integration.sensitivity_rows import (
     with_rows,
 )
 from spherejax.motion.integration.statistics import Statistics
-from spherejax.motion.integration.status import Status
+from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.solvers.implicit import with_structure
-from spherejax.motion.start.assembly import CLOSING_TOLERANCE, Assembly
+from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import controller_for
 
 
@@ -214,25 +214,17 @@ def job_of(
         tolerances: relative and absolute, where they depend on the run.
     """
     assembly, y0 = beginning(plan, theta, ts[0], start)
-    is_closed = assembly.residual_after < CLOSING_TOLERANCE
-    may_run, status = _permitted(values_are_legal, is_closed, y0)
+    status = start_status(values_are_legal, assembly.residual_after, y0)
     rate = program_for(state_rate, plan.structure, plan.scalar)
     with machine_code.wanted(in_machine_code(plan, solver)):  # in vectors, if it is read by machine code
         ahead = rate.ahead(theta)
     numbers = RunNumbers(Parameters(theta, ahead), None, tolerances, limits)
-    return Job(numbers, y0, may_run, status, assembly)
+    return Job(numbers, y0, status == Status.SUCCEEDED, status, assembly)
 
 
 def audit_limits(system: System, rtol, solver: Any) -> Limits:
     """From where on a run is wrong; constant where it is differentiated."""
     return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits_of(system, rtol, solver)))
-
-
-def _permitted(values_are_legal, is_closed, y0) -> tuple[Flag, Int[Array, ""]]:
-    status = jnp.where(
-        values_are_legal, jnp.where(is_closed, Status.SUCCEEDED, Status.START_NOT_CLOSED), Status.BAD_VALUE
-    )
-    return values_are_legal & is_closed & jnp.all(jnp.isfinite(y0)), jnp.asarray(status, jnp.int64)
 
 
 def with_slopes(

@@ -6,9 +6,11 @@ from collections.abc import Callable
 import diffrax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.types import Flag
+from spherejax.foundations.types import Flag, Scalar
+from spherejax.motion.solvers.landing import NOT_FINITE_RESULT
+from spherejax.motion.start.assembly import CLOSING_TOLERANCE
 
 
 class SimulationWarning(UserWarning):
@@ -34,6 +36,7 @@ class Status(enum.IntEnum):
     SOLVER_FAILED = 5
     AUDIT_FAILED = 6
     INACCURATE = 7
+    NOT_FINITE = 8
 
     def __str__(self) -> str:
         return f"Status.{self.name}"
@@ -55,8 +58,9 @@ REMEDIES = {
         "Check the forces at that instant, loosen rtol, or soften the contact or film"
     ),
     Status.BAD_VALUE: (
-        "a physical number is not legal (for instance a clearance that is not positive). Simulate this lane alone, "
-        "outside jit and vmap, to get the error that names the joint and the value"
+        "a physical number is not legal (for instance a clearance that is not positive), or the sample times do "
+        "not increase. Simulate this lane alone, outside jit and vmap, to get the error that names the joint and the "
+        "value"
     ),
     Status.START_NOT_CLOSED: (
         "the joints cannot be closed at the start. Simulate this lane alone, outside jit and vmap, to get the error "
@@ -69,6 +73,12 @@ REMEDIES = {
     Status.INACCURATE: (
         "no tolerance gives the accuracy that was asked for (`run.accuracy` has the estimated errors). Shorten the "
         "run, allow larger errors, or ask for statistics of many runs in place of one history"
+    ),
+    Status.NOT_FINITE: (
+        "a number of the motion, or of a derivative that is integrated beside it, is not finite there (NaN or "
+        "infinity), so no step can be made. Check functions and laws of your own at that instant: a division by zero, "
+        "a power, root or norm whose derivative is infinite at zero (a driver is differentiated twice by time), a "
+        "branch of jnp.where that is not taken and not finite"
     ),
     Status.SOLVER_FAILED: (
         "the solver could not make a step (a linear or nonlinear solve failed). Choose another solver or loosen rtol"
@@ -83,15 +93,48 @@ STOPPED_IN_MOTION = (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL, Status.SOLVER
 """Endings that the motion itself may have brought about, for instance a singular configuration."""
 
 
-def status_of(result: diffrax.RESULTS, values_are_legal: Flag, start_is_closed: Flag) -> Int[Array, ""]:
-    """The status as an integer array, from diffrax's result and the checks made inside the program."""
+EXPLAINED = (Status.AUDIT_FAILED, Status.NOT_FINITE, Status.STEP_TOO_SMALL, Status.BAD_VALUE)
+"""Endings of which the cause may be found: what the audit saw, or whose value is not finite."""
+
+
+def start_status(values_are_legal: Flag, residual: Scalar, y0: Float[Array, " *state"]) -> Int[Array, ""]:
+    """The status of a run before its first step; it may run if that is `SUCCEEDED`.
+
+    Args:
+        values_are_legal: whether the conditions of the scene and of the request hold.
+        residual: of the joints' equations once the start is assembled [m or 1].
+        y0: flat state at the start, with sensitivities as rows below it or without.
+    """
+    is_finite = jnp.all(jnp.isfinite(y0)) & jnp.isfinite(residual)
+    status = jnp.where(residual < CLOSING_TOLERANCE, Status.SUCCEEDED, Status.START_NOT_CLOSED)
+    status = jnp.where(is_finite, status, Status.NOT_FINITE)
+    return jnp.asarray(jnp.where(values_are_legal, status, Status.BAD_VALUE), jnp.int64)
+
+
+def status_of(result: diffrax.RESULTS) -> Int[Array, ""]:
+    """The status that a result of diffrax stands for, as an integer array."""
     results = diffrax.RESULTS
     failed = jnp.where(result == results.successful, Status.SUCCEEDED, Status.SOLVER_FAILED)
     failed = jnp.where(result == results.max_steps_reached, Status.TOO_MANY_STEPS, failed)
     failed = jnp.where(result == results.dt_min_reached, Status.STEP_TOO_SMALL, failed)
-    failed = jnp.where(result == AUDIT_RESULT, Status.AUDIT_FAILED, failed)
-    failed = jnp.where(start_is_closed, failed, Status.START_NOT_CLOSED)
-    return jnp.where(values_are_legal, failed, Status.BAD_VALUE)
+    failed = jnp.where(result == NOT_FINITE_RESULT, Status.NOT_FINITE, failed)
+    return jnp.where(result == AUDIT_RESULT, Status.AUDIT_FAILED, failed)
+
+
+def end_status(status: Int[Array, ""], t_reached: Scalar, t_end: Scalar, states_are_finite: Flag) -> Int[Array, ""]:
+    """The status of a run that has ended: `SUCCEEDED` only at its end, with samples and a last state that are finite.
+
+    Every road of a run reports what this returns, whatever its loop said: the loop judges errors, and an error that is
+    not judged (of a controller of the user's, of a stage for dense output alone) may hide a NaN.
+
+    Args:
+        status: as the loop ended, an integer of `Status`.
+        t_reached: time reached [s].
+        t_end: last sample time [s].
+        states_are_finite: whether all samples and the last state are.
+    """
+    status = jnp.where((status == Status.SUCCEEDED) & ~(t_reached >= t_end), Status.SOLVER_FAILED, status)
+    return jnp.where((status == Status.SUCCEEDED) & ~states_are_finite, Status.NOT_FINITE, status)
 
 
 def diagnosis(status, t_reached, t_end, found: Callable[[tuple], str] = lambda lane: "") -> str:
@@ -101,7 +144,7 @@ def diagnosis(status, t_reached, t_end, found: Callable[[tuple], str] = lambda l
         status: integers, any shape (one an entry is a lane).
         t_reached: times reached [s], same shape.
         t_end: times asked for [s], same shape.
-        found: what the audit of a lane found, by its index.
+        found: what was found to be the cause of a lane's end, by its index; asked for endings in `EXPLAINED`.
     """
     status, t_reached, t_end = (np.atleast_1d(np.asarray(value)) for value in (status, t_reached, t_end))
     sentences = []
@@ -109,7 +152,8 @@ def diagnosis(status, t_reached, t_end, found: Callable[[tuple], str] = lambda l
         index = tuple(lane)
         which = "" if status.size == 1 else f"lane {', '.join(map(str, index))}: "
         ended = Status(status[index])
-        why = f"{found(index)}: " if ended == Status.AUDIT_FAILED and found(index) else ""
+        cause = found(index) if ended in EXPLAINED else ""
+        why = f"{cause}: " if cause else ""
         sentences.append(
             f"{which}stopped at t = {t_reached[index]:.9g} s of {t_end[index]:.9g} s: {why}{REMEDIES[ended]}."
         )

@@ -16,6 +16,7 @@ from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findings, suspects
+from spherejax.motion.integration.not_finite import not_finite_part
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
 from spherejax.motion.results.accuracy import Accuracy
@@ -99,7 +100,7 @@ class Trajectory(eqx.Module, Reported):
         """
         if self.accuracy is not None and self.status == Status.INACCURATE:
             return self._inaccurate(self.accuracy)
-        text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._found)
+        text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._cause)
         if np.ndim(self.ended) or not text or int(self.ended) not in STOPPED_IN_MOTION:
             return text
         start = (float(self.ts[0]), np.asarray(self.assembly.y))
@@ -471,6 +472,22 @@ class Trajectory(eqx.Module, Reported):
     def to_xarray(self, *, every: int = 1) -> "xarray.Dataset":
         """The run as a labelled `xarray.Dataset`, units in the attributes, one of `every` samples; see `to_dataset`."""
         return to_dataset(self, every=every)
+
+    def _cause(self, lane: tuple) -> str:
+        """Why a lane ended, as far as it can be found: what the audit saw, the part that is not finite, bad times."""
+        lane = lane if np.ndim(self.ended) else ()
+        ended = Status(int(np.asarray(self.ended)[lane]))
+        if ended == Status.AUDIT_FAILED:
+            return self._found(lane)
+        ts = np.asarray(self.ts)[lane]
+        if ended == Status.BAD_VALUE:
+            is_sound = np.all(np.isfinite(ts)) and np.all(np.diff(ts) >= 0)
+            return "" if is_sound else "the sample times ts do not increase, or are not finite"
+        run = jax.tree.map(lambda leaf: leaf[lane], self) if lane else self
+        if not all(map(is_concrete, jax.tree.leaves((run.system, run.t_reached, run.y_reached)))):
+            return ""
+        reached = float(run.t_reached)
+        return not_finite_part(run.system, self.scalar, reached, float(ts[-1] - ts[0]), np.asarray(run.y_reached))
 
     def _found(self, lane: tuple) -> str:
         """What the audit of a lane has found; of a single run it names the joint or the body."""

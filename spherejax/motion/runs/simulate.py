@@ -25,7 +25,7 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.integration.one_run import bound_run, can_be_a_job
-from spherejax.motion.integration.status import OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from spherejax.motion.integration.status import REMEDIES, OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
@@ -204,8 +204,7 @@ def _call(
         # On every road: `lanes/first_step.py` for lanes, `LandingController.init` for diffrax's loop.
         said = f"{said}; first step by trial (Hairer)"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
-    conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol)]
-    conditions += [] if is_concrete(ts) else [jnp.all(jnp.diff(ts) >= 0)]
+    conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
     values = rows_at(jnp.asarray(found.theta), unknown) if unknown else np.zeros(0)
     arguments = plan, options, values, found.known, ts, assembly, values_are_legal
@@ -327,6 +326,11 @@ def traced_tolerances(rtol, atol, derivative_rtol=None) -> list:
     return conditions
 
 
+def traced_times(ts: Float[Array, " n"]) -> list:
+    """The same conditions for sample times that are traced: they are finite, and do not go back."""
+    return [] if is_concrete(ts) else [jnp.all(jnp.isfinite(ts)), jnp.all(jnp.diff(ts) >= 0)]
+
+
 def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
     """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it."""
     if atol is None and not isinstance(solver, diffrax.AbstractImplicitSolver):
@@ -339,11 +343,7 @@ def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -
 
 def _reported(run: Trajectory, throw: bool) -> Trajectory:
     if not (is_concrete(run.ended) and is_concrete(run.t_reached)):
-        if throw:
-            return eqx.error_if(
-                run, run.ended != Status.SUCCEEDED, "a simulation did not reach its end; see Trajectory.status"
-            )
-        return run
+        return _raising(run) if throw else run
     if int(run.ended) != Status.SUCCEEDED:
         if throw:
             raise SimulationError(run.diagnosis)
@@ -354,6 +354,26 @@ def _reported(run: Trajectory, throw: bool) -> Trajectory:
         of = f"joint {limited[0]!r}" if len(limited) == 1 else f"one of joints {', '.join(map(repr, limited))}"
         warnings.warn(f"{of}: {said}", OutOfRangeWarning, stacklevel=3)
     return run
+
+
+def _raising(run: Trajectory) -> Trajectory:
+    """A traced run whose values, and whose derivatives, raise where it has failed."""
+    failures = [status for status in Status if status != Status.SUCCEEDED]
+    words = [f"a simulation did not reach its end ({status.name}): {REMEDIES[status]}" for status in failures]
+    passed = eqx.branched_error_if(jnp.ones(()), run.ended != Status.SUCCEEDED, jnp.maximum(run.ended - 1, 0), words)
+    return jax.tree.map(lambda leaf: _dependent(leaf, passed) if eqx.is_inexact_array(leaf) else leaf, run)
+
+
+@jax.custom_jvp
+def _dependent(x: Array, passed: Array) -> Array:
+    """x, evaluated behind a check. `jax.grad` drops a check that only the value depends on: so does the derivative."""
+    return x * passed
+
+
+@_dependent.defjvp
+def _dependent_jvp(primals, tangents):
+    x, passed = primals
+    return x * passed, tangents[0] * passed
 
 
 def _is_limited(system: System, joint: str) -> bool:

@@ -37,6 +37,13 @@ DEEPER = 3.0
 """Balls that are deeper than that already, in soft walls or tight sockets, get so many times deeper in a step."""
 
 
+NOT_FINITE_RESULT: Any = diffrax.RESULTS.nonfinite
+"""What a controller says where steps that have shrunk to the rounding of time still end in NaN or infinity."""
+
+SHORTEST = 1e-30
+"""No step [s] is shorter, wherever zero of time is; light goes 3e-22 m in it."""
+
+
 class ContactFunctions(NamedTuple):
     """What the integrator must know of a system's contacts, and of what presses from one side without a memory (stops,
     tyres: "touches"); functions take (parameters, t, y).
@@ -185,6 +192,7 @@ class LandingController(AbstractForwardingController):
         """
         terms = getattr(terms, "term", terms)
         first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        first = t0 + finite_size(first - t0, t1 - t0)
         start = None if self.contacts is None else jax.lax.stop_gradient(self.contacts.crossings(args, t0, y0))
         unknown = jnp.zeros(0) if start is None else -jnp.ones_like(start.value)
         state = LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False), start, unknown)
@@ -210,10 +218,10 @@ class LandingController(AbstractForwardingController):
         made_jump = made_jump if self.were_taken is None else made_jump | (keep & jumps)
         size, shortest = t1 - t0, shortest_step(t0, t1)
         # A step that the rounding of time has made nothing has no error either, and would be kept for ever.
-        has_stalled = (~keep & (jnp.abs(size) <= shortest)) | (size == 0)
-        result = diffrax.RESULTS.where(
-            has_stalled & (result == diffrax.RESULTS.successful), diffrax.RESULTS.dt_min_reached, result
-        )
+        has_stalled = (~keep & ~(jnp.abs(size) > shortest)) | (size == 0)
+        is_finite = ~overflows & (True if error is None else jnp.all(jnp.isfinite(error)))
+        stalled = diffrax.RESULTS.where(is_finite, diffrax.RESULTS.dt_min_reached, NOT_FINITE_RESULT)
+        result = diffrax.RESULTS.where(has_stalled & (result == diffrax.RESULTS.successful), stalled, result)
         if self.contacts is None:
             state = controller_state._replace(inner=inner)
             return keep, next_t0, next_t1, made_jump, state, result
@@ -298,8 +306,19 @@ def longest_ball_step(crossing: Crossing, acceleration, is_touching) -> Float[Ar
 
 
 def shortest_step(t0, t1) -> Float[Array, ""]:
-    """Steps of at most this [s] are lost in the rounding of time: four units in the last place."""
-    return 4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+    """Steps of at most this [s] are lost in the rounding of time: four units in the last place, no less than 1e-30 s.
+
+    Time has no last place at zero: without the least length a force of NaN at t = 0 took all 20,000,000 steps.
+    """
+    return jnp.maximum(4 * jnp.finfo(jnp.float64).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1)), SHORTEST)
+
+
+def finite_size(size, span) -> Float[Array, ""]:
+    """The size of a first step [s]; a millionth of the run where its trial met what is not finite.
+
+    Steps of the size NaN would follow each other without end; from here they shrink until they are none.
+    """
+    return jnp.where(jnp.isfinite(size), size, 1e-6 * span)
 
 
 def count_of(solver_state) -> Int[Array, " n_contacts"]:

@@ -72,6 +72,7 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
     try:
         start = assemble_now(structure, theta, t)
     except SceneError as error:
+        _refuse_drivers_not_finite(system, t)
         fighting = fighting_at(structure, theta, t) if system.is_driven else ()
         if not fighting:
             raise
@@ -79,10 +80,23 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
         raise SceneError(
             f"drivers {names} fight: at t = {t:.6g} s they ask for positions that cannot be had together. {REMEDY}"
         ) from error
-    if system.is_driven:
+    # A start that is not finite is not judged: the status of its run says so, and names the driver.
+    if system.is_driven and np.all(np.isfinite(start.y)):
         refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
     refuse_unsolvable_friction(system, t, np.asarray(start.y))
     return KnownStart(start, _changes(system, structure, theta, t, start))
+
+
+def _refuse_drivers_not_finite(system: System, t: float) -> None:
+    """Raise `SceneError` for a driver whose function of time is not finite when the motion starts, at t [s]."""
+    for name, joint in system.joints.items():
+        for function in joint.functions_of_time:
+            value = np.asarray(function(jnp.asarray(t)))
+            if not np.all(np.isfinite(value)):
+                raise SceneError(
+                    f"driver {name!r}: its function of time gives {value} at the start, t = {t:.6g} s. It must be "
+                    "finite there, and so must its first and second derivative"
+                )
 
 
 def start_changes(system: System, t: float, start: Assembly) -> tuple[str, ...]:

@@ -3,13 +3,14 @@
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes.lane import Lane, LaneOutcome
-from spherejax.motion.integration.status import Status
+from spherejax.motion.integration.status import Status, end_status
 
 _STATUS = 1
 """Place of the status in a row."""
@@ -41,13 +42,15 @@ class AccountLayout(NamedTuple):
         size = 4 + 2 * self.n_contacts + self.n_watched + self.n_checks + math.prod(self.shape)
         return jnp.zeros((n_jobs, size)).at[:, _STATUS].set(Status.SOLVER_FAILED)
 
-    def outcome(self, rows: Float[Array, "n_jobs k"], ys: Array, n_lane_steps: Array) -> LaneOutcome:
-        """What became of the runs, out of their rows."""
+    def outcome(self, rows: Float[Array, "n_jobs k"], ys: Array, n_lane_steps: Array, ts, t_end) -> LaneOutcome:
+        """What became of the runs, out of their rows, their samples at ts [s], and when they should have ended [s]."""
         n = 4 + self.n_contacts
         watched = n + self.n_contacts + self.n_watched
         ends = [_STATUS, n, n + self.n_contacts, watched, watched + self.n_checks]
         t_reached, counts, touching, peaks, audit, y_reached = jnp.split(rows, ends, axis=1)
         status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
+        are_finite = samples_are_finite(ys, ts, t_end) & jnp.all(jnp.isfinite(y_reached), axis=1)
+        status = jax.vmap(end_status, (0, 0, None, 0))(status, t_reached[:, 0], t_end, are_finite)
         return LaneOutcome(
             ys=ys,
             t_reached=t_reached[:, 0],
@@ -61,6 +64,12 @@ class AccountLayout(NamedTuple):
             audit=audit,
             n_lane_steps=n_lane_steps,
         )
+
+
+def samples_are_finite(ys: Float[Array, "n_jobs n ..."], ts: Float[Array, " n"], t_last) -> Bool[Array, " n_jobs"]:
+    """Whether all samples of each run up to a time [s] are finite."""
+    is_due = (ts <= t_last).reshape(-1, *(1 for _ in ys.shape[2:]))
+    return jnp.all(jnp.isfinite(ys) | ~is_due, axis=tuple(range(1, ys.ndim)))
 
 
 def written(rows: Float[Array, "n_jobs k"], at: Array, lanes: Lane) -> Float[Array, "n_jobs k"]:

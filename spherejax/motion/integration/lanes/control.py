@@ -109,7 +109,7 @@ def told_by(keep, result, verdict) -> Int[Array, ""]:
     """The status of a lane after a step, from what the solver and the control say."""
     if result is not None:
         verdict = diffrax.RESULTS.where(keep & (result != diffrax.RESULTS.successful), result, verdict)
-    return status_of(verdict, jnp.array(True), jnp.array(True))
+    return status_of(verdict)
 
 
 def clipped(t, t_next, t_end, keep) -> Array:

@@ -159,7 +159,7 @@ class Queue:
             n_onsets=jnp.zeros(self.n_contacts, jnp.int64),
             touching=jnp.zeros(self.n_contacts),
             peaks=peaks,
-            n_samples=none,
+            n_samples=jnp.where(may_run, none, self.ts.shape[0]),  # of a run that is not made none is due
             status=jnp.asarray(jnp.where(may_run, Status.SUCCEEDED, status), jnp.int64),
             watch=watch,
         )
@@ -245,7 +245,8 @@ class Queue:
         """Run all jobs."""
         width, narrow = self.width, self.narrow
         lanes = self.begun()
-        is_start = (self.ts <= self.t0).reshape(-1, *(1 for _ in self.y0.shape[1:]))
+        # Times that go back are the start of nothing; a run that is asked for them is not made.
+        is_start = (jnp.cumsum(self.ts != self.t0) == 0).reshape(-1, *(1 for _ in self.y0.shape[1:]))
         correct = None if self.corrects_late else self.problem.correct
         # The start is corrected as all samples are; the integration begins with what it was given.
         first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.t0, self.y0)
@@ -281,7 +282,7 @@ class Queue:
         if log is not None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
         ys = self._with_corrected_samples(carry[3]) if self.corrects_late else carry[3]
-        return account.outcome(carry[2], ys, carry[4]), log
+        return account.outcome(carry[2], ys, carry[4], self.ts, self.t_end), log
 
     def begun(self) -> Lane:
         """The block at the start of the first jobs."""
@@ -375,7 +376,7 @@ class Queue:
         """After a look: the lanes with where the next look or the first step ends."""
         control: Any = self.control
         size, k = last.t_next - last.t, last.dense_info["k"][:2]
-        looks, t_next = control.looked(looks, self.t0, lanes.y, size, k, lanes.parameters)
+        looks, t_next = control.looked(looks, self.t0, self.t_end, lanes.y, size, k, lanes.parameters)
         t_next = jnp.where(looks.turn == N_LOOKS, jnp.minimum(t_next, lanes.t_end), t_next)
         return lanes._replace(t_next=t_next), looks
 

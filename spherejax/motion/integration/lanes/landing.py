@@ -28,7 +28,14 @@ from spherejax.motion.integration.lanes.first_step import Looks, first_look, fir
 from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.solvers.crossing_search import FoundCrossings, crossing_fraction, first_event
-from spherejax.motion.solvers.landing import LANDING_WINDOW, ContactFunctions, longest_ball_step, shortest_step
+from spherejax.motion.solvers.landing import (
+    LANDING_WINDOW,
+    NOT_FINITE_RESULT,
+    ContactFunctions,
+    finite_size,
+    longest_ball_step,
+    shortest_step,
+)
 from spherejax.physics.joints.base import Crossing
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0
@@ -95,18 +102,20 @@ class Landing:
         t1, _ = self.problem.controller_of(parameters).init(
             term, t0, t_end, y0, None, parameters, self.problem.solver.func, self.order
         )
-        return self._first(t0, t1 - t0, y0, parameters), self._pace(t0, y0, parameters)
+        size = finite_size(t1 - t0, t_end - t0)
+        return self._first(t0, size, y0, parameters), self._pace(t0, y0, parameters)
 
     def init_with_looks(self, t0, t_end, y0, parameters):
         """As `init`, with the end of the first look in place of the first step."""
         return first_look(t0, t_end, shortest_step(t0, t_end)), self._pace(t0, y0, parameters)
 
-    def looked(self, looks: Looks, t0, y0, size, k, parameters) -> tuple[Looks, Float[Array, " n_lanes"]]:
+    def looked(self, looks: Looks, t0, t_end, y0, size, k, parameters) -> tuple[Looks, Float[Array, " n_lanes"]]:
         """What is known after a look, and where the next one, or the first step, ends.
 
         Args:
             looks: before it.
             t0, y0: the start.
+            t_end: where the run ends [s].
             size: of the look [s].
             k: increments of its stages.
             parameters: what the right-hand side is given.
@@ -115,10 +124,12 @@ class Landing:
         def next_end(slope, slope_along, y0, size, parameters):
             controller = self.problem.controller_of(parameters)
             along = looked_along(controller, y0, slope)
-            again = t0 + along / self.instants[1]
-            size = first_size(controller, self.order, y0, slope, size * self.instants[1], slope_along)
+            again = t0 + finite_size(along, span) / self.instants[1]
+            along = size * self.instants[1]
+            size = finite_size(first_size(controller, self.order, y0, slope, along, slope_along), span)
             return jnp.where(looks.turn == 0, again, self._first(t0, size, y0, parameters))
 
+        span = t_end - t0
         slope = jnp.where(looks.turn == 0, k[0] / size, looks.slope)
         end = in_lanes(next_end)(slope, k[1] / size, y0, size, parameters)
         return Looks(looks.turn + 1, slope, jnp.array(False)), end
@@ -146,7 +157,7 @@ class Landing:
     def judge(self, step: BlockSteps, state: Pace, was_jump) -> Judgment:
         """What becomes of the trial steps."""
         size, shortest = step.t1 - step.t0, shortest_step(step.t0, step.t1)
-        error = self._scaled_error(step)
+        error, is_finite = self._scaled_error(step)
         passes = error < 1
         largest = jnp.where(passes, jnp.where(state.was_rejected, 1.0, LARGEST_FACTOR), SAFETY)
         longer = size * jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
@@ -158,7 +169,7 @@ class Landing:
         else:
             judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
         keep = judgment.keep
-        has_stalled = (~keep & (size <= shortest)) | (size == 0)
+        has_stalled = (~keep & ~(size > shortest)) | (size == 0)
         t, y = jnp.where(keep, judgment.t, step.t0), jnp.where(keep, judgment.y, step.y0)
         made_jump = jnp.where(keep, judgment.made_jump, was_jump)
         if self.samples is not None:
@@ -167,7 +178,7 @@ class Landing:
             t=t,
             t_next=t + self._limited(judgment.t_next, self._room(step.parameters, t, y), shortest),
             made_jump=made_jump,
-            verdict=in_lanes(_verdict)(has_stalled),
+            verdict=in_lanes(_verdict)(has_stalled, is_finite),
         )
 
     def _with_samples(self, samples: SampledElements, parameters, t, y, made_jump, judgment: Judgment):
@@ -300,8 +311,11 @@ class Landing:
     def _corrected(self, parameters, t, y) -> Float[Array, "... n_lanes"]:
         return y if self.correct is None else in_lanes(self.correct)(parameters, t, y)
 
-    def _scaled_error(self, step: BlockSteps) -> Float[Array, " n_lanes"]:
-        """The root mean square of the errors by what is tolerated; of rows (`sensitivity_rows`) the worst."""
+    def _scaled_error(self, step: BlockSteps) -> tuple[Float[Array, " n_lanes"], Bool[Array, " n_lanes"]]:
+        """The root mean square of the errors by what is tolerated; of rows (`sensitivity_rows`) the worst.
+
+        And whether it is finite: it is infinite, too, of a step whose stages do not hold together.
+        """
 
         slack_of = self.problem.slack_of
 
@@ -316,7 +330,7 @@ class Landing:
         is_right = jnp.logical_not(jnp.isnan(error))
         if step.stray is not None:
             is_right = is_right & self._holds_together(step.stray, step, scale)
-        return jax.lax.stop_gradient(jnp.where(is_right, error, jnp.inf))
+        return jax.lax.stop_gradient((jnp.where(is_right, error, jnp.inf), error < jnp.inf))
 
     def _holds_together(self, stray: Array, step: BlockSteps, scale) -> Bool[Array, " n_lanes"]:
         """Whether the last stage that has the step's end for its instant is nearer to it than the start is.
@@ -354,5 +368,6 @@ def _bend(near, far) -> Float[Array, " n_lanes"]:
     return (far - near) / jnp.maximum(far + near, 1e-300)
 
 
-def _verdict(has_stalled):
-    return diffrax.RESULTS.where(has_stalled, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful)
+def _verdict(has_stalled, is_finite):
+    stalled = diffrax.RESULTS.where(is_finite, diffrax.RESULTS.dt_min_reached, NOT_FINITE_RESULT)
+    return diffrax.RESULTS.where(has_stalled, stalled, diffrax.RESULTS.successful)

@@ -19,10 +19,11 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.machine.few_kernels import in_few_kernels
-from spherejax.motion.integration.lanes.account import AccountLayout, written
+from spherejax.motion.integration.lanes.account import AccountLayout, samples_are_finite, written
 from spherejax.motion.integration.lanes.engine import Queue
 from spherejax.motion.integration.lanes.first_step import Looks
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, is_busy
+from spherejax.motion.integration.status import Status
 
 WINDOW = 2048
 """Samples of a window. To begin a run and to pause it take some 0.2 ms each: with windows of 1024, 200,001 samples of a
@@ -222,9 +223,13 @@ class _Windows(Queue):
         lanes, _, rows, ys, n_lane_steps, _, looks, last = self.gone_on(busy, carry)
         if self.corrects_late:
             ys = self._corrected(lanes, ys)
+        outcome = account.outcome(rows, ys, n_lane_steps, self.ts, self.t_end)
+        # The windows behind this one do not see its samples: what is wrong with them ends the run here.
+        is_sound = samples_are_finite(ys, self.ts, lanes.t) | (lanes.status != Status.SUCCEEDED)
+        lanes = lanes._replace(status=jnp.where(is_sound, lanes.status, Status.NOT_FINITE))
         n_written = jnp.maximum(lanes.n_samples[0], 1)
         progress = jnp.stack([n_written, has_not_ended(lanes, looks).astype(jnp.int64), n_lane_steps])
-        return account.outcome(rows, ys, n_lane_steps), RunUnderWay(lanes, n_lane_steps, looks, last), progress
+        return outcome, RunUnderWay(lanes, n_lane_steps, looks, last), progress
 
     def refilled(self, lanes: Lane, waiting, account) -> tuple:
         """Write down how far the one run is, whether it has ended or not."""
