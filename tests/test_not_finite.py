@@ -43,7 +43,10 @@ class Late(sj.AbstractForce):
     """A force that is not a number from t = `last` on."""
 
     last: float
-    body_names = ("ball",)
+
+    @property
+    def body_names(self):
+        return ("ball",)
 
     def wrenches(self, t, motions):
         return {"ball": sj.Wrench(jnp.array([jnp.where(t > self.last, jnp.nan, 1.0), 0.0, 0.0]), jnp.zeros(3))}
