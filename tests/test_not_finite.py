@@ -5,6 +5,7 @@ No run succeeds with a sample that is NaN, or short of its end.
 
 import warnings
 from functools import partial
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -17,8 +18,8 @@ import spherejax as sj
 from spherejax import Status
 
 TS = np.linspace(0.0, 1.0, 5)
-FEW = {"max_steps": 2_000}
-ROADS = {
+FEW: dict[str, Any] = {"max_steps": 2_000}
+ROADS: dict[str, dict[str, Any]] = {
     "lane": {},
     "two samples": {"ts": TS[[0, -1]]},
     "many windows": {"ts": np.linspace(0.0, 1.0, 5_000)},
