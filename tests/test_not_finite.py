@@ -198,7 +198,7 @@ def test_under_jit_and_vmap():
 def test_many_runs_and_sweeps():
     many = sj.simulate_many(late, {"last": LAST}, TS).trajectories
     assert np.asarray(many.status).tolist() == ENDED
-    swept = sj.sweep(late, {"last": np.asarray(LAST)}, TS, record=["final position.ball"])
+    swept = sj.sweep(late, {"last": np.asarray(LAST)}, jnp.asarray(TS), record=["final position.ball"])
     assert swept.status.values.tolist() == ENDED
     assert np.isfinite(swept["final_position.ball"].values[:, 0]).tolist() == [False, True, False]
 
