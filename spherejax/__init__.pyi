@@ -72,6 +72,7 @@ from .physics.joints.dry import Dry
 from .physics.joints.ideal import Ideal
 from .physics.joints.joint import AbstractJoint, AbstractPlacedJoint
 from .physics.joints.lubricated import Lubricated
+from .physics.joints.orientation import ParallelAxes, PerpendicularAxes, SameOrientation
 from .physics.joints.pairs import Fixed, PointOnPlane, Universal
 from .physics.joints.rim import Rim, tilting_journal
 from .physics.joints.rows import ConstraintRows, differentiated_rows
@@ -286,9 +287,11 @@ __all__ = [
     "NoDriftControl",
     "NotScalarizable",
     "OutOfRangeWarning",
+    "ParallelAxes",
     "Parameter",
     "PartingWarning",
     "Peak",
+    "PerpendicularAxes",
     "Piecewise",
     "PinkusSternlicht",
     "PointContact",
@@ -319,6 +322,7 @@ __all__ = [
     "Ros34PW2",
     "RotationDriver",
     "Runs",
+    "SameOrientation",
     "SampledActuator",
     "SampledPID",
     "Sampling",

@@ -76,6 +76,9 @@ KINDS = {
     "prismatic": Kind(lambda: sj.Prismatic(AB, "b.p", AXIS), 5),
     "fixed": Kind(lambda: sj.Fixed(AB, POINT), 6),
     "point on plane": Kind(lambda: sj.PointOnPlane("b.p", POINT, AXIS, body="a"), 1),
+    "same orientation": Kind(lambda: sj.SameOrientation(AB, POINT), 3),
+    "parallel axes": Kind(lambda: sj.ParallelAxes(AB, "b.p", AXIS), 2),
+    "perpendicular axes": Kind(lambda: sj.PerpendicularAxes(AB, POINT, AXIS, ACROSS), 1),
     "circle": Kind(lambda: sj.PointOnCurve("b.p", sj.Circle(POINT, AXIS, 0.3), body="a"), 2),
     "line": Kind(lambda: sj.PointOnCurve("b.p", sj.Line(POINT, AXIS), body="a"), 2),
     "implicit curve": Kind(

@@ -92,10 +92,14 @@ def scene_accelerations(scene: sj.Scene) -> dict[str, np.ndarray]:
     from spherejax.model.system import flatten_system
     from spherejax.motion.equations.dynamics import state_rate
     from spherejax.motion.equations.programs import program_for
-    from spherejax.motion.start.assembly import described_state
+    from spherejax.motion.integration.integrate import initial_state
+    from spherejax.motion.start.start_now import known_start
 
     system = sj.compile_scene(scene).system
     structure, theta = flatten_system(system)
-    rates = program_for(state_rate, structure).compute(np.asarray(theta), 0.0, np.asarray(described_state(system)))
+    start = known_start(system, np.zeros(1))
+    assert start is not None
+    y = np.asarray(initial_state(system, start.assembly))  # with what force elements remember, as turns of an angle
+    rates = program_for(state_rate, structure).compute(np.asarray(theta), 0.0, y)
     n = len(system.bodies)
     return dict(zip(system.bodies, np.reshape(rates[7 * n : 13 * n], (n, 6)), strict=True))

@@ -122,6 +122,18 @@ EQUIVALENT = {
         {"f": sj.Fixed(PAIR, AT)},
         {"r": sj.Revolute(PAIR, AT, ALONG), "stop": sj.RotationDriver(PAIR, ALONG, STILL)},
     ),
+    "orientation and place": (
+        {"o": sj.SameOrientation(PAIR, AT), "s": sj.Spherical("ground.left", "body.left")},
+        {"f": sj.Fixed(PAIR, LEFT)},
+    ),
+    "parallel axes and place": (
+        {"p": sj.ParallelAxes(PAIR, AT, ALONG), "s": sj.Spherical("ground.left", "body.left")},
+        {"r": sj.Revolute(PAIR, LEFT, ALONG)},
+    ),
+    "perpendicular axes and place": (
+        {"p": sj.PerpendicularAxes(PAIR, AT, ALONG, (1.0, -1.0, 0.0)), "s": sj.Spherical("ground.left", "body.left")},
+        {"u": sj.Universal(PAIR, LEFT, ALONG, (1.0, -1.0, 0.0))},
+    ),
     "line": (
         {"l": sj.PointOnCurve("body.left", sj.Line(AT, ALONG))},
         {
@@ -151,10 +163,11 @@ EQUIVALENT = {
 @pytest.mark.parametrize("name", EQUIVALENT)
 def test_equivalent_joints_move_alike(name):
     """The same accelerations at the same state: the same motion."""
+    points = {"at": AT, "left": LEFT}
     first, second = (
-        accelerations(sj.Scene(spun(joints).bodies, joints, ground_points={"at": AT})) for joints in EQUIVALENT[name]
+        accelerations(sj.Scene(spun(joints).bodies, joints, ground_points=points)) for joints in EQUIVALENT[name]
     )
-    assert np.abs(first).max() > 1.0 or name == "fixed"
+    assert np.abs(first).max() > 1.0 or name in ("fixed", "orientation and place")
     assert first == pytest.approx(second, abs=1e-9)
 
 

@@ -136,6 +136,125 @@ def test_several_joints_of_a_body_are_one_where_there_is_one(written, joints, ki
     assert_same(scene, body_accelerations(model, data))
 
 
+H, B = '<joint name="h" axis="0 1 0" pos=".1 0 .2" {}/>', '<joint name="h" type="ball" pos=".1 0 .2"/>'
+X = '<joint name="x" type="slide" axis="1 0 0" {}/>'
+Y = '<joint name="y" type="slide" axis="0 1 0" {}/>'
+Z = '<joint name="z" type="slide" axis="0 0 1" {}/>'
+OBLIQUE = '<joint name="o" type="slide" axis="1 2 .5"/>'
+TWO = '<joint name="h" axis="0 1 0" pos=".1 0 .2"/><joint name="k" axis="1 0 1" pos=".1 0 .2"/>'
+SLIDING = {
+    "two slides": X + Z,
+    "oblique slides": X + OBLIQUE,
+    "three slides": X + Y + Z,
+    "a slide and a ball": X + B,
+    "two slides and a ball": X + Z + B,
+    "a slide across a hinge": X + H,
+    "a slide at an angle to a hinge": OBLIQUE + H,
+    "two slides, one along a hinge": X + Y + H,
+    "three slides and a hinge": X + Y + Z + H,
+    "a slide and two hinges": Z + TWO,
+    "a hinge, then a slide across": H + X,
+    "a hinge, then slides, one along": H + Y + X,
+    "two hinges, then a slide": TWO + X,
+}
+"""Stacks of slides and turns, which were refused."""
+
+
+@pytest.mark.parametrize("joints", SLIDING.values(), ids=SLIDING)
+def test_slides_and_turns_of_a_body_accelerate_as_in_mujoco(written, joints):
+    joints = joints.replace("{}", "")
+    path = written(
+        model_of(
+            f'<body name="base" pos="0 0 1"><joint name="j" axis="0 0 1"/>{INERTIAL}'
+            f'<body name="arm" pos="0.3 0 0" quat="1 .2 .3 .1">{joints}{INERTIAL}</body></body>'
+        )
+    )
+    model, data, start = at_state(path, 3)
+    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    assert set(scene.bodies) == {"base", "arm"}
+    assert sj.constraint_report(scene).degrees_of_freedom == model.nv
+    assert_same(scene, body_accelerations(model, data))
+
+
+FORCES = 'stiffness="{}" damping=".4" springref="{}"'
+PUSHED = {
+    "a carriage": X.format(FORCES.format(5, 0.2)) + Z.format(FORCES.format(9, -0.1)),
+    "a planar body": X.format(FORCES.format(5, 0.2)) + Z.format("") + H.format(FORCES.format(2, 0.3)),
+    "a planar body, turned first": H.format(FORCES.format(2, 0.3)) + X.format(FORCES.format(5, 0.2)) + Z.format(""),
+    "a screw without a thread": Y.format(FORCES.format(5, 0.2)) + H.format(FORCES.format(2, 0.3)),
+    "a pulled ball": X.format(FORCES.format(5, 0.2)) + B,
+    "gantry and hinge": X.format(FORCES.format(5, 0.2))
+    + Y.format(FORCES.format(3, 0.2))
+    + H.format(FORCES.format(2, 1)),
+}
+"""Stacks with springs and dampers, on the ground and on a body that moves."""
+
+
+@pytest.mark.parametrize("joints", PUSHED.values(), ids=PUSHED)
+@pytest.mark.parametrize("carrier", ['<joint name="j" axis=".2 0 1"/>', ""], ids=["moving", "ground"])
+def test_springs_of_stacks_push_as_in_mujoco(written, joints, carrier):
+    arm = f'<body name="arm" pos="0.3 0 0" quat="1 .2 .3 .1">{joints}{INERTIAL}</body>'
+    path = written(model_of(f'<body name="base" pos="0 0 1">{carrier}{INERTIAL}{arm}</body>' if carrier else arm))
+    model, data, start = at_state(path, 3)
+    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    assert_same(scene, body_accelerations(model, data))
+
+
+def moved(model, data, ts: np.ndarray) -> np.ndarray:
+    """Where MuJoCo's Runge-Kutta method takes the second body's center of mass, shape (n, 3)."""
+    model.opt.integrator, n = mujoco.mjtIntegrator.mjINT_RK4, 1000
+    model.opt.timestep = (ts[1] - ts[0]) / n
+    found = []
+    for _ in ts:
+        mujoco.mj_forward(model, data)
+        found.append(np.array(data.xipos[model.nbody - 1]))
+        for _ in range(n):
+            mujoco.mj_step(model, data)
+    return np.array(found)
+
+
+FREE = {
+    "slides and a ball": X + Y + Z + B,
+    "slides and hinges": X + Y + Z + TWO + '<joint name="l" axis="0 0 1" pos=".1 0 .2"/>',
+    "slides, two with springs, and a ball": X.format('stiffness="5"') + Y + Z.format('stiffness="9"') + B,
+    "two slides with springs and a ball": X.format('stiffness="5"') + Z.format('stiffness="9"') + B,
+    "a ball, then a slide": B + X.format('stiffness="5"'),
+    "a ball, then two slides": B + X + OBLIQUE,
+}
+"""Stacks with a ball: MuJoCo's rate of Jacobians (mj_jacDot) is not that of its own motion there."""
+
+
+@pytest.mark.parametrize("joints", FREE.values(), ids=FREE)
+def test_slides_and_a_ball_move_as_in_mujoco(written, joints):
+    path = written(model_of(f'<body name="arm" pos="0 0 1">{joints.replace("{}", "")}{INERTIAL}</body>'))
+    model, data, start = at_state(path, 5)
+    scene = sj.load_mjcf(path, **start)
+    assert sj.constraint_report(scene).degrees_of_freedom == model.nv
+    ts = np.linspace(0.0, 0.3, 4)
+    run = sj.simulate(scene, jnp.asarray(ts), rtol=1e-10, throw=True)
+    np.testing.assert_allclose(run.position("arm"), moved(model, data, ts), rtol=0, atol=1e-8)
+    energy = np.asarray(run.mechanical_energy)
+    np.testing.assert_allclose(energy, energy[0], rtol=0, atol=1e-7 * np.ptp(np.asarray(run.kinetic_energy)))
+
+
+def test_a_limit_of_a_slide_in_a_stack_stops_it(written):
+    path = written(
+        one_joint(X.format("") + Z.format('range="-.1 .1" limited="true"'), options='<option gravity="0 0 -9.81"/>')
+    )
+    scene = sj.load_mjcf(path, stops={"sliding": 1e4})
+    run = sj.simulate(scene, np.linspace(0.0, 0.5, 101), throw=True)
+    height = np.asarray(run.position("arm"))[:, 2] - 1.05
+    depth = 1.5 * 9.81 / 1e4  # at rest on the stop
+    fall = depth + np.sqrt(depth**2 + 2 * depth * 0.1)  # m g (0.1 + x) = K x^2 / 2
+    assert height.min() == pytest.approx(-0.1 - fall, abs=1e-4)
+
+
+def test_a_stack_that_cannot_be_made_names_its_body(written):
+    joints = X.format("") + H.format("") + Z.format("") + OBLIQUE
+    with pytest.raises(sj.SceneError, match=r"joints x, h move one body, 'arm'.*least_mass=1e-3.*fixed="):
+        sj.load_mjcf(written(one_joint(joints)))
+
+
 def test_other_stacks_ask_for_mass_between_them_and_tend_to_mujoco(written):
     joints = '<joint name="a" axis="1 0 0" damping="0.3"/><joint name="b" axis="0 1 0" pos="0 0 .2" stiffness="4"/>'
     path = written(one_joint(joints))

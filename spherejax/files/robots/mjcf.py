@@ -42,9 +42,13 @@ def load_mjcf(
 
     Bodies keep their axes and names; bodies without joints are one body with their parents, those on the world the
     ground. Hinges become `Revolute`, slides `Prismatic`, balls `Spherical`, free joints nothing. Several joints of one
-    body are a `Universal` (two hinges that meet at right angles), `Spherical` (three that meet), `Cylindrical` or three
-    `PointOnPlane` (two slides and a hinge across them), named by the first, where they have no springs, dampers,
-    friction and stops; else `least_mass` gives the links between them a little. A joint's stiffness and damping are one
+    body become what leaves the same motion, named by the first, with _1, _2, ... where it is several joints: a
+    `Universal` (two hinges that meet at right angles), `Spherical` (three that meet), `Cylindrical`, three
+    `PointOnPlane` (two slides and a hinge across them); slides before or behind a hinge, two hinges at right angles,
+    three hinges or a ball at one point, or alone, are `PointOnPlane` with `ParallelAxes`, `PerpendicularAxes` or
+    `SameOrientation`, and nothing for three slides and a ball. Springs, dampers and stops stay where they act along
+    slides at right angles, or about the only hinge. For others, and with friction or couplings, `least_mass` gives the
+    links between the joints a little. A joint's stiffness and damping are one
     force element of its name. Equalities close loops: `connect` is a `Spherical`, `weld` a `Fixed`, both rigid, where
     MuJoCo's give way by `solref` and `solimp`; `joint` is a `Coupler` as stiff as `mimic` says. Equalities that the
     file has switched off are not there. Each body's origin is a point of the body by the body's name, each joint's

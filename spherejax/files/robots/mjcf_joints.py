@@ -131,8 +131,11 @@ def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection
     """The robot with one joint for each stack of joints without inertia between them, where there is such a joint.
 
     Two hinges that meet at right angles are a universal joint, three that meet a ball in a socket, a hinge and a slide
-    along one axis a cylindrical one, a hinge and two slides across it a planar one. Springs, dampers, friction, stops
-    and couplings are those of single joints: a stack with one of them stays as it is, and its links need mass.
+    along one axis a cylindrical one, a hinge and two slides across it a planar one. Any slides before or behind such
+    turns at one point, or behind or before a ball, are a stack of planes and directions that stay; three slides and a
+    ball are a free body. Springs, dampers and stops act along slides that are perpendicular to each other, and about a
+    hinge that is the only one. Friction, couplings, and what acts about one of several hinges are those of single
+    joints: a stack with one of them stays as it is, and its links need mass.
     """
     edges = dict(robot.edges)
     links = dict(robot.links)
@@ -141,12 +144,15 @@ def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection
         first, n = int(file.model.body_jntadr[body]), int(file.model.body_jntnum[body])
         names = file.joints[first : first + n] if n > 1 else []
         stack = [edges[name] for name in names]
-        is_bare = names and not any(
-            name in fixed or name in leaders or _has_force(name, edge, ways)
-            for name, edge in zip(names, stack, strict=True)
+        is_free = names and not any(
+            name in fixed or name in leaders or _is_coupled(edge, ways) for name, edge in zip(names, stack, strict=True)
         )
-        made = _one_joint(stack) if is_bare else None
-        if made is not None:
+        made = _one_joint(stack) if is_free else None
+        parts = {name: edge for name, edge in zip(names, stack, strict=True) if _has_force(name, edge, ways)}
+        if made is not None and all(_acts_alone(edge, stack) for edge in parts.values()):
+            ends = {"parent": stack[0].parent, "child": stack[-1].child}
+            parts = {name: edge._replace(**ends) for name, edge in parts.items()}
+            made = made._replace(parts=parts, slides_on_child=_carrier(stack) == "child")
             for edge in stack[:-1]:
                 del links[edge.child]
             edges = {name: made if name == names[0] else edge for name, edge in edges.items() if name not in names[1:]}
@@ -155,18 +161,44 @@ def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection
 
 def _has_force(name: str, edge: Edge, ways: Ways) -> bool:
     has_stop = np.isfinite(edge.lower) and ways.of(ways.stops, name, edge) is not None
-    return bool(edge.damping or edge.stiffness or (edge.friction and "friction" not in ways.ignore) or has_stop) or (
-        edge.follows is not None and "mimic" not in ways.ignore
-    )
+    return bool(edge.damping or edge.stiffness or has_stop)
+
+
+def _is_coupled(edge: Edge, ways: Ways) -> bool:
+    """Whether a joint rubs, or follows another: what only a joint of its own does."""
+    rubs = bool(edge.friction) and "friction" not in ways.ignore
+    return rubs or (edge.follows is not None and "mimic" not in ways.ignore)
+
+
+def _acts_alone(edge: Edge, stack: list[Edge]) -> bool:
+    """Whether a joint's coordinate can be read between the two ends of its stack."""
+    if edge.kind in TURNING:
+        return sum(one.kind in (*TURNING, "spherical") for one in stack) == 1
+    others = [one.axis for one in stack if one.kind in SLIDING and one is not edge]
+    return _carrier(stack) is not None and all(abs(edge.axis @ axis) < _ALIGNED for axis in others)
+
+
+def _carrier(stack: list[Edge]) -> str | None:
+    """Which body carries the axes of all slides: the parent, where they come before all turns, or the child."""
+    is_turn = [edge.kind not in SLIDING for edge in stack]
+    if is_turn == sorted(is_turn):
+        return "parent"
+    return "child" if is_turn == sorted(is_turn, reverse=True) else None
 
 
 def _one_joint(stack: list[Edge]) -> Edge | None:
     """The joint that a stack is, or None. Axes are those in the body's axes where all positions are 0."""
     turning = [edge for edge in stack if edge.kind in TURNING]
     sliding = [edge for edge in stack if edge.kind in SLIDING]
-    if len(turning) + len(sliding) < len(stack) or not turning:
+    balls = [edge for edge in stack if edge.kind == "spherical"]
+    if len(turning) + len(sliding) + len(balls) < len(stack):
         return None
-    whole = stack[0]._replace(child=stack[-1].child, anchor=turning[0].anchor)
+    turns = [*turning, *balls]
+    bare = {"damping": 0.0, "friction": 0.0, "stiffness": 0.0, "lower": -np.inf, "upper": np.inf, "follows": None}
+    anchor = (turns or stack)[0].anchor
+    whole = stack[0]._replace(child=stack[-1].child, anchor=anchor, **bare)
+    if balls or not turning:
+        return _stack(whole, stack, slides=sliding, turns=turns)
     meet = all(np.allclose(edge.anchor, whole.anchor, rtol=0, atol=1e-12) for edge in turning)
     axes = np.array([edge.axis for edge in turning])
     slides = np.array([edge.axis for edge in sliding]).reshape(-1, 3)
@@ -179,7 +211,42 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
             return whole._replace(kind="cylindrical", axis=axes[0])
         case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.matrix_rank(slides, 1e-3) == 2:
             return whole._replace(kind="planar", axis=axes[0])
-    return None
+    return _stack(whole, stack, slides=sliding, turns=turns)
+
+
+def _stack(whole: Edge, stack: list[Edge], slides: list[Edge], turns: list[Edge]) -> Edge | None:
+    """Slides on one side of turns at one point, or None."""
+    carrier = _carrier(stack)
+    if not slides or carrier is None:
+        return None
+    axes = np.array([edge.axis for edge in slides])
+    if np.linalg.matrix_rank(axes, 1e-3) < len(slides):
+        return None
+    if not all(np.allclose(edge.anchor, whole.anchor, rtol=0, atol=1e-12) for edge in turns):
+        return None
+    about = np.array([edge.axis for edge in turns]).reshape(-1, 3)
+    match [edge.kind for edge in turns]:
+        case ["spherical"]:
+            about = None
+        case [_, _, _] if abs(np.linalg.det(about)) > 1e-3:
+            about = None
+        case [_, _] if abs(about[0] @ about[1]) < _ALIGNED:
+            pass
+        case [] | ["revolute"]:
+            pass
+        case _:
+            return None
+    if about is None and len(slides) == 3:
+        return whole._replace(kind="floating")
+    return whole._replace(kind="stack", slides=axes, turns=about, slides_on_child=carrier == "child")
+
+
+def _moved(robot: Robot, link: str) -> str:
+    """The body at the end of a stack that a link without mass is in."""
+    behind = {edge.parent: edge.child for edge in robot.edges.values()}
+    while robot.links[link].mass == 0 and link in behind:
+        link = behind[link]
+    return link
 
 
 def check_stacks(robot: Robot, file: CompiledFile, ways_to_mass: bool) -> None:
@@ -191,8 +258,9 @@ def check_stacks(robot: Robot, file: CompiledFile, ways_to_mass: bool) -> None:
     child = loose[0].child
     names = [name for name, edge in robot.edges.items() if child in (edge.parent, edge.child)]
     raise SceneError(
-        f"{robot.path}: joints {', '.join(names)} move one body, with nothing between them that has mass, and together "
-        "they are no joint here (universal, spherical, cylindrical, planar; without spring, damper, friction, stop). "
-        "Give the links between them a little with load_mjcf(..., least_mass=1e-3, least_moment=1e-6), or hold one "
-        f"with fixed=({names[-1]!r},)"
+        f"{robot.path}: joints {', '.join(names)} move one body, {_moved(robot, child)!r}, with nothing between them "
+        "that has mass, and together they are no joint here (slides before or behind turns at one point, of a hinge, "
+        "two hinges at right angles, three, or a ball; without friction, and with springs, dampers and stops only "
+        "along slides at right angles and about a single hinge). Give the links between them a little with "
+        f"load_mjcf(..., least_mass=1e-3, least_moment=1e-6), or hold one with fixed=({names[-1]!r},)"
     )

@@ -60,6 +60,10 @@ class Edge(NamedTuple):
         rest: position at which the spring is slack [rad or m].
         anchor: of the joint in the child's axes [m]; zero in URDF.
         second: of a universal joint, the axis that stays on the child, in its axes.
+        slides: of a stack, the axes along which it slides, as rows, in the child's axes; shape (n, 3).
+        turns: of a stack, those about which it turns, n = 0 to 2; None: it turns freely.
+        slides_on_child: whether the axes of slides turn with the child, rather than stay on the parent.
+        parts: single joints that the edge is put together of, by name, for their force elements.
     """
 
     kind: str
@@ -79,6 +83,10 @@ class Edge(NamedTuple):
     rest: float = 0.0
     anchor: np.ndarray = np.zeros(3)
     second: np.ndarray | None = None
+    slides: np.ndarray = np.zeros((0, 3))
+    turns: np.ndarray | None = None
+    slides_on_child: bool = False
+    parts: Mapping[str, "Edge"] = MappingProxyType({})
 
 
 class Loop(NamedTuple):

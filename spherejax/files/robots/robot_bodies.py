@@ -76,6 +76,8 @@ def groups_of(robot: Robot, base: str, first_pose: LinkPose) -> LinkGroups:
         if np.any(edge.anchor):
             found.places[edge.child][point] = edge.anchor
             found.hands[name] = f"{edge.child}.{point}"
+        for part in edge.parts:
+            found.feet[part], found.hands[part] = found.feet[name], found.hands[name]
         if edge.kind == "planar":
             feet = {f"{name}_{k + 1}": edge.anchor + foot for k, foot in enumerate(three_feet(edge.axis))}
             found.places[edge.child] |= feet

@@ -18,6 +18,7 @@ from spherejax.physics.functions.shapes import Constant, Linear
 from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.physics.joints.orientation import ParallelAxes, PerpendicularAxes, SameOrientation
 from spherejax.physics.joints.pairs import PointOnPlane, Universal
 from spherejax.physics.joints.spherical import Spherical
 from spherejax.physics.laws.friction import AbstractFrictionLaw
@@ -72,6 +73,41 @@ class Ways(NamedTuple):
     def of(self, given: Mapping[str, Any], name: str, edge: Edge) -> Any:
         """What is given for a joint: by its name, or by how it moves."""
         return given.get(name, given.get("turning" if edge.kind in TURNING else "sliding"))
+
+
+def stack_joints(
+    name: str, edge: Edge, groups: LinkGroups, slides: np.ndarray, turns: np.ndarray | None
+) -> dict[str, AbstractJoint]:
+    """The joints of a body that slides along some axes and turns about others, at one point, nothing between.
+
+    The point stays in planes along the axes of the slides, on the body that carries them; directions that stay hold the
+    bodies' turns. Named by the joint with _1, _2, ... where there are several.
+
+    Args:
+        name: of the joint.
+        edge: as described.
+        groups: which links are one body.
+        slides: axes of slides, world axes at the start, as rows.
+        turns: axes of turns, world axes at the start: the first stays on the parent, a second one, perpendicular to it,
+            on the child; None: it turns freely.
+    """
+    parent, hand, foot = groups.heads[edge.parent], groups.hands[name], groups.feet[name]
+    owner, point, through = (edge.child, foot, hand) if edge.slides_on_child else (parent, hand, foot)
+    # The rows behind the rank of the slides are what they leave out.
+    normals = np.linalg.svd(slides)[2][len(slides) :]
+    found: list[AbstractJoint] = [PointOnPlane(point, through, normal, owner) for normal in normals]
+    bodies = (parent, edge.child)
+    if turns is not None:
+        match len(turns):
+            case 0:
+                found.append(SameOrientation(bodies, hand))
+            case 1:
+                found.append(ParallelAxes(bodies, hand, turns[0]))
+            case _:
+                found.append(PerpendicularAxes(bodies, hand, turns[0], turns[1]))
+    if len(found) == 1:
+        return {name: found[0]}
+    return {f"{name}_{k}": joint for k, joint in enumerate(found, start=1)}
 
 
 def joints_of(

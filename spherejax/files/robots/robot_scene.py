@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields.rotations import product, turned
-from spherejax.files.robots.robot import LinkPose, Robot, undotted
+from spherejax.files.robots.robot import SLIDING, TURNING, Edge, LinkPose, Robot, undotted
 from spherejax.files.robots.robot_bodies import Least, LinkGroups, body_of, check_all_have_mass, solid_of
-from spherejax.files.robots.robot_joints import Ways, forces_of, joints_of
+from spherejax.files.robots.robot_joints import Ways, forces_of, joints_of, stack_joints
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
@@ -52,10 +52,15 @@ def scene_of(
         for name, edge in robot.edges.items()
     }
     for name, edge in robot.edges.items():
-        if edge.kind != "fixed":
+        if edge.kind == "stack":
+            slides, turns = _axes_of_stack(edge, start)
+            joints |= stack_joints(name, edge, groups, slides, turns)
+        elif edge.kind != "fixed":
             second = None if edge.second is None else turned(start[edge.child].quaternion, edge.second)
             joints |= joints_of(name, edge, groups, axes[name], ways, second)
             forces |= forces_of(name, robot, groups, axes, ways, positions)
+        for part in edge.parts:
+            forces |= _forces_of_part(part, edge, robot, groups, start, ways, positions)
     solids = {head: solid_of(robot, groups, head) for head in groups.places if head != GROUND}
     solids = {head: solid.with_least(least) for head, solid in solids.items()}
     check_all_have_mass(robot, groups, solids)
@@ -71,6 +76,45 @@ def scene_of(
         remedy = f" Or take {robot.loader}(..., balance_inertia=True)." if "triangle rule" in str(error) else ""
         raise SceneError(f"{robot.path}: {error}{remedy}") from error
     return scene
+
+
+def _axes_of_stack(edge: Edge, start: Mapping[str, LinkPose]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Axes of slides and turns, world axes at the start, as rows."""
+    before = product(start[edge.parent].quaternion, edge.quaternion)
+    behind = start[edge.child].quaternion
+    carries = behind if edge.slides_on_child else before
+    slides = np.array([turned(carries, axis) for axis in edge.slides]).reshape(-1, 3)
+    if edge.turns is None:
+        return slides, None
+    turns = [turned(quaternion, axis) for quaternion, axis in zip((before, behind), edge.turns, strict=False)]
+    return slides, np.array(turns).reshape(-1, 3)
+
+
+def _forces_of_part(
+    name: str,
+    edge: Edge,
+    robot: Robot,
+    groups: LinkGroups,
+    start: Mapping[str, LinkPose],
+    ways: Ways,
+    positions: Mapping[str, Any],
+) -> dict[str, AbstractForce]:
+    """Spring, damper and stops of one joint of a stack.
+
+    Along a slide they measure between the stack's points, in a direction of the body that carries the slide: the first
+    of a force element. For a slide on the child the two points change places, and the direction its sign.
+    """
+    part = edge.parts[name]
+    carries = start[edge.child].quaternion
+    if part.kind in TURNING or not edge.slides_on_child:
+        carries = product(start[edge.parent].quaternion, edge.quaternion)
+    axis = turned(carries, part.axis)
+    if part.kind in SLIDING and edge.slides_on_child:
+        axis = -axis
+        feet = {**groups.feet, name: groups.hands[name]}
+        groups = groups._replace(feet=feet, hands={**groups.hands, name: groups.feet[name]})
+    alone = robot._replace(edges={**robot.edges, name: part})
+    return forces_of(name, alone, groups, {name: axis}, ways, positions)
 
 
 def by_plain_name(given: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -131,6 +131,21 @@ def without_rounding(vector):
     return array
 
 
+RIGHT_ANGLE_TOLERANCE = 1e-3
+"""Cosine of the angle between two axes that still counts as a right one: printed tables carry few digits; the start is
+assembled to the right angle."""
+
+_UNDERFLOW = 1e-300
+"""Keeps the cosine of a zero vector finite; the vector itself is refused."""
+
+
+def right_angle_requirement(first, second, remedy: str) -> Requirement:
+    """Two directions that are perpendicular, `first_axis` and `second_axis`."""
+    cosine_squared = (first * second).sum() ** 2 / ((first**2).sum() * (second**2).sum() + _UNDERFLOW)
+    is_right = cosine_squared < RIGHT_ANGLE_TOLERANCE**2
+    return Requirement("second_axis", second, is_right, "be perpendicular to first_axis", remedy)
+
+
 def point_requirements(point, field: str = "point") -> list[Requirement]:
     """A finite point; one given by name is checked with the scene's names."""
     if point is None:

@@ -16,6 +16,7 @@ from spherejax.physics.joints.body_axes import (
     direction_requirement,
     places_of,
     point_requirements,
+    right_angle_requirement,
     split_point,
     turned,
     unit,
@@ -73,18 +74,11 @@ class Universal(AbstractPairJoint):
     def requirements(self) -> list[Requirement]:
         """A finite point, two perpendicular directions, and a model."""
         a, b = self.first_axis, self.second_axis
-        cosine_squared = (a * b).sum() ** 2 / ((a**2).sum() * (b**2).sum() + _UNDERFLOW)
         return [
             *point_requirements(self.point),
             direction_requirement(a, "first_axis"),
             direction_requirement(b, "second_axis"),
-            Requirement(
-                "second_axis",
-                b,
-                cosine_squared < RIGHT_ANGLE_TOLERANCE**2,
-                "be perpendicular to first_axis",
-                "Give the two arms of the cross at the start.",
-            ),
+            right_angle_requirement(a, b, "Give the two arms of the cross at the start."),
             *model_requirements(self.model, turns_freely=True, slides=False),
         ]
 
@@ -98,14 +92,6 @@ class Universal(AbstractPairJoint):
             rubbing = CrossFriction(self.model, first, second)
         ideal = PlacedPair(self.bodies, places, True, (), ((first, second),), (second,), rubbing)
         return with_model(ideal, self.model, self.starts_concentric, bodies, self.first_axis, self.second_axis)
-
-
-RIGHT_ANGLE_TOLERANCE = 1e-3
-"""Cosine of the angle between two axes that still counts as a right one: printed tables carry few digits; the start is
-assembled to the right angle."""
-
-_UNDERFLOW = 1e-300
-"""Keeps the cosine of a zero vector finite; the vector itself is refused."""
 
 
 class Fixed(AbstractPairJoint):
