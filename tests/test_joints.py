@@ -72,9 +72,10 @@ def test_rows_are_derivatives_of_the_residual(name):
     rows, y, _ = program_of(name)
     residual, jacobian, bias, rate_at_rest = rows(TIME, y)
     assert residual.shape == bias.shape == rate_at_rest.shape == (KINDS[name].n_rows,)
-    assert np.abs(residual).max() > 1e-3 or name in ("distance at the start", "revolute", "revolute at a named point",
-                                                     "universal", "cylindrical", "prismatic", "fixed",
-                                                     "rim", "rim with a collar", "same orientation", "parallel axes")  # fmt: skip
+    nearly_met = ("distance at the start", "revolute", "revolute at a named point", "universal", "cylindrical",
+                  "prismatic", "fixed", "rim", "rim with a collar", "same orientation", "parallel axes",
+                  "perpendicular axes")  # fmt: skip
+    assert np.abs(residual).max() > 1e-3 or name in nearly_met
     by_differences = np.stack([slope(lambda s, e=e: rows(TIME, advanced(y, s, e))[0]) for e in np.eye(12)], 1)
     assert jacobian == pytest.approx(by_differences, abs=1e-9)
     assert rate_at_rest == pytest.approx(slope(lambda s: rows(TIME + s, y)[0]), abs=1e-9)
