@@ -134,7 +134,7 @@ def test_a_failed_audit_names_the_joint_and_the_body():
     assert found["energy"] == "the ball of joint 'socket' is 2 clearances outside"
     assert found["constraints"].startswith("joint 'hinge' gapes by 0.0")
     assert found["quaternions"] == "body 'rod'"
-    text = findings([2.0, 0.5, 3.0, 0.5, 0.1], found)
+    text = findings([2.0, 0.5, 0.5, 3.0, 0.5, 0.1], found)
     assert text.startswith("the energy rose by more than was put in (2 times the limit: the ball of joint 'socket'")
     assert "were violated (3 times the limit: joint 'hinge'" in text
     assert "quaternion" not in text
@@ -151,24 +151,27 @@ def test_every_sound_run_shows_what_was_looked_at():
 
 
 @pytest.mark.parametrize(
-    ("scene", "supplied"),
+    ("scene", "supplied", "dissipates"),
     [
-        (sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall())), False),
-        (sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.LuGre())), True),
-        (sj.gallery.four_bar(sj.Lubricated(1e-4)), False),
-        (sj.gallery.four_bar(sj.Bushing(1e6, 1e-4)), False),
-        (sj.gallery.suspension(sj.Ideal()), True),  # a road that passes below
-        (sj.gallery.car_axis(), True),  # a driver
+        (sj.gallery.four_bar(), False, False),
+        (sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall())), False, True),
+        (sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.LuGre())), True, False),
+        (sj.gallery.four_bar(sj.Lubricated(1e-4)), False, True),
+        (sj.gallery.four_bar(sj.Bushing(1e6, 1e-4)), False, True),
+        (sj.gallery.suspension(sj.Ideal()), True, False),  # a road that passes below, and a shock absorber's function
+        (sj.gallery.car_axis(), True, False),  # a driver
+        (cases.ball_in_socket(sj.Dry(1e-4, normal=sj.Flores(0.2))), False, False),  # without constraints
     ],
-    ids=["dry", "bristles", "lubricated", "bushing", "road", "driver"],
+    ids=["ideal", "dry", "bristles", "lubricated", "bushing", "road", "driver", "free"],
 )
-def test_who_pays_for_an_account_of_what_is_put_in(scene, supplied):
-    """One entry of the state, where a part may add energy, and none elsewhere."""
-    layout = sj.compile_scene(scene).system.layout
-    assert layout.n_work == supplied
+def test_who_pays_for_accounts_of_energy(scene, supplied, dissipates):
+    """One entry of the state where a part may add energy, one where parts dissipate beside constraints, else none."""
+    system = sj.compile_scene(scene).system
+    assert system.layout.n_work == supplied + dissipates
+    assert (system.tracks_supply, system.tracks_constraint_work) == (supplied, dissipates)
 
 
-LIMITS = Limits(energy=jnp.array(1e-3), least=jnp.array(1e-9), violation=jnp.array(1e-3))
+LIMITS = Limits(energy=jnp.array(1e-3), loss=jnp.array(1e-3), least=jnp.array(1e-9), violation=jnp.array(1e-3))
 SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2, 1e-6, 0.1)))
 
 
@@ -176,6 +179,7 @@ SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2, 1e-6, 0
     ("check", "wrong"),
     [
         ("energy", SOUND._replace(agitation=jnp.asarray(2.01))),
+        ("loss", SOUND._replace(agitation=jnp.asarray(1.99))),
         ("flight", SOUND._replace(outside=jnp.asarray(2 * OUTSIDE))),
         ("constraints", SOUND._replace(violation=jnp.asarray(2e-3))),
         ("quaternions", SOUND._replace(norm=jnp.asarray(0.1))),
@@ -189,8 +193,9 @@ def test_each_check_fails_on_what_it_is_for(check, wrong):
     watch = LIMITS.seen(watch, wrong)
     assert not bool(watch.is_sound)
     shares = np.asarray(watch.worst)
-    assert [name for name, share in zip(CHECKS, shares, strict=True) if not share <= 1] == [check]
-    assert findings(shares).count("times the limit") == 1
+    expected = [check] if np.isfinite(wrong.potential) else ["energy", "loss"]
+    assert [name for name, share in zip(CHECKS, shares, strict=True) if not share <= 1] == expected
+    assert findings(shares).count("times the limit") == len(expected)
     # What was found once stays found.
     assert not bool(LIMITS.seen(watch, SOUND).is_sound)
 
@@ -239,8 +244,18 @@ def test_a_run_beyond_the_range_of_eq_24_says_so_and_names_the_joint():
         simulate_many(pressed, {"modulus": np.array([1e8, 1e11])}, [0.0, 5e-3])
 
 
-def test_losing_energy_is_no_finding_and_gaining_it_back_is():
+def test_where_parts_dissipate_losing_energy_is_no_finding_and_gaining_it_back_is():
     lost = SOUND._replace(agitation=jnp.asarray(1.0))
-    watch = LIMITS.seen(LIMITS.begun(SOUND), lost)
+    unknown = Limits(LIMITS.energy, jnp.array(np.inf), LIMITS.least, LIMITS.violation)
+    watch = unknown.seen(unknown.begun(SOUND), lost)
     assert bool(watch.is_sound)
-    assert not bool(LIMITS.seen(watch, SOUND).is_sound)
+    assert float(watch.worst[CHECKS.index("loss")]) == NOT_MADE
+    assert not bool(unknown.seen(watch, SOUND).is_sound)
+
+
+def test_where_parts_dissipate_the_work_of_constraint_forces_is_judged():
+    sound = SOUND._replace(constraint_work=jnp.zeros(()))
+    lost = sound._replace(agitation=jnp.asarray(1.0))  # to a damper
+    watch = LIMITS.seen(LIMITS.begun(sound), lost)
+    assert bool(watch.is_sound)
+    assert not bool(LIMITS.seen(watch, lost._replace(constraint_work=jnp.asarray(-0.1))).is_sound)

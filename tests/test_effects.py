@@ -77,8 +77,12 @@ def test_every_contact_remembers_that_it_touches_and_no_more():
 )
 def test_states_and_rows_are_those_of_the_effects(name, n_memory, n_constraints):
     system, _, _ = of_model(cases.MODELS[name])
-    # Bristles may add energy: what they put in is counted.
-    assert system.layout.n_work == (name == "dry_lugre")
+    # Bristles may add energy: what they put in is counted. Where others dissipate the work of constraint forces is.
+    assert system.layout.n_work == (name != "ideal")
+    assert (system.tracks_supply, system.tracks_constraint_work) == (
+        name == "dry_lugre",
+        name not in ("ideal", "dry_lugre"),
+    )
     assert system.layout.size == 39 + n_memory + system.layout.n_work
     assert system.n_constraints == n_constraints
     tracked = sj.compile_scene(sj.gallery.four_bar(cases.MODELS[name]), track_work=True).system

@@ -19,6 +19,7 @@ import pytest
 
 import spherejax as sj
 from spherejax import cli
+from spherejax.motion.integration.audit import CHECKS
 from spherejax.output.plot.style import new_figure
 from spherejax.output.report.motion import viewed
 from spherejax.output.report.numbers import numbers_of
@@ -155,7 +156,7 @@ def test_what_a_law_is_not_for_is_a_caution(run, tmp_path):
     top = verdict(page.html())
     assert "verdict caution" in top
     assert "beyond &lt;its&gt; range" in top
-    shares = run.stats.audit.at[4].set(3.0)
+    shares = run.stats.audit.at[CHECKS.index("conformity")].set(3.0)
     pressed = eqx.tree_at(lambda one: one.stats.audit, run, shares)
     top = verdict(pressed.report(tmp_path / "pressed.html").read_text(encoding="utf-8"))
     assert "verdict caution" in top

@@ -86,7 +86,7 @@ def add_run(commands) -> None:
         '[kN]"; may be repeated',
     )  # fmt: skip
     times.add_argument("--solver", choices=SOLVERS, help="integrator (default: chosen by the scene)")
-    times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene, baumgarte)")
+    times.add_argument("--drift", choices=DRIFT_CONTROLS, help="drift control (default: that of the scene)")
     files = parser.add_argument_group("files")
     files.add_argument(
         "--out", metavar="FILE", help="write the motion: .nc (netCDF), .zarr, .h5 (everything), or .csv (a table)"

@@ -1,6 +1,6 @@
 """The spatial four-bar mechanism of the paper (section 5.1, Tables 1 to 3)."""
 
-from spherejax.model.drift import AbstractDriftControl
+from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.axial import Revolute
@@ -58,5 +58,5 @@ def four_bar(model: AbstractSphericalModel | None = None, *, drift: AbstractDrif
                 "coupler.rocker_end", "rocker.coupler_end", Ideal() if model is None else model
             ),
         },
-        drift=drift,
+        drift=Baumgarte() if drift is None else drift,
     )

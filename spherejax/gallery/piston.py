@@ -37,7 +37,7 @@ def piston(
 
     Other args:
         speed: angular velocity of the crank [rad/s].
-        drift: drift control; that of `Scene` by default.
+        drift: drift control; `PostStabilization()` by default.
 
     Source: lengths, masses and speed as in Flores, Ambrosio and Claro (2004), Multibody Syst. Dyn. 12:47-74; moments of
     inertia that a motion in the plane does not feel are chosen.
@@ -67,4 +67,4 @@ def piston(
         "guide": Prismatic((GROUND, "piston"), (end, 0, 0), (1, 0, 0)),
         "motor": RotationDriver((GROUND, "crank"), AXIS, Linear(speed)),
     }
-    return Scene(bodies, joints) if drift is None else Scene(bodies, joints, drift=drift)
+    return Scene(bodies, joints, drift=drift)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from spherejax.foundations.types import Number
-from spherejax.model.drift import AbstractDriftControl
+from spherejax.model.drift import AbstractDriftControl, Baumgarte
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces.base import AbstractForce
@@ -119,7 +119,7 @@ def suspension(
         joints,
         forces=_forces(tip, speed),
         ground_points={"tie_rod": TIE_ROD_GROUND, "shock": SHOCK_ON_GROUND, "leaf_tip": LEAF_TIP},
-        drift=drift,
+        drift=Baumgarte() if drift is None else drift,
     )
 
 

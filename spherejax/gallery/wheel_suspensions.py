@@ -108,7 +108,7 @@ def double_wishbone(
         tyre_compression: how far the tyre is pressed in at the design position [m].
         road: height [m] by x [m]; flat by default.
         speed: with which the road passes below [m/s].
-        drift: drift control.
+        drift: drift control; `PostStabilization()` by default.
 
     Returns:
         The scene at the design position.
@@ -177,7 +177,7 @@ def mcpherson(
         tyre_compression: how far the tyre is pressed in at the design position [m].
         road: height [m] by x [m]; flat by default.
         speed: with which the road passes below [m/s].
-        drift: drift control.
+        drift: drift control; `PostStabilization()` by default.
 
     Returns:
         The scene at the design position.

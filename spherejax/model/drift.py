@@ -61,6 +61,10 @@ class Baumgarte(AbstractDriftControl):
         alpha: feedback of the velocity violation [1/s]; it also pulls quaternions back to unit norm.
         beta: feedback of the position violation [1/s].
 
+    It does not pass singular positions, where the constraint equations lose rank: it feeds a violation back along a
+    direction that is about to vanish, and takes the energy of the motion. Such a run ends with `Status.AUDIT_FAILED`;
+    `PostStabilization` passes.
+
     Zero switches the feedback off. Defaults from Table 3 of the paper. Violations decay within 1/alpha, so they settle
     at what the integration adds in that time; larger rates hold them closer and make the equations stiffer.
 
@@ -94,7 +98,7 @@ class Baumgarte(AbstractDriftControl):
 
 
 class PostStabilization(AbstractDriftControl):
-    """One Newton correction of positions and velocities after each step; no feedback.
+    """One Newton correction of positions and velocities after each step; no feedback. The default of a scene.
 
     Quaternions are divided by their norms; the bodies move by -M^-1 D^T S^-1 Phi, S = D M^-1 D^T, the least
     displacement in the metric of their masses and inertias; the velocities lose M^-1 D^T S^-1 D v, with D v after the

@@ -14,7 +14,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import mapping_of, misformed, of_form
 from spherejax.foundations.kept.by_value import remembered, values_of
 from spherejax.foundations.types import Numeric, Triple
-from spherejax.model.drift import AbstractDriftControl, Baumgarte
+from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.joints.joint import AbstractJoint
@@ -29,8 +29,8 @@ class Scene(eqx.Module):
         forces: force elements by name.
         gravity: acceleration of gravity, world axes [m/s^2], shape (3,).
         ground_points: points fixed in the world by name, world axes [m].
-        drift: how drift off the constraints is held back: `Baumgarte()` (default), `Projection()`,
-            `PostStabilization()` or `NoDriftControl()`.
+        drift: how drift off the constraints is held back: `PostStabilization()` (default), `Projection()`,
+            `Baumgarte()` or `NoDriftControl()`.
 
     Scenes are pytrees: every physical number in them is a leaf that can be swept, batched and differentiated.
     """
@@ -60,7 +60,7 @@ class Scene(eqx.Module):
             "ground_points", {} if ground_points is None else ground_points, '{"hook": (0.0, 0.0, 1.0)}'
         )
         self.ground_points = {name: numbers(place) for name, place in places.items()}
-        self.drift = Baumgarte() if drift is None else drift
+        self.drift = PostStabilization() if drift is None else drift
 
     def find(self, name: str) -> tuple[str, Numeric]:
         """Resolve `"body.point"` to the body's name and the point in its axes [m].
@@ -169,7 +169,7 @@ def _check_forms(scene: Scene, parts: Iterable[_Part]) -> None:
 def _check_drift(scene: Scene) -> None:
     if not isinstance(scene.drift, AbstractDriftControl):
         raise SceneError(
-            f"drift = {scene.drift!r} is no drift control; give Baumgarte(), Projection(), PostStabilization(), "
+            f"drift = {scene.drift!r} is no drift control; give PostStabilization(), Projection(), Baumgarte(), "
             "NoDriftControl(), or an AbstractDriftControl of your own"
         )
 

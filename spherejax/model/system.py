@@ -70,6 +70,8 @@ class System(eqx.Module):
         tracks_work: whether the state carries the work that each joint with a force or friction absorbs.
         tracks_supply: whether the state carries the work put in by parts that may add energy: drivers, applied forces,
             roads that move, bristles, parts of a user's own.
+        conserves_energy: whether each part conserves energy, or has its work integrated beside the state: then the
+            energy, less what was put in, is constant.
         refines_constraints: whether the constraint equations are solved in two passes, for masses far apart.
         smallest_pivot: from where on a constraint equation counts as dependent on others; see `symmetric_solve`.
         force_slots: where the memory of force elements is, behind that of the joints; empty where none has one.
@@ -85,6 +87,7 @@ class System(eqx.Module):
     memory_slots: tuple[MemorySlot, ...] = eqx.field(static=True)
     tracks_work: bool = eqx.field(static=True)
     tracks_supply: bool = eqx.field(static=True, default=False)
+    conserves_energy: bool = eqx.field(static=True, default=True)
     refines_constraints: bool = eqx.field(static=True, default=False)
     smallest_pivot: float = eqx.field(static=True, default=REDUNDANT_PIVOT)
     force_slots: tuple[MemorySlot, ...] = eqx.field(static=True, default=())
@@ -94,8 +97,22 @@ class System(eqx.Module):
     def layout(self) -> Layout:
         """Where things are in the flat state."""
         n_memory = sum(len(slot.contents) for slot in self.all_slots)
-        n_work = (len(self.resisting_joints) if self.tracks_work else 0) + self.tracks_supply
+        n_work = (len(self.resisting_joints) if self.tracks_work else 0) + self.tracks_constraint_work
+        n_work += self.tracks_supply
         return Layout(len(self.bodies), n_memory, n_work)
+
+    @property
+    def tracks_constraint_work(self) -> bool:
+        """Whether the state carries the work of the constraint forces, which is zero in an exact motion (static).
+
+        Only where parts dissipate: elsewhere the energy itself tells what these forces have taken.
+        """
+        return not self.conserves_energy and any(joint.n_rows for joint in self.joints.values())
+
+    @property
+    def constraint_work_index(self) -> int:
+        """Where that work is among the entries of the work: before the work that is put in, which is last (static)."""
+        return -1 - self.tracks_supply
 
     @property
     def all_slots(self) -> tuple[MemorySlot, ...]:
@@ -214,9 +231,23 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> CompiledScene:
     # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
     is_driven = any(joint.is_driven for joint in joints.values())
     smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
-    gains = not all(part.never_adds_energy for part in (*joints.values(), *forces.values()))
+    parts = (*joints.values(), *forces.values())
+    gains = not all(part.never_adds_energy for part in parts)
+    # The whole work of a part that may add energy is integrated beside the state, what it dissipates included.
+    conserves = all(part.conserves_energy or not part.never_adds_energy for part in parts)
     system = System(
-        bodies, joints, forces, scene.gravity, scene.drift, slots, track_work, gains, refines, smallest, force_slots
+        bodies,
+        joints,
+        forces,
+        scene.gravity,
+        scene.drift,
+        slots,
+        track_work,
+        gains,
+        conserves,
+        refines,
+        smallest,
+        force_slots,
     )
     twice = {slot.joint for slot in slots} & {slot.joint for slot in system.force_states}
     if twice:

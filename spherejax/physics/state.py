@@ -2,8 +2,8 @@
 
 Layout of the flat vector y: for each body center of mass (3) and quaternion (4); then for each body velocity (3)
 and angular velocity (3); then the memory of the joints that have one; then, where asked for, the work that each
-joint has absorbed, and last the work that parts which may add energy have put in. Memory and work are empty where no
-law or part needs them.
+joint has absorbed; the work of the constraint forces, where parts dissipate; and last the work that parts which may add
+energy have put in. Memory and work are empty where no law or part needs them.
 """
 
 from typing import NamedTuple
@@ -63,8 +63,9 @@ class State(NamedTuple):
         velocity: of the centers of mass, world axes [m/s], shape (..., n_bodies, 3).
         angular_velocity: world axes [rad/s], shape (..., n_bodies, 3).
         memory: the joints' memory, shape (..., n_memory).
-        work: work absorbed by each non-ideal joint [J], where asked for, then the work put in by drivers and other
-            parts that may add energy, where there are any; shape (..., n_work).
+        work: work absorbed by each non-ideal joint [J], where asked for; the work of the constraint forces beyond that
+            of drivers, where parts dissipate; the work put in by drivers and other parts that may add energy, where
+            there are any; shape (..., n_work).
     """
 
     position: Float[Array, "*n b 3"]

@@ -67,7 +67,7 @@ def load_mjcf(
         velocities: of joints at the start by name: [rad/s or m/s], three numbers of a ball, in the body's axes [rad/s],
             six of a free body: of its origin in world axes [m/s], then as a ball's.
         gravity: world axes [m/s^2]; None: the file's.
-        drift: drift control.
+        drift: drift control; `PostStabilization()` by default.
         ignore: what to leave out: "actuators", "armature", "contacts", "curves" (springs and dampers that are no
             straight lines), "ball damping", "ball friction", "ball springs" (of balls and free joints), "equalities"
             (other than connect, weld and joint), "flexes", "fluid", "friction", "gravcomp", "limits", "mimic" (joint

@@ -87,7 +87,7 @@ def load_urdf(
             another, where that puts it.
         velocities: of joints at the start by name [rad/s or m/s].
         gravity: world axes [m/s^2].
-        drift: drift control.
+        drift: drift control; `PostStabilization()` by default.
         ignore: what to leave out where a joint asks for it: "friction", "mimic" (joints that follow others then move by
             themselves), "damping" (of planar and floating joints), "loops", "extensions" (what URDF does not have).
         fixed: names of joints that are held where they are at the start, as if they were fixed ones; their velocity,

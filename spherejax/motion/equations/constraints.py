@@ -230,11 +230,13 @@ class Solution(NamedTuple):
         accelerations: linear [m/s^2] and angular [rad/s^2] of each body, world axes, shape (n_bodies, 6).
         multipliers: lambda of each constraining joint, by name; the constraint's wrench on a body is -D^T lambda.
         flat: lambda, one entry an equation.
+        wrenches: D^T lambda, minus what the constraints exert on each body.
     """
 
     accelerations: BodyVectors
     multipliers: dict[str, Float[Array, " n_joint"]]
     flat: Float[Array, " n"]
+    wrenches: BodyVectors
 
 
 def constrained_accelerations(
@@ -267,43 +269,49 @@ def solve_augmented(
     steps. The factorization is shared; the pass costs a fifth of the right-hand side.
     """
     if not constraints.groups:
-        return Solution(masses.turned_times(loads), {}, jnp.zeros(0))
+        return Solution(masses.turned_times(loads), {}, jnp.zeros(0), jnp.zeros_like(loads))
 
-    def balanced(jacobians, masses: InverseMass, free: BodyVectors, desired: Array) -> tuple[BodyVectors, Array]:
-        """Accelerations with D a = gamma, from those without constraints, and the multipliers that make them so."""
+    def balanced(jacobians, masses: InverseMass, free: BodyVectors, desired: Array):
+        """Accelerations with D a = gamma, from those without constraints; the lambda that make them so; D^T lambda."""
         equations = constraints.with_jacobians(jacobians)
         mobility = mobility_of(equations, masses)
-        accelerations, multipliers = free, jnp.zeros_like(desired)
+        accelerations, multipliers, wrenches = free, jnp.zeros_like(desired), jnp.zeros_like(free)
         for _ in range(1 + refine):
             more = solved(equations, mobility, equations.times(accelerations) - desired, smallest_pivot)
-            accelerations = accelerations - masses.times(equations.transposed_times(more))
-            multipliers = multipliers + more
-        return accelerations, multipliers
+            pressed = equations.transposed_times(more)
+            accelerations = accelerations - masses.times(pressed)
+            multipliers, wrenches = multipliers + more, wrenches + pressed
+        return accelerations, multipliers, wrenches
 
-    def solution(jacobians, masses: InverseMass, loads: BodyVectors, desired: Array) -> tuple[BodyVectors, Array]:
+    def solution(jacobians, masses: InverseMass, loads: BodyVectors, desired: Array):
         return balanced(jacobians, masses, masses.times(loads), desired)
 
     def along(primals, tangents):
         # With lambda held, a and D a move; what D a then lacks is made up for as in the value. So the derivative is a
         # solution with the same S, whose own derivative would take half of the operations of all.
         (jacobians, masses, *_), (*_, desired_along) = primals, tangents
-        accelerations, multipliers = solution(*primals)
+        found = solution(*primals)
+        accelerations, multipliers, _ = found
+
+        def pressing(jacobians):
+            return constraints.with_jacobians(jacobians).transposed_times(multipliers)
 
         def held(jacobians, masses, loads):
-            return masses.turned_times(loads - constraints.with_jacobians(jacobians).transposed_times(multipliers))
+            return masses.turned_times(loads - pressing(jacobians))
 
         def taken(jacobians):
             return constraints.with_jacobians(jacobians).times(accelerations)
 
         _, held_along = jax.jvp(held, primals[:3], tangents[:3])
         _, taken_along = jax.jvp(taken, primals[:1], tangents[:1])
-        slopes = balanced(jacobians, masses, held_along, desired_along - taken_along)
-        return (accelerations, multipliers), slopes
+        *slopes, pressed_along = balanced(jacobians, masses, held_along, desired_along - taken_along)
+        _, turned_along = jax.jvp(pressing, primals[:1], tangents[:1])
+        return found, (*slopes, pressed_along + turned_along)
 
     with_rule = jax.custom_jvp(solution)
     with_rule.defjvp(along)
-    accelerations, multipliers = with_rule(constraints.jacobians, masses, loads, desired)
-    return Solution(accelerations, constraints.split(multipliers), multipliers)
+    accelerations, multipliers, wrenches = with_rule(constraints.jacobians, masses, loads, desired)
+    return Solution(accelerations, constraints.split(multipliers), multipliers, wrenches)
 
 
 def _joined(parts) -> Float[Array, " total"]:

@@ -13,6 +13,7 @@ from spherejax.motion.equations.body_motions import BodyMotions, body_motions
 from spherejax.motion.equations.constraints import ConstraintSet, Solution, constrained_accelerations, constraint_set
 from spherejax.motion.equations.joint_friction import FrictionGroup, JointFriction, resistances, solution_with_friction
 from spherejax.motion.equations.loads import (
+    BodyVectors,
     JointLoads,
     applied_wrenches,
     force_memory_rates,
@@ -66,7 +67,7 @@ def state_rate(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arr
         solution.accelerations.ravel(),
         memory_rates(system, t, motions, state.memory, loads, groups),
     ]
-    works = work_rates(system, t, motions, state.memory, loads, groups, constraints, solution.flat)
+    works = work_rates(system, t, motions, state.memory, loads, groups, constraints, solution.flat, solution.wrenches)
     return jnp.concatenate([*parts, *works])
 
 
@@ -102,17 +103,28 @@ def work_rates(
     friction: tuple[FrictionGroup, ...],
     constraints: ConstraintSet,
     multipliers: Array,
+    wrenches: BodyVectors | None,
 ) -> list[Array]:
-    """Rates of the work entries [W]: what each joint absorbs; what parts that may add energy put in."""
+    """Rates of the work entries [W], in the order of the state.
+
+    They are the power that each joint absorbs; that of the constraint forces, -(D^T lambda).v, less what drivers put
+    in; and that which parts that may add energy put in. Without `wrenches`, D^T lambda, the second counts as zero.
+    """
     if not friction:
         rates = [loads.absorbed_powers] if system.tracks_work else []
     else:
         powers = {name: load.absorbed_power for name, load in loads.items()}
         powers |= {name: each.absorbed_power for name, each in resistances(friction).items()}
         rates = [jnp.stack([powers[name] for name in system.resisting_joints])] if system.tracks_work else []
+    # -(D^T lambda).v = lambda.Phi_t in an exact motion, for D v = -Phi_t.
+    driving = multipliers @ constraints.rate_at_rest if system.is_driven else jnp.zeros(())
+    if system.tracks_constraint_work:
+        if wrenches is None:
+            rates.append(jnp.zeros(1))
+        else:
+            velocities = jnp.concatenate([motions.moving.velocity, motions.moving.angular_velocity], 1)
+            rates.append((-jnp.sum(wrenches * velocities) - driving)[None])
     if system.tracks_supply:
-        # -(D^T lambda).v = lambda.Phi_t, for D v = -Phi_t.
-        driving = multipliers @ constraints.rate_at_rest if system.is_driven else jnp.zeros(())
         for name, each in resistances(friction).items():
             if not system.joints[name].never_adds_energy:
                 driving = driving - each.absorbed_power

@@ -175,7 +175,8 @@ def solution_with_friction(
         history.append(_loads(found))
     contraction, remainder, last = _judged(history)
     # What acts is the friction of the last pass, under the loads of the one before.
-    solution = Solution(accelerations, constraints.split(multipliers), multipliers)
+    wrenches = constraints.transposed_times(multipliers)
+    solution = Solution(accelerations, constraints.split(multipliers), multipliers, wrenches)
     return solution, JointFriction(acting, contraction, remainder, last)
 
 

@@ -191,11 +191,16 @@ def potential_energy(
     Other args:
         of_all: False leaves out elements that may add energy.
     """
-    total = jnp.sum(over_lanes(_weight_energy, stacks_of(system).bodies, motions.moving, shared=(system.gravity,)))
+    total = weight_energy(system, motions)
     for force in system.forces_with(memory).values():
         if of_all or force.never_adds_energy:
             total = total + force.potential_energy(t, motions)
     return total
+
+
+def weight_energy(system: System, motions: BodyMotions) -> Scalar:
+    """Potential energy of the bodies' weights [J]."""
+    return jnp.sum(over_lanes(_weight_energy, stacks_of(system).bodies, motions.moving, shared=(system.gravity,)))
 
 
 def _weight_energy(gravity: Vector3, body: Body, motion: BodyMotion) -> Scalar:

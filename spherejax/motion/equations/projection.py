@@ -20,6 +20,7 @@ from spherejax.motion.equations.constraints import (
     solved,
     velocity_violation,
 )
+from spherejax.motion.equations.observables import kinetic_energy, weight_energy
 from spherejax.motion.equations.programs import program_for
 from spherejax.physics.state import VELOCITY_SIZE, State, pack, unpack
 
@@ -51,7 +52,7 @@ def without_velocities(state: State, steps: BodySteps) -> State:
 
 
 def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " size"]:
-    """Unit quaternions, then one Newton correction of the positions and one of the velocities; memory and work stay.
+    """Unit quaternions, then one Newton correction of the positions and one of the velocities; memory stays.
 
     Both corrections use the same S, of the state before: in a scalar program it is factorized once.
     """
@@ -62,7 +63,21 @@ def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arra
     moved = _moved_back(state, least_correction(system, motions, constraints, constraints.residual))
     motions_moved = body_motions(system, moved)
     violation = velocity_violation(constraint_set(system, t, motions_moved), motions_moved)
-    return pack(without_velocities(moved, least_correction(system, motions, constraints, violation)))
+    found = without_velocities(moved, least_correction(system, motions, constraints, violation))
+    return pack(_with_work(system, state, found) if system.tracks_constraint_work else found)
+
+
+def _with_work(system: System, before: State, after: State) -> State:
+    """The state after a correction, with the energy of motion and weight that it took among the constraints' work."""
+    change = _energy(system, after) - _energy(system, before)
+    at = system.constraint_work_index % system.layout.n_work
+    work = [after.work[:at], after.work[at : at + 1] + change, after.work[at + 1 :]]
+    return after._replace(work=jnp.concatenate(work))
+
+
+def _energy(system: System, state: State) -> Scalar:
+    motions = body_motions(system, state)
+    return kinetic_energy(system, motions) + weight_energy(system, motions)
 
 
 def _moved_back(state: State, steps: BodySteps) -> State:

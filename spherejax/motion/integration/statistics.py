@@ -19,7 +19,7 @@ class Statistics(eqx.Module):
         n_evaluations: evaluations of the right-hand side; without those for states inside explicit steps, and without
             the Newton iterations of an implicit method.
         n_onsets: contact onsets of each joint in the system's `contact_joints`, shape (n_contacts,).
-        audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, shape (7,): above 1
+        audit: of each of `audit.CHECKS` the worst that was found, as a share of what is allowed, one each: above 1
             the run has failed. `run.audit` says it in words.
         explanation: which method and which tolerances were used, and why (static).
     """
@@ -29,7 +29,7 @@ class Statistics(eqx.Module):
     n_rejected: Int[Array, ""]
     n_evaluations: Int[Array, ""]
     n_onsets: Int[Array, " n_contacts"]
-    audit: Float[Array, "5"]
+    audit: Float[Array, " n_checks"]
     explanation: str = eqx.field(static=True, default="")
 
     def __repr__(self) -> str:

@@ -68,7 +68,8 @@ REMEDIES = {
     ),
     Status.AUDIT_FAILED: (
         "the audit found what cannot be (`run.audit` says what); the motion is wrong there, and may be from shortly "
-        "before. Tighten rtol, choose another solver or drift control, and check the laws and forces of your own"
+        "before. Tighten rtol, choose another solver or drift control (sj.PostStabilization() where the mechanism "
+        "passes singular positions), and check the laws and forces of your own"
     ),
     Status.INACCURATE: (
         "no tolerance gives the accuracy that was asked for (`run.accuracy` has the estimated errors). Shorten the "
@@ -89,7 +90,7 @@ REMEDIES = {
 AUDIT_RESULT = diffrax.RESULTS.internal_error
 """What a solver says where the audit of its step failed; diffrax, whose results cannot be added to, does not use it."""
 
-STOPPED_IN_MOTION = (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL, Status.SOLVER_FAILED)
+STOPPED_IN_MOTION = (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL, Status.SOLVER_FAILED, Status.AUDIT_FAILED)
 """Endings that the motion itself may have brought about, for instance a singular configuration."""
 
 

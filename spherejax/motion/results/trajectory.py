@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     import xarray
 
 
+N_NAMED = 16
+"""Failed runs of many of which the diagnosis looks for singular configurations: each costs about a millisecond."""
+
+
 class Trajectory(eqx.Module, Reported):
     """A simulated motion.
 
@@ -96,22 +100,49 @@ class Trajectory(eqx.Module, Reported):
     def diagnosis(self) -> str:
         """Which lane stopped, when, why, and what to do; empty after success.
 
-        Of a single run that its constraints have stopped, it names the joints whose equations become dependent there.
+        Of a run that its constraints have stopped, it names the joints whose equations become dependent there; of many
+        runs, of the first of them.
         """
         if self.accuracy is not None and self.status == Status.INACCURATE:
             return self._inaccurate(self.accuracy)
         text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._cause)
-        if np.ndim(self.ended) or not text or int(self.ended) not in STOPPED_IN_MOTION:
-            return text
+        if not np.ndim(self.ended):
+            return f"{text} {said}" if text and (said := self._where_singular) else text
+        lanes = [tuple(lane) for lane in np.argwhere(np.asarray(self.ended) != Status.SUCCEEDED)]
+        lines = text.splitlines()
+        for i, lane in enumerate(lanes[:N_NAMED]):
+            if (alone := self._lane(lane)) is not None and (said := alone._where_singular):
+                lines[i] = f"{lines[i]} {said}"
+        return "\n".join(lines)
+
+    @property
+    def _where_singular(self) -> str:
+        """Which joints' equations depend on each other where a single run has stopped, and what to do; else empty."""
+        if int(self.ended) not in STOPPED_IN_MOTION:
+            return ""
         start = (float(self.ts[0]), np.asarray(self.assembly.y))
         joints = singular_joints(self.system, float(self.t_reached), np.asarray(self.y_reached), start)
         if not joints:
-            return text
+            return ""
+        there = f"There the equations of joints {', '.join(map(repr, joints))} depend on each other: a singular "
+        if self.system.is_driven:
+            return (
+                f"{there}configuration, which a driver cannot pass where the mechanism reaches no further. Check the "
+                "reach of what is driven, or start or drive it otherwise."
+            )
+        remedy = "" if self.system.drift.n_corrections else "give the scene drift=sj.PostStabilization(), or "
         return (
-            f"{text} There the equations of joints {', '.join(map(repr, joints))} depend on each other: a singular "
-            "configuration, which a driver cannot pass where the mechanism reaches no further. Check the reach of what "
-            "is driven, or start or drive it otherwise."
+            f"{there}configuration, from which the mechanism can go on in more than one way. To pass it, {remedy}"
+            "change a length by little, so that it is passed at a distance."
         )
+
+    def _lane(self, lane: tuple[int, ...]) -> "Trajectory | None":
+        """One of many runs, where every number has the axes of the runs; None where some have not."""
+        shape = np.shape(self.ended)
+        leaves, tree = jax.tree.flatten(self)
+        if any(np.shape(leaf)[: len(shape)] != shape for leaf in leaves):
+            return None
+        return jax.tree.unflatten(tree, [leaf[lane] for leaf in leaves])
 
     @property
     def audit(self) -> str:

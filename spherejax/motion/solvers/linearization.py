@@ -89,7 +89,9 @@ def residuals(system: System, t: Scalar, y, accelerations, multipliers, directio
         applied = applied + wrenches_of(system, friction)
     balance = _masses_times(system, motions, by_body) + constraints.transposed_times(multipliers) - applied
     violation = constraints.times(by_body) - desired_accelerations(system, motions, constraints)
-    powers = work_rates(system, t, motions, memory, loads, friction, constraints, multipliers)
+    # The power of the constraint forces depends on all bodies, and nothing on their work: with that row, which is
+    # dense, each column would need a color of its own.
+    powers = work_rates(system, t, motions, memory, loads, friction, constraints, multipliers, None)
     remembered = memory_rates(system, t, motions, memory, loads, friction)
     return jnp.concatenate([balance.ravel(), -remembered, *(-power for power in powers), violation])
 

@@ -60,7 +60,7 @@ typedef struct {
   double values[AT_LEAST_ONE(N_VALUES)];
   double t, t_start, y[N_STATES];
   double step;                                  /* size of the next trial step [s]; 0: to be found */
-  double lowest, bottom, top, agitation;        /* of the audit [J] */
+  double lowest, highest, bottom, top, agitation; /* of the audit [J] */
   bool is_audited, has_start, is_start_changed;
   Mode mode;
 } State;
@@ -251,10 +251,11 @@ enum { VITALS, N_VITALS }; /* as `Vitals` of motion/integration/audit.py has the
 
 /* Whether what is seen can be; energy only where `with_energy`. */
 static bool is_sound(Instance *c, double t, const double *y, bool with_energy, Status status) {
-  double v[N_VITALS], energy;
+  double v[N_VITALS], energy, constant;
   State *now = &c->now;
   AT(vitals, vitals_ahead_, y, v);
   energy = v[POTENTIAL] + v[AGITATION];
+  constant = TRACKS_CONSTRAINT_WORK ? v[CONSTRAINT_WORK] : energy; /* what does not fall in an exact motion */
   if (!all_finite(y, N_STATES) || !all_numbers(v, N_VITALS) || !is_finite(energy)) {
     say(c, status, "at t = %.9g s: numbers are not finite", t);
     return false;
@@ -279,12 +280,14 @@ static bool is_sound(Instance *c, double t, const double *y, bool with_energy, S
   if (!with_energy || !is_finite(ENERGY_SHARE)) return true;
   if (!now->is_audited) {
     now->lowest = energy;
+    now->highest = constant;
     now->bottom = now->top = v[POTENTIAL];
     now->agitation = v[AGITATION];
     now->is_audited = true;
     return true;
   }
   now->lowest = fmin(now->lowest, energy);
+  now->highest = fmax(now->highest, constant);
   now->bottom = fmin(now->bottom, v[POTENTIAL]);
   now->top = fmax(now->top, v[POTENTIAL]);
   now->agitation = fmax(now->agitation, v[AGITATION]);
@@ -292,6 +295,10 @@ static bool is_sound(Instance *c, double t, const double *y, bool with_energy, S
     double moving = fmax(now->agitation + now->top - now->bottom, LEAST_ENERGY);
     if (energy - now->lowest > moving * ENERGY_SHARE) {
       say(c, status, "at t = %.9g s: the energy rose by more than was put in, by %.3g J", t, energy - now->lowest);
+      return false;
+    }
+    if (is_finite(LOSS_SHARE) && now->highest - constant > moving * LOSS_SHARE) {
+      say(c, status, "at t = %.9g s: energy vanished that no part took, %.3g J", t, now->highest - constant);
       return false;
     }
   }

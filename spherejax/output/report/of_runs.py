@@ -32,11 +32,14 @@ PACKAGES = ("spherejax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "l
 
 WHAT_IS_AUDITED = {
     "energy": "energy rises by no more than was put in",
+    "loss": "energy does not vanish: it is conserved, or constraint forces do no work where parts dissipate",
     "flight": "no ball is outside its socket without contact",
     "constraints": "the joints' equations hold",
     "quaternions": "quaternions keep their norm",
     "conformity": "surfaces are pressed in within the range of their elastic law",
     "tilt": "journals tilt in their rims by little",
+    "turns": "how often angles have gone round is not in doubt",
+    "axes": "axes that angles are about tilt by little enough for an angle",
     "film": "the offset of each film is small against its clearance",
 }
 

@@ -117,6 +117,15 @@ class AbstractForce(eqx.Module):
         return False
 
     @property
+    def conserves_energy(self) -> bool:
+        """Whether the element's work is exactly the change of its `potential_energy`: nothing is dissipated (static).
+
+        Where all parts say so, or have their work integrated beside the state, every run checks that the energy
+        does not fall, either. An element that says nothing may dissipate.
+        """
+        return False
+
+    @property
     def memory(self) -> tuple[MemoryEntry, ...]:
         """What the element remembers (static); one that does is an `AbstractForceWithMemory`."""
         return ()

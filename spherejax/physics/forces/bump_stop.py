@@ -13,7 +13,15 @@ from spherejax.foundations.legal import numeric
 from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.base import Touch
-from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, stores_all, two_ends
+from spherejax.physics.forces.line import (
+    AbstractLineForce,
+    Attachment,
+    Pull,
+    is_without_damping,
+    line_requirements,
+    stores_all,
+    two_ends,
+)
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions.base import AbstractFunction, as_function
 from spherejax.physics.functions.shapes import finite
@@ -93,6 +101,11 @@ class BumpStop(AbstractLineForce):
     def never_adds_energy(self) -> bool:
         """With numbers for damping, and a spring that knows its integral."""
         return stores_all(self.spring, self.damper)
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Without damping, and without a spring function, which may pull: a stop only presses."""
+        return self.never_adds_energy and self.spring is None and is_without_damping(self.damping)
 
     @property
     def n_touches(self) -> int:

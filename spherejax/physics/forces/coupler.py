@@ -27,6 +27,7 @@ from spherejax.physics.forces.line import (
     Attachment,
     direction_on,
     is_direction,
+    is_without_damping,
     line_requirements,
     start_quaternion,
     two_ends,
@@ -252,6 +253,11 @@ class Coupler(AbstractForce):
     def never_adds_energy(self) -> bool:
         """It stores and dissipates."""
         return True
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Without damping."""
+        return is_without_damping(self.damping)
 
     def _press(self, motions: Motions) -> tuple[Scalar, Scalar, Scalar]:
         """u [m], its rate [m/s], and f [N]."""

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.foundations.checks import Requirement, concretely
+from spherejax.foundations.checks import Requirement, concretely, is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.legal import numeric
 from spherejax.foundations.numerics import CONCENTRIC_RADIUS
@@ -211,6 +211,11 @@ def two_ends(ends) -> tuple[str, str]:
 def stores_all(spring, damper) -> bool:
     """Whether the work of both functions is known not to add energy: a spring with an integral, and no damper."""
     return damper is None and (spring is None or spring.knows_primitive)
+
+
+def is_without_damping(damping) -> bool:
+    """Whether a damping constant is known to be zero; one that is traced may have any value."""
+    return is_concrete(damping) and bool(np.all(np.asarray(damping) == 0))
 
 
 def elastic_part(function, x: Number) -> tuple[Scalar, Scalar, Scalar]:

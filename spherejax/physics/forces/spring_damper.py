@@ -15,6 +15,7 @@ from spherejax.physics.forces.line import (
     Attachment,
     Pull,
     elastic_part,
+    is_without_damping,
     line_requirements,
     stores_all,
     two_ends,
@@ -86,6 +87,11 @@ class SpringDamper(AbstractLineForce):
     def never_adds_energy(self) -> bool:
         """With numbers for damping, and a spring that knows its integral."""
         return self.law is None and stores_all(self.spring, self.damper)
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Without damping."""
+        return self.never_adds_energy and is_without_damping(self.damping)
 
     def pull(self, length: Scalar, rate: Scalar, t: Scalar) -> Pull:
         """Tension and stored energy."""

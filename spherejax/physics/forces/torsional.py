@@ -17,7 +17,7 @@ from spherejax.foundations.legal import non_negative
 from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench
-from spherejax.physics.forces.line import Pull, elastic_part, is_direction, stores_all
+from spherejax.physics.forces.line import Pull, elastic_part, is_direction, is_without_damping, stores_all
 from spherejax.physics.forces.turns import TorsionalAttachment, Twist, attached
 from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -80,6 +80,11 @@ class TorsionalSpring(AbstractForce):
     def never_adds_energy(self) -> bool:
         """With numbers for damping, and a spring that knows its integral."""
         return stores_all(self.spring, self.damper)
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Without damping."""
+        return self.never_adds_energy and is_without_damping(self.damping)
 
     def twist(self, motions: Motions) -> Twist:
         """Angle, rate and direction of the placed element."""

@@ -80,6 +80,11 @@ class AbstractPlacedJoint(eqx.Module):
         """Whether the joint only stores and dissipates, and reports all that it stores (static)."""
         return not self.is_driven and (self.friction is None or self.friction.model.never_adds_energy)
 
+    @property
+    def conserves_energy(self) -> bool:
+        """Whether the joint does no work on the bodies: it constrains, without friction (static)."""
+        return not (self.is_driven or self.answers_with_force) and self.friction is None
+
     def as_if_ideal(self) -> "Self | AbstractPlacedJoint | None":
         """The joint for assembly, without a model; None for one that leaves the start alone."""
         return self

@@ -162,7 +162,7 @@ class LaneOutcome(NamedTuple):
         touching: time in contact [s], shape (n_jobs, n_contacts).
         peaks: largest values of what is watched, shape (n_jobs, n_watched).
         y_reached: states at `t_reached`, shape (n_jobs, ...).
-        audit: the worst of each of `audit.CHECKS`, as a share of its limit, shape (n_jobs, 6).
+        audit: the worst of each of `audit.CHECKS`, as a share of its limit, shape (n_jobs, n_checks).
         n_lane_steps: steps that the block made, those of idle lanes included.
     """
 
@@ -175,7 +175,7 @@ class LaneOutcome(NamedTuple):
     touching: Float[Array, "n_jobs n_contacts"]
     peaks: Float[Array, "n_jobs n_watched"]
     y_reached: Float[Array, "n_jobs ..."]
-    audit: Float[Array, "n_jobs 4"]
+    audit: Float[Array, "n_jobs n_checks"]
     n_lane_steps: Int[Array, ""]
 
     @property
