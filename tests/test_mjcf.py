@@ -176,6 +176,37 @@ def test_slides_and_turns_of_a_body_accelerate_as_in_mujoco(written, joints):
     assert_same(scene, body_accelerations(model, data))
 
 
+HINGES = {
+    "parallel": '<joint name="a" axis="0 1 0"/><joint name="b" axis="0 1 0" pos=".1 .3 .2"/>',
+    "crossing": '<joint name="a" axis="0 1 0" pos=".1 0 .2"/><joint name="b" axis="1 2 .5" pos=".1 0 .2"/>',
+    "crossing elsewhere": '<joint name="a" axis="1 0 0" pos=".1 0 .2"/><joint name="b" axis="0 1 0" pos="0 .3 .2"/>',
+    "skew": '<joint name="a" axis="1 0 .2"/><joint name="b" axis="0 1 -.3" pos=".1 .3 .2"/>',
+    "skew at right angles": '<joint name="a" axis="1 0 0"/><joint name="b" axis="0 1 0" pos=".1 .3 .2"/>',
+}
+"""Two hinges of one body, in any position: the link between them has no mass."""
+
+
+@pytest.mark.parametrize("joints", HINGES.values(), ids=HINGES)
+def test_two_hinges_of_a_body_accelerate_as_in_mujoco(written, joints):
+    path = written(
+        model_of(
+            f'<body name="base" pos="0 0 1"><joint name="j" axis="0 0 1"/>{INERTIAL}'
+            f'<body name="arm" pos="0.3 0 0" quat="1 .2 .3 .1">{joints}{INERTIAL}</body></body>'
+        )
+    )
+    model, data, start = at_state(path, 3)
+    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    assert set(scene.bodies) == {"base", "arm"}
+    assert sj.constraint_report(scene).degrees_of_freedom == 3
+    assert_same(scene, body_accelerations(model, data))
+
+
+def test_two_hinges_about_one_axis_are_refused(written):
+    joints = '<joint name="a" axis="0 1 0"/><joint name="b" axis="0 1 0" pos="0 .3 0"/>'
+    with pytest.raises(sj.SceneError, match=r"joints a, b move one body, 'arm'"):
+        sj.load_mjcf(written(one_joint(joints)))
+
+
 FORCES = 'stiffness="{}" damping=".4" springref="{}"'
 PUSHED = {
     "a carriage": X.format(FORCES.format(5, 0.2)) + Z.format(FORCES.format(9, -0.1)),

@@ -46,7 +46,8 @@ def load_mjcf(
     `Universal` (two hinges that meet at right angles), `Spherical` (three that meet), `Cylindrical`, three
     `PointOnPlane` (two slides and a hinge across them); slides before or behind a hinge, two hinges at right angles,
     three hinges or a ball at one point, or alone, are `PointOnPlane` with `ParallelAxes`, `PerpendicularAxes` or
-    `SameOrientation`, and nothing for three slides and a ball. Springs, dampers and stops stay where they act along
+    `SameOrientation`, and nothing for three slides and a ball; two hinges in any position are kept by points, planes
+    and `Distance`. Springs, dampers and stops stay where they act along
     slides at right angles, or about the only hinge. For others, and with friction or couplings, `least_mass` gives the
     links between the joints a little. A joint's stiffness and damping are one
     force element of its name. Equalities close loops: `connect` is a `Spherical`, `weld` a `Fixed`, both rigid, where

@@ -17,6 +17,9 @@ from spherejax.physics.joints.spherical import Spherical
 _ALIGNED = 1e-9
 """Cosines and sines up to which axes are perpendicular or parallel: what MuJoCo's normalization rounds."""
 
+_FAR = 1e-3
+"""How far apart [m], or how far turned [sine of the angle], two axes of hinges must be that are not one, nor meet."""
+
 _CLOSED = 1e-6
 """How far apart [m, rad] a weld may hold its bodies at the start: it would keep what is off for good."""
 
@@ -130,8 +133,9 @@ def _check_weld(file: CompiledFile, name: str, start: list[LinkPose], places: li
 def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection[str]) -> Robot:
     """The robot with one joint for each stack of joints without inertia between them, where there is such a joint.
 
-    Two hinges that meet at right angles are a universal joint, three that meet a ball in a socket, a hinge and a slide
-    along one axis a cylindrical one, a hinge and two slides across it a planar one. Any slides before or behind such
+    Two hinges that meet at right angles are a universal joint; others two keep what the link between them keeps, the
+    distance and the angle of their axes. Three that meet are a ball in a socket, a hinge and a slide along
+    one axis a cylindrical one, a hinge and two slides across it a planar one. Any slides before or behind such
     turns at one point, or behind or before a ball, are a stack of planes and directions that stay; three slides and a
     ball are a free body. Springs, dampers and stops act along slides that are perpendicular to each other, and about a
     hinge that is the only one. Friction, couplings, and what acts about one of several hinges are those of single
@@ -203,8 +207,8 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
     axes = np.array([edge.axis for edge in turning])
     slides = np.array([edge.axis for edge in sliding]).reshape(-1, 3)
     match len(turning), len(sliding):
-        case (2, 0) if meet and abs(axes[0] @ axes[1]) < _ALIGNED:
-            return whole._replace(kind="universal", axis=axes[0], second=axes[1])
+        case (2, 0):
+            return _two_hinges(whole, axes, np.array([edge.anchor for edge in turning]))
         case (3, 0) if meet and abs(np.linalg.det(axes)) > 1e-3:
             return whole._replace(kind="spherical")
         case (1, 1) if np.linalg.norm(np.cross(axes[0], slides[0])) < _ALIGNED:
@@ -212,6 +216,26 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
         case (1, 2) if np.abs(slides @ axes[0]).max() < _ALIGNED and np.linalg.matrix_rank(slides, 1e-3) == 2:
             return whole._replace(kind="planar", axis=axes[0])
     return _stack(whole, stack, slides=sliding, turns=turns)
+
+
+def _two_hinges(whole: Edge, axes: np.ndarray, anchors: np.ndarray) -> Edge | None:
+    """Two hinges with a link without mass between, or None where they turn about one axis, or nearly do."""
+    apart = anchors[1] - anchors[0]
+    sine = np.linalg.norm(np.cross(axes[0], axes[1]))
+    if sine < _ALIGNED:
+        places = np.array([anchors[0], anchors[1] - (apart @ axes[0]) * axes[0]])
+    else:
+        # The ends of the common normal: what is between them is along neither axis.
+        along = np.linalg.lstsq(np.stack([axes[0], -axes[1]], axis=1), apart, rcond=None)[0]
+        places = anchors + along[:, None] * axes
+    gap = np.linalg.norm(places[1] - places[0])
+    if gap < _ALIGNED and abs(axes[0] @ axes[1]) < _ALIGNED:
+        return whole._replace(kind="universal", axis=axes[0], second=axes[1], anchor=places[0])
+    # A short rod between the axes, or a small angle of them, would hold badly.
+    if _ALIGNED <= gap < _FAR or (sine < _FAR and (sine >= _ALIGNED or gap < _ALIGNED)):
+        return None
+    places = places if gap >= _ALIGNED else np.array([places[0], places[0]])
+    return whole._replace(kind="hinges", turns=axes, anchors=places)
 
 
 def _stack(whole: Edge, stack: list[Edge], slides: list[Edge], turns: list[Edge]) -> Edge | None:
@@ -259,8 +283,9 @@ def check_stacks(robot: Robot, file: CompiledFile, ways_to_mass: bool) -> None:
     names = [name for name, edge in robot.edges.items() if child in (edge.parent, edge.child)]
     raise SceneError(
         f"{robot.path}: joints {', '.join(names)} move one body, {_moved(robot, child)!r}, with nothing between them "
-        "that has mass, and together they are no joint here (slides before or behind turns at one point, of a hinge, "
-        "two hinges at right angles, three, or a ball; without friction, and with springs, dampers and stops only "
-        "along slides at right angles and about a single hinge). Give the links between them a little with "
-        f"load_mjcf(..., least_mass=1e-3, least_moment=1e-6), or hold one with fixed=({names[-1]!r},)"
+        "that has mass, and together they are no joint here: two hinges about different axes, three or a ball at one "
+        "point; slides before or behind turns at one point, of a hinge, two at right angles, three, or a ball; without "
+        "friction, and with springs, dampers and stops only along slides at right angles and about a single hinge. "
+        "Give the links between them a little with load_mjcf(..., least_mass=1e-3, least_moment=1e-6), or hold one "
+        f"with fixed=({names[-1]!r},)"
     )

@@ -62,6 +62,7 @@ class Edge(NamedTuple):
         second: of a universal joint, the axis that stays on the child, in its axes.
         slides: of a stack, the axes along which it slides, as rows, in the child's axes; shape (n, 3).
         turns: of a stack, those about which it turns, n = 0 to 2; None: it turns freely.
+        anchors: of two hinges, a point on the axis of each, where these are nearest, in the child's axes [m].
         slides_on_child: whether the axes of slides turn with the child, rather than stay on the parent.
         parts: single joints that the edge is put together of, by name, for their force elements.
     """
@@ -85,6 +86,7 @@ class Edge(NamedTuple):
     second: np.ndarray | None = None
     slides: np.ndarray = np.zeros((0, 3))
     turns: np.ndarray | None = None
+    anchors: np.ndarray = np.zeros((0, 3))
     slides_on_child: bool = False
     parts: Mapping[str, "Edge"] = MappingProxyType({})
 

@@ -17,7 +17,7 @@ _SMALL = 1e-6
 """A radius of gyration below this [m] is none: tables of zeros leave rounding where links are put together."""
 
 
-_FOOT = 0.1
+FOOT = 0.1
 """Distance [m] of the three points on which a planar joint stands; of the size of a robot's parts."""
 
 
@@ -87,7 +87,7 @@ def groups_of(robot: Robot, base: str, first_pose: LinkPose) -> LinkGroups:
 def three_feet(axis: np.ndarray) -> list[np.ndarray]:
     """Three points around the origin in the plane across an axis."""
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across = _FOOT * across / np.linalg.norm(across)
+    across = FOOT * across / np.linalg.norm(across)
     return [turned(turn_about(axis, k * 2 * np.pi / 3), across) for k in range(3)]
 
 

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from spherejax.files.fields.rotations import turned
 from spherejax.files.robots.robot import SLIDING, TURNING, Edge, Robot
-from spherejax.files.robots.robot_bodies import LinkGroups
+from spherejax.files.robots.robot_bodies import FOOT, LinkGroups, three_feet
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.bump_stop import BumpStop
@@ -16,6 +17,7 @@ from spherejax.physics.forces.torsional import TorsionalSpring
 from spherejax.physics.functions.pieces import Piecewise
 from spherejax.physics.functions.shapes import Constant, Linear
 from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
+from spherejax.physics.joints.distance import Distance
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.joint import AbstractJoint
 from spherejax.physics.joints.orientation import ParallelAxes, PerpendicularAxes, SameOrientation
@@ -108,6 +110,48 @@ def stack_joints(
     if len(found) == 1:
         return {name: found[0]}
     return {f"{name}_{k}": joint for k, joint in enumerate(found, start=1)}
+
+
+def hinge_joints(name: str, edge: Edge, groups: LinkGroups, axes: np.ndarray) -> dict[str, AbstractJoint]:
+    """The joints of two hinges with a link without mass between them, which keeps its shape.
+
+    It keeps the distance of the axes where they are nearest, what each end may do along its axis, and the angle of the
+    axes: by the distance of two points on them. Named by the first hinge with _1, _2, ...
+
+    Args:
+        name: of the first hinge.
+        edge: as described; its anchors are where the axes are nearest.
+        groups: which links are one body.
+        axes: of the hinges, world axes at the start: the first stays on the parent, the second on the child.
+    """
+    parent, places, turns = groups.heads[edge.parent], edge.anchors, np.asarray(edge.turns)
+
+    def on_parent(label: str, place: np.ndarray) -> str:
+        return groups.add_point(edge.parent, f"{name}_{label}", edge.place + turned(edge.quaternion, place))
+
+    def on_child(label: str, place: np.ndarray) -> str:
+        return groups.add_point(edge.child, f"{name}_{label}", place)
+
+    first, second = on_parent("first", places[0]), on_child("second", places[1])
+    are_parallel = np.linalg.norm(np.cross(turns[0], turns[1])) < _PARALLEL
+    found: list[AbstractJoint] = []
+    if are_parallel:
+        feet = [on_child(f"foot_{k}", places[1] + foot) for k, foot in enumerate(three_feet(turns[1]), start=1)]
+        found += [PointOnPlane(foot, first, axes[0], parent) for foot in feet]
+    elif np.array_equal(places[0], places[1]):
+        found.append(Spherical(first, second))
+    else:
+        found += [PointOnPlane(second, first, axes[0], parent), PointOnPlane(first, second, axes[1], edge.child)]
+    if not np.array_equal(places[0], places[1]):
+        found.append(Distance(first, second))
+    if not are_parallel:
+        ends = [places[k] + FOOT * turns[k] for k in (0, 1)]
+        found.append(Distance(on_parent("along_first", ends[0]), on_child("along_second", ends[1])))
+    return {f"{name}_{k}": joint for k, joint in enumerate(found, start=1)}
+
+
+_PARALLEL = 1e-9
+"""Sine of the angle of two axes below which they are parallel."""
 
 
 def joints_of(

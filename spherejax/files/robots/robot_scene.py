@@ -8,7 +8,7 @@ import numpy as np
 from spherejax.files.fields.rotations import product, turned
 from spherejax.files.robots.robot import SLIDING, TURNING, Edge, LinkPose, Robot, undotted
 from spherejax.files.robots.robot_bodies import Least, LinkGroups, body_of, check_all_have_mass, solid_of
-from spherejax.files.robots.robot_joints import Ways, forces_of, joints_of, stack_joints
+from spherejax.files.robots.robot_joints import Ways, forces_of, hinge_joints, joints_of, stack_joints
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
@@ -55,6 +55,8 @@ def scene_of(
         if edge.kind == "stack":
             slides, turns = _axes_of_stack(edge, start)
             joints |= stack_joints(name, edge, groups, slides, turns)
+        elif edge.kind == "hinges":
+            joints |= hinge_joints(name, edge, groups, np.asarray(_axes_of_stack(edge, start)[1]))
         elif edge.kind != "fixed":
             second = None if edge.second is None else turned(start[edge.child].quaternion, edge.second)
             joints |= joints_of(name, edge, groups, axes[name], ways, second)
