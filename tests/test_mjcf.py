@@ -481,6 +481,19 @@ def test_a_keyframe_names_sites_fixed_joints_and_dots(written):
         sj.load_mjcf(path, positions={"k": (1.0, 2.0)})
 
 
+def test_a_keyframe_puts_mocap_bodies_where_mujoco_does(written):
+    """They stood where the file draws them."""
+    bodies = (
+        '<body name="goal" mocap="true" pos="0 0 1"><body name="mark" pos="1 0 0"/></body>'
+        f'<body name="arm" pos="0 0 1"><joint name="j" axis="0 1 0"/>{INERTIAL}</body>'
+    )
+    path = written(model_of(bodies, '<keyframe><key name="k" qpos=".3" mpos="5 0 0" mquat="1 0 0 1"/></keyframe>'))
+    points = sj.load_mjcf(path, ignore=("mocap",), keyframe="k").ground_points
+    np.testing.assert_allclose(points["goal"], [5, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(points["mark"], [5, 1, 0], atol=1e-15)
+    np.testing.assert_array_equal(sj.load_mjcf(path, ignore=("mocap",)).ground_points["goal"], [0, 0, 1])
+
+
 def test_what_the_compiler_refuses_is_told_in_its_words(written, tmp_path):
     with pytest.raises(sj.SceneError, match=r"model\.xml: MuJoCo's compiler: .*mass and inertia"):
         sj.load_mjcf(written(model_of('<body name="a"><joint/></body>')))

@@ -77,6 +77,17 @@ def test_a_loop_leaves_one_degree_of_freedom(written, kind):
     assert sj.constraint_report(scene).degrees_of_freedom == 1
 
 
+@pytest.mark.parametrize(("kind", "free"), [("fixed", 0), ("prismatic", 1)])
+def test_loops_that_hold_orientations(written, kind, free):
+    """The axes of the second end are turned, so that they are those of the first where the loop is closed."""
+    element = loop(kind).replace('link="b" xyz="0 0 -0.5" rpy="0 0 0"', 'link="b" xyz="0 0 -0.5" rpy="0 -0.5 0"')
+    element = element.replace('<axis xyz="0 1 0"/>', '<axis xyz="1 0 0"/>')
+    scene = sj.load_urdf(written(element), positions=CLOSED)
+    assert sj.constraint_report(scene).degrees_of_freedom == free
+    with pytest.raises(sj.SceneError, match="loop joint 'loop' cannot be closed"):
+        sj.load_urdf(written(element), positions={**CLOSED, "j3": 0.0})
+
+
 def test_a_four_bar_moves_as_its_equation_says(written):
     ts = np.linspace(0.0, 1.0, 11)
     run = sj.simulate(sj.load_urdf(written(loop()), positions=CLOSED), jnp.asarray(ts), throw=True)

@@ -57,7 +57,8 @@ def load_mjcf(
 
     What has no place in a scene, or is not said in full, is an error that names it, until an argument says what to do
     with it: contacts between geoms, actuators, tendons, armature, limits, friction, ... Geoms count for inertia alone,
-    which MuJoCo computes. Integrator, time step, solver and the softness of constraints are not read.
+    which MuJoCo computes. Integrator, time step, solver, the softness of constraints, and what has no mechanics
+    (sensors, cameras, lights, materials, the user's numbers and texts) are not read.
 
     Args:
         path: the file (.xml); includes, meshes and defaults are MuJoCo's to resolve.
@@ -72,7 +73,7 @@ def load_mjcf(
         ignore: what to leave out: "actuators", "armature", "contacts", "curves" (springs and dampers that are no
             straight lines), "ball damping", "ball friction", "ball springs" (of balls and free joints), "equalities"
             (other than connect, weld and joint), "flexes", "fluid", "friction", "gravcomp", "limits", "mimic" (joint
-            equalities), "mocap" (such bodies then stand still), "plugins", "tendons".
+            equalities), "mocap" (such bodies then stand still, where the keyframe has them), "plugins", "tendons".
         fixed: names of joints that are held where they are at the start.
         least_mass, least_moment, balance_inertia: as in `load_urdf`; given to links between the joints of one body too.
         friction: law of `frictionloss`, as in `load_urdf`.

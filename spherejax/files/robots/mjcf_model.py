@@ -69,11 +69,13 @@ class MjcfStart(NamedTuple):
         positions: of joints that turn or slide by name, from where the file draws them [rad or m].
         velocities: of all joints by name, as `poses` takes them.
         poses: quaternion of each ball, and place and quaternion of each free body, by joint.
+        mocap: place and quaternion of each body that MuJoCo's caller moves, by its name, where a keyframe puts it.
     """
 
     positions: dict[str, float]
     velocities: dict[str, Any]
     poses: dict[str, np.ndarray]
+    mocap: dict[str, np.ndarray]
 
 
 def library() -> Any:
@@ -128,14 +130,21 @@ def start_of(file: CompiledFile, keyframe: str | None, positions: Mapping, veloc
     """
     model = file.model
     q, v = np.array(model.qpos0), np.zeros(model.nv)
+    mocap: dict[str, np.ndarray] = {}
     if keyframe is not None:
         at = _keyframe(file, keyframe)
+        for body in np.flatnonzero(np.asarray(model.body_mocapid) >= 0):
+            number = int(model.body_mocapid[body])
+            place, turn = (
+                np.reshape(values[at], (-1, n))[number] for values, n in ((model.key_mpos, 3), (model.key_mquat, 4))
+            )
+            mocap[file.bodies[body]] = np.array([*place, *(turn / np.linalg.norm(turn))])
         q, v = np.array(model.key_qpos[at]), np.array(model.key_qvel[at])
     for what, given in (("positions", positions), ("velocities", velocities)):
         for name in given:
             if name not in file.joints:
                 raise SceneError(f"{file.path}: {what}: there is no joint {name!r}; {one_of(file.joints, name)}")
-    found = MjcfStart({}, {}, {})
+    found = MjcfStart({}, {}, {}, mocap)
     for joint, name in enumerate(file.joints):
         kind = file.kind(joint)
         place = _given(file, "positions", positions, name, kind, file.of_joint(joint, q, rates=False))
@@ -191,6 +200,8 @@ def robot_of(file: CompiledFile, start: MjcfStart, followed: Mapping[str, tuple[
     for body in range(1, model.nbody):
         name, parent = file.bodies[body], file.bodies[model.body_parentid[body]]
         quaternion, place = np.array(model.body_quat[body]), np.array(model.body_pos[body])
+        if name in start.mocap:
+            place, quaternion = start.mocap[name][:3], start.mocap[name][3:]
         first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         if n == 0:
             edges[_free_name(edges, f"{name}_weld", file)] = Edge(
