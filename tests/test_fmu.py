@@ -629,6 +629,14 @@ def test_the_command_writes_one(tmp_path, capsys, monkeypatch):
     assert "mass" in told
 
 
+def test_an_element_that_samples_is_refused(tmp_path):
+    """It would never sample there."""
+    control = sj.SampledPID(sj.Turn(("ground", "rotor"), (0, 0, 1)), 0.1, 1.0, 0.01)
+    scene = sj.Scene({"rotor": sj.Body(1.0, (1e-3,) * 3)}, forces={"control": control})
+    with pytest.raises(sj.SceneError, match="'control' samples at instants of its own"):
+        sj.export_fmu(scene, tmp_path / "rotor.fmu", outputs=["control.effort"])
+
+
 def test_a_spring_that_is_wound_up_counts_its_turns(tmp_path):
     """J angle'' = -k angle from a speed that winds it up by 1.4 turns, by both kinds of FMU."""
     wheel = sj.Body(1.0, (1e-3,) * 3, angular_velocity=(0.0, 0.0, 40.0))

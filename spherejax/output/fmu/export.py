@@ -124,6 +124,12 @@ def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver
             f"export_fmu: solver = {type(solver).__name__}() cannot be taken along: in C steps are those of an "
             "explicit Runge-Kutta method, e.g. diffrax.Dopri8(), and in Python the scene chooses; leave it out"
         )
+    sampled = found.system().sampled_forces if kind == "c" else ()
+    if sampled:
+        raise SceneError(
+            f"export_fmu: force element {sampled[0]!r} samples at instants of its own, which an FMU in C does not have; "
+            "leave it out and give its effort as an input, which the importer samples"
+        )
     choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
     start = found.start(np.zeros(1))
     for change in start.changes if start is not None else ():
