@@ -134,7 +134,7 @@ def test_a_failed_audit_names_the_joint_and_the_body():
     assert found["energy"] == "the ball of joint 'socket' is 2 clearances outside"
     assert found["constraints"].startswith("joint 'hinge' gapes by 0.0")
     assert found["quaternions"] == "body 'rod'"
-    text = findings([2.0, 0.5, 0.5, 3.0, 0.5, 0.1], found)
+    text = findings([2.0, 0.5, 0.5, 3.0, 0.5, 0.2, 0.1], found)
     assert text.startswith("the energy rose by more than was put in (2 times the limit: the ball of joint 'socket'")
     assert "were violated (3 times the limit: joint 'hinge'" in text
     assert "quaternion" not in text
@@ -172,7 +172,7 @@ def test_who_pays_for_accounts_of_energy(scene, supplied, dissipates):
 
 
 LIMITS = Limits(energy=jnp.array(1e-3), loss=jnp.array(1e-3), least=jnp.array(1e-9), violation=jnp.array(1e-3))
-SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2, 1e-6, 0.1)))
+SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2, 0.4, 1e-6, 0.1)))
 
 
 @pytest.mark.parametrize(
@@ -184,6 +184,7 @@ SOUND = Vitals(*map(jnp.asarray, (1.0, 2.0, -0.3, 1e-9, 1e-12, 0.3, 0.2, 1e-6, 0
         ("constraints", SOUND._replace(violation=jnp.asarray(2e-3))),
         ("quaternions", SOUND._replace(norm=jnp.asarray(0.1))),
         ("energy", SOUND._replace(potential=jnp.asarray(jnp.nan))),
+        ("rotations", SOUND._replace(rotations=jnp.asarray(1.1))),
         ("turns", SOUND._replace(turns=jnp.asarray(1.5))),
     ],
 )

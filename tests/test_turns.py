@@ -215,3 +215,81 @@ def test_a_wheel_that_goes_round_has_a_cycle():
 def test_a_spring_that_is_wound_up_has_no_cycle():
     with pytest.warns(sj.CycleWarning, match="a spring is wound up"):
         assert not sj.steady_cycle(driven(2e-8), period=1.0, settle=0).succeeded
+
+
+def on_rubber(kind, speed, rotational):
+    """A wheel on a bushing, which resists its turn by 0.02 N m/rad."""
+    law = sj.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.diag([*rotational, 0.02]))
+    model = sj.Bushing(law=law)
+    joints = {
+        "revolute": sj.Revolute(("ground", "w"), (0, 0, 0), Z, model),
+        "spherical": sj.Spherical("ground.eye", "w.eye", model),
+    }
+    body = sj.Body(1.0, (1e-3,) * 3, angular_velocity=(0, 0, speed), points={"eye": (0, 0, 0)})
+    return sj.Scene({"w": body}, {"rubber": joints[kind]}, gravity=(0, 0, 0), ground_points={"eye": (0, 0, 0)})
+
+
+@pytest.mark.parametrize("kind", ["revolute", "spherical"])
+@pytest.mark.parametrize(("speed", "rotational"), [(20.0, (0.02, 0.02)), (-20.0, (0.5, 0.8))])
+def test_rubber_is_twisted_beyond_half_a_turn(kind, speed, rotational):
+    """By 256 degrees, and back: the moment does not jump."""
+    run = sj.simulate(on_rubber(kind, speed, rotational), TS, rtol=1e-9)
+    angle, rate = oscillating(speed)
+    np.testing.assert_allclose(run.angular_velocity("w")[:, 2], rate, atol=1e-5)
+    np.testing.assert_allclose(run.part("rubber", "rotation")[:, 2], angle, atol=1e-5)
+    assert np.abs(angle).max() > 4.0
+
+
+@pytest.mark.parametrize("kind", ["revolute", "spherical"])
+def test_rubber_that_is_twisted_further_ends_the_run(kind):
+    with pytest.warns(sj.SimulationWarning, match="more than three quarters of a turn.*joint 'rubber'"):
+        run = sj.simulate(on_rubber(kind, 40.0, (0.02, 0.02)), TS)
+    assert run.status == sj.Status.AUDIT_FAILED
+    # What the message advises.
+    law = sj.HingeElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), 0.02)
+    scene = wheel(coil())
+    scene = sj.Scene(
+        scene.bodies,
+        {"hinge": sj.Revolute(("ground", "w"), (0, 0, 0), Z, sj.Bushing(law=law))},
+        coil(),
+        gravity=(0, 0, 0),
+    )
+    run = sj.simulate(scene, TS, rtol=1e-9)
+    np.testing.assert_allclose(run.angular_velocity("w")[:, 2], oscillating(40.0)[1], atol=1e-4)
+
+
+def test_a_moment_is_continuous_through_half_a_turn():
+    """Of a cylindrical bushing that is tilted besides: it jumped to its opposite."""
+    law = sj.MatrixElastomer.cylindrical(
+        np.array(Z),
+        radial_stiffness=1.0,
+        axial_stiffness=1.0,
+        conical_stiffness=5.0,
+        torsional_stiffness=1.0,
+        damping=0.0,
+    )
+    tilt = np.array([np.cos(0.05), np.sin(0.05), 0.0, 0.0])
+
+    def moment(angle):
+        c, s = np.cos(angle / 2), np.sin(angle / 2)
+        q = np.array([c * tilt[0], c * tilt[1], s * tilt[1], s * tilt[0]])
+        return np.asarray(law.moment(law.measure_of_rotation(jnp.asarray(q)), jnp.zeros(3)))
+
+    before, after = moment(np.pi - 1e-7), moment(np.pi + 1e-7)
+    np.testing.assert_allclose(before, after, atol=1e-5)
+    assert np.abs(before[2]) > 1.0
+
+
+def test_the_sign_of_a_quaternion_says_nothing():
+    """Of a body whose reference orientation has the other sign, and of a relaxed one."""
+    angle = 0.3
+    q = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+    for sign in (1.0, -1.0):
+        body = sj.Body(1.0, (1e-3,) * 3, quaternion=q, reference_quaternion=(sign, 0, 0, 0))
+        run = sj.simulate(sj.Scene({"w": body}, wheel({}).joints, coil(), gravity=(0, 0, 0)), [0.0, 0.01])
+        assert run.force("coil")["angle"][0] == pytest.approx(angle)
+        law = sj.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.eye(3))
+        joint = sj.Revolute(("ground", "w"), (0, 0, 0), Z, sj.Bushing(law=law, relaxed_quaternion=sign * q))
+        body = sj.Body(1.0, (1e-3,) * 3)
+        run = sj.simulate(sj.Scene({"w": body}, {"rubber": joint}, gravity=(0, 0, 0)), [0.0, 1e-4])
+        assert run.part("rubber", "rotation")[0, 2] == pytest.approx(-angle)

@@ -95,6 +95,24 @@ def rotation_vector(quaternion: Quaternion) -> Vector3:
     return jnp.where(is_small, series, general) * vector
 
 
+def continued_rotation_vector(quaternion: Quaternion) -> Vector3:
+    """Rotation vector (axis times angle) [rad] of a unit quaternion, of length up to 2 pi: as its sign says.
+
+    In a motion quaternions do not change their sign, so that this vector goes on through half a turn, at which that of
+    `rotation_vector` jumps to its opposite.
+
+    Limits: at the identity the value is 0 and the derivative 2 dp_(1..3); at an angle of 2 pi, where there is no axis,
+    value and derivative stay finite.
+    """
+    p0, vector = quaternion[0], quaternion[1:]
+    square = jnp.sum(vector * vector)
+    is_small = square < _SMALL_ANGLE**2
+    sine = jnp.sqrt(jnp.where(is_small, 1.0, square))
+    general = 2 * jnp.arctan2(sine, jnp.where(is_small, 1.0, p0)) / sine
+    series = 2 / jnp.where(is_small, p0, 1.0) * (1 - square / (3 * jnp.where(is_small, p0 * p0, 1.0)))
+    return jnp.where(is_small, series, general) * vector
+
+
 def quaternion_from_rotation_vector(vector: Vector3) -> Quaternion:
     """Unit quaternion of a rotation vector [rad]. Limits: at 0 the identity, with derivative (0, I/2)."""
     square = jnp.sum(vector * vector) / 4

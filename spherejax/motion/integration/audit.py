@@ -5,6 +5,7 @@
     flight      no ball is beyond its socket's surface while it counts as flying
     constraints  the constraint equations hold; friction that follows reactions agrees with them
     quaternions  have unit norm
+    rotations    of bushings are within what their laws measure
     turns        the angles that count turns are those of the orientations (`spherejax.physics.forces.turns`)
     conformity   surfaces are pressed in by no more than their elastic law is for, e.g. with the stiffness of Eq. 24 by
                  little against their clearance; beyond that the run goes on, and says so
@@ -40,7 +41,7 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.system import Structure, System
-from spherejax.motion.equations.body_motions import body_motions
+from spherejax.motion.equations.body_motions import BodyMotions, body_motions
 from spherejax.motion.equations.constraints import constraint_set
 from spherejax.motion.equations.friction_judgement import friction_found, friction_share, friction_trouble
 from spherejax.motion.equations.loads import joint_loads
@@ -78,7 +79,9 @@ OUTSIDE = 1e-6
 NOT_MADE = -1.0
 """Share that says that a check is not made."""
 
-CHECKS = ("energy", "loss", "flight", "constraints", "quaternions", "turns", "conformity", "tilt", "film", "axes")
+CHECKS = (
+    "energy", "loss", "flight", "constraints", "quaternions", "rotations", "turns", "conformity", "tilt", "film", "axes",
+)  # fmt: skip
 """What is audited, in the order of `run.stats.audit`."""
 
 WARNINGS = ("conformity", "tilt", "film", "axes")
@@ -92,6 +95,9 @@ FINDINGS = {
     "flight": "a ball was outside its socket without contact",
     "constraints": "the joints' equations were violated",
     "quaternions": "a body's quaternion lost its norm",
+    "rotations": "a bushing was turned by more than three quarters of a turn, beyond which the rotation vector of its "
+    "law has no meaning: in a joint about an axis take HingeElastomer, and a TorsionalSpring beside the "
+    "joint for elastic torsion",
     "turns": "how often an angle about an axis has gone round is in doubt: tighten rtol",
     "conformity": "surfaces were pressed in beyond the range of their elastic law (that of Eq. 24 ends at a tenth of "
     "the clearance): give a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...), a journal "
@@ -170,12 +176,22 @@ def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[st
         found["constraints"] = trouble
     norms = np.abs(np.sum(np.asarray(state.quaternion) ** 2, axis=-1) - 1)
     found["quaternions"] = f"body {list(system.bodies)[int(np.argmax(norms))]!r}"
+    twisted = {name: _rotation_share(system.joints[name], motions) for name in system.force_joints}
+    twists = {name: float(share) for name, share in twisted.items() if share is not None}
+    if twists:
+        found["rotations"] = f"joint {max(twists, key=lambda name: twists[name])!r}"
     forces: Any = system.forces_with(state.memory)
     turned = {slot.joint: forces[slot.joint].doubts(motions) for slot in system.force_slots}
     doubts = {name: max(map(float, own)) for name, own in turned.items() if own}
     if doubts:
         found["turns"] = f"force element {max(doubts, key=lambda name: doubts[name])!r}"
     return found
+
+
+def _rotation_share(joint: Any, motions: BodyMotions) -> Scalar | None:
+    """How far a joint's model is turned, as a share of what it knows; None for any."""
+    model = getattr(joint, "model", None)
+    return None if model is None else model.rotation_share(joint.relative_motion(motions))
 
 
 class Vitals(NamedTuple):
@@ -189,6 +205,7 @@ class Vitals(NamedTuple):
         norm: largest | |q|^2 - 1 |.
         pressed: largest penetration of surfaces, as a share of what their elastic law is for; -1 without a limit.
         tilt: largest tilt of a journal in a rim, as a share of what its circles are for; -1 without one.
+        rotations: largest rotation of a bushing, as a share of what its law measures; -1 without one.
         turns: largest difference of an angle from what was integrated of it, as a share of what is allowed; -1 where
             nothing has an angle.
         axes: largest tilt of an axis that an angle is about, as a share of the largest; -1 where nothing has an angle.
@@ -204,6 +221,7 @@ class Vitals(NamedTuple):
     norm: Scalar
     pressed: Scalar
     tilt: Scalar
+    rotations: Scalar
     turns: Scalar
     axes: Scalar
     friction: Scalar | None = None
@@ -236,6 +254,10 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
             if joint.model.largest_ratio is not None:
                 depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1
                 pressed.append(depth / joint.model.largest_ratio)
+    twisted = [jnp.asarray(NOT_MADE)]
+    for name in system.force_joints:
+        turned = _rotation_share(system.joints[name], motions)
+        twisted += [] if turned is None else [turned]
     doubts, leaning = [jnp.asarray(NOT_MADE)], [jnp.asarray(NOT_MADE)]
     forces: Any = system.forces_with(state.memory)
     for slot in system.force_slots:
@@ -255,6 +277,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(jnp.abs(norms - 1)),
         jnp.max(jnp.stack(pressed)),
         jnp.max(jnp.stack(tilts)),
+        jnp.max(jnp.stack(twisted)),
         jnp.max(jnp.stack(doubts)),
         jnp.max(jnp.stack(leaning)),
         friction,
@@ -315,7 +338,9 @@ class Limits(eqx.Module):
         # A check that is not made says so from the start.
         limits = jnp.stack([jnp.asarray(self.energy), jnp.asarray(self.loss)])
         worst = jnp.zeros(len(CHECKS)).at[:2].set(jnp.where(jnp.isinf(limits), NOT_MADE, 0.0))
-        worst = worst.at[N_FATAL:].set(NOT_MADE).at[CHECKS.index("turns")].set(NOT_MADE)
+        worst = worst.at[N_FATAL:].set(NOT_MADE)
+        for check in ("rotations", "turns"):
+            worst = worst.at[CHECKS.index(check)].set(NOT_MADE)
         watch = Watch(energy, _without_loss(now), now.potential, now.potential, now.agitation, worst)
         return self.seen(watch, now)
 
@@ -338,6 +363,7 @@ class Limits(eqx.Module):
             jnp.maximum(now.outside, 0.0) / OUTSIDE,
             equations,
             now.norm / NORM,
+            now.rotations,
             now.turns,
             now.pressed,
             now.tilt,

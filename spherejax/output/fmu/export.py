@@ -127,7 +127,7 @@ def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver
     sampled = found.system().sampled_forces if kind == "c" else ()
     if sampled:
         raise SceneError(
-            f"export_fmu: force element {sampled[0]!r} samples at instants of its own, which an FMU in C does not have; "
+            f"export_fmu: force element {sampled[0]!r} samples at instants of its own, which an FMU in C has not; "
             "leave it out and give its effort as an input, which the importer samples"
         )
     choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)

@@ -269,6 +269,10 @@ static bool is_sound(Instance *c, double t, const double *y, bool with_energy, S
     say(c, status, "at t = %.9g s: a body's quaternion lost its norm", t);
     return false;
   }
+  if (v[ROTATIONS] > 1) {
+    say(c, status, "at t = %.9g s: a bushing was turned by more than its law is for", t);
+    return false;
+  }
   if (v[TURNS] > 1) {
     say(c, status, "at t = %.9g s: how often an angle about an axis has gone round is in doubt: take smaller steps", t);
     return false;

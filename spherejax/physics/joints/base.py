@@ -179,6 +179,11 @@ class AbstractSphericalModel(eqx.Module):
         """Force and moment that answer a relative motion."""
         raise TypeError(f"{type(self).__name__} answers with constraints, not with a force")
 
+    def rotation_share(self, motion: RelativeMotion) -> Scalar | None:
+        """The rotation as a share of the largest that the model knows: a run ends beyond 1. None for any."""
+        del motion
+        return None
+
     def stored_energy(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar:
         """The `elastic_energy` of the response [J]; a model may have it without the rest."""
         return self.respond(motion, memory).elastic_energy

@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
-from spherejax.foundations.rotation import normalized, rotation_vector
+from spherejax.foundations.rotation import continued_rotation_vector, normalized
 from spherejax.foundations.types import Number, Numeric, Quadruple, Scalar, Unit, Vector3
 from spherejax.physics.bodies import numbers, unit_norm
 from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Medium, Response
@@ -77,7 +77,11 @@ class Bushing(AbstractSphericalModel):
 
     def relaxed(self, start: Numeric) -> Numeric:
         """Its own relaxed orientation where it has one."""
-        return start if self.relaxed_quaternion is None else normalized(jnp.asarray(self.relaxed_quaternion))
+        if self.relaxed_quaternion is None:
+            return start
+        own = normalized(jnp.asarray(self.relaxed_quaternion))
+        # Of its two signs that of the shorter way from the start: rotations go on from there through half a turn.
+        return jnp.where(own @ jnp.asarray(start) < 0, -own, own)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -174,6 +178,10 @@ class Bushing(AbstractSphericalModel):
         """An elastomer."""
         return Medium.ELASTOMER
 
+    def rotation_share(self, motion) -> Scalar | None:
+        """As its law has it."""
+        return self.law.rotation_share(motion.relative_quaternion)
+
     def respond(self, motion, memory) -> Response:
         """Elastic and damping force and moment on the ball, then those of branches and friction."""
         e, socket = motion.eccentricity, motion.socket_rotation
@@ -187,7 +195,7 @@ class Bushing(AbstractSphericalModel):
         rotation, measure, moment = jnp.zeros(3), jnp.zeros(3), jnp.zeros(3)
         relative = socket.T @ (motion.ball_angular_velocity - motion.socket_angular_velocity)
         if self.law.resists_rotation:
-            rotation = rotation_vector(motion.relative_quaternion)
+            rotation = continued_rotation_vector(motion.relative_quaternion)
             measure = self.law.measure_of_rotation(motion.relative_quaternion)
             moment = socket @ self.law.moment(measure, relative)
         energy = self.law.elastic_energy(deflection, measure)

@@ -10,13 +10,18 @@ from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import non_negative
-from spherejax.foundations.numerics import radial_projection
-from spherejax.foundations.rotation import rotation_vector
+from spherejax.foundations.numerics import radial_projection, safe_norm
+from spherejax.foundations.rotation import continued_rotation_vector
 from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import AbstractLaw
+
+LARGEST_ROTATION = 1.5 * np.pi
+"""Largest rotation [rad] that is measured by its vector, which has no direction after a whole turn. The audit looks at
+the ends of steps, and from here to where the vector is as short again on the other side no step leads."""
 
 
 class AbstractElastomer(AbstractLaw):
@@ -47,9 +52,15 @@ class AbstractElastomer(AbstractLaw):
     def measure_of_rotation(self, relative_quaternion: Quaternion) -> Vector3:
         """What the law takes for the rotation of the ball in the socket: the rotation vector [rad], or its own measure.
 
-        The rotation vector jumps at half a turn. A law for a joint that turns many times has a measure that does not.
+        The rotation vector has no direction after a whole turn, and a run ends before: see `rotation_share`. A law for
+        a joint that turns many times has another measure.
         """
-        return rotation_vector(relative_quaternion)
+        return continued_rotation_vector(relative_quaternion)
+
+    def rotation_share(self, relative_quaternion: Quaternion) -> Scalar | None:
+        """The rotation as a share of the largest for which its measure is good: a run ends beyond 1. None for any."""
+        rotation = self.measure_of_rotation(relative_quaternion)
+        return safe_norm(rotation) / LARGEST_ROTATION if self.resists_rotation else None
 
     def resisted_rotation(self, rotation: Vector3) -> Matrix3:
         """B: what of an angular velocity the law resists, as B w; relaxation and inner friction act on that alone.

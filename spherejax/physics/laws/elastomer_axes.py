@@ -38,6 +38,10 @@ class AbstractAxisElastomer(AbstractElastomer):
         """True."""
         return True
 
+    def rotation_share(self, relative_quaternion: Quaternion) -> None:
+        """None: an axis is what it is at any turn."""
+        del relative_quaternion
+
     def force(self, deflection: Vector3, deflection_rate: Vector3) -> Vector3:
         """-(K e + D e_rate) [N]."""
         K, D = (jnp.asarray(matrix) for matrix in self.matrices)

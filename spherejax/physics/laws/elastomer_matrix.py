@@ -8,7 +8,7 @@ import numpy as np
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
 from spherejax.foundations.numerics import BERNOULLI, horner
-from spherejax.foundations.types import Matrix3, Number, Scalar, Unit, Vector3
+from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Unit, Vector3
 from spherejax.physics.laws.elastomer import AbstractElastomer
 
 _COTANGENT_RADIUS = 1.0
@@ -40,8 +40,10 @@ class MatrixElastomer(AbstractElastomer):
         rotational_stiffness: K_r, (3, 3) symmetric [N m/rad], or `None`.
         rotational_damping: D_r, (3, 3) symmetric [N m s/rad], or `None`.
 
-    Limits: linear at e = 0 and theta = 0, where g = 1/12 and J = I. g = 1/pi**2 at pi, beyond which the
-    rotation vector jumps.
+    Limits: linear at e = 0 and theta = 0, where g = 1/12 and J = I; g = 1/pi**2 at pi, and grows without bound
+    towards 2 pi, where a rotation vector has no direction. A run in which the joint is turned by more than three
+    quarters of a turn ends (`Status.AUDIT_FAILED`). For more: in a joint about an axis `HingeElastomer`, with a
+    `TorsionalSpring` beside the joint where its torsion is elastic.
 
     Source: the general bushing of Ambrosio and Verissimo (2009), Multibody Syst. Dyn. 22:341-365, to which
     the exact J is added.
@@ -90,6 +92,14 @@ class MatrixElastomer(AbstractElastomer):
         """Whether a rotational stiffness or damping was given."""
         return self.rotational_stiffness is not None or self.rotational_damping is not None
 
+    def rotation_share(self, relative_quaternion: Quaternion) -> Scalar | None:
+        """Of a rotation that is resisted elastically; damping alone asks for no measure."""
+        if self.rotational_stiffness is None:
+            return None
+        share = AbstractElastomer.rotation_share(self, relative_quaternion)
+        assert share is not None
+        return jnp.where(jnp.any(jnp.asarray(self.rotational_stiffness) != 0), share, 0.0)
+
     def force(self, deflection: Vector3, deflection_rate: Vector3) -> Vector3:
         """-(K e + D e_rate) [N]."""
         return -(jnp.asarray(self.stiffness) @ deflection + jnp.asarray(self.damping) @ deflection_rate)
@@ -121,7 +131,7 @@ class MatrixElastomer(AbstractElastomer):
         return [symmetric_requirement(field, value) for field, value in matrices.items() if value is not None]
 
     def requirements_of_free_turning(self) -> list[Requirement]:
-        """A torsional stiffness that brings the joint back before half a turn, where the rotation vector jumps."""
+        """A torsional stiffness that brings the joint back: the rotation vector goes through less than a turn."""
         if self.rotational_stiffness is None:
             return []
         torsional = numeric(self.rotational_stiffness)[2, 2]
