@@ -80,26 +80,8 @@ def normalized(quaternion: Quaternion) -> Quaternion:
 
 
 def rotation_vector(quaternion: Quaternion) -> Vector3:
-    """Rotation vector (axis times angle) [rad] of a unit quaternion, of length at most pi.
-
-    Limits: at the identity the value is 0 and the derivative 2 dp_(1..3); at an angle of pi the vector jumps to its
-    opposite, as every three-component measure of rotation must, and value and derivative stay finite.
-    """
-    shorter = jnp.where(quaternion[0] < 0, -quaternion, quaternion)
-    p0, vector = shorter[0], shorter[1:]
-    square = jnp.sum(vector * vector)
-    is_small = square < _SMALL_ANGLE**2
-    sine = jnp.sqrt(jnp.where(is_small, 1.0, square))
-    general = 2 * jnp.arctan2(sine, jnp.where(is_small, 1.0, p0)) / sine
-    series = 2 / jnp.where(is_small, p0, 1.0) * (1 - square / (3 * jnp.where(is_small, p0 * p0, 1.0)))
-    return jnp.where(is_small, series, general) * vector
-
-
-def continued_rotation_vector(quaternion: Quaternion) -> Vector3:
-    """Rotation vector (axis times angle) [rad] of a unit quaternion, of length up to 2 pi: as its sign says.
-
-    In a motion quaternions do not change their sign, so that this vector goes on through half a turn, at which that of
-    `rotation_vector` jumps to its opposite.
+    """Rotation vector (axis times angle) [rad] of a unit quaternion, of length up to 2 pi, as its sign says: those of
+    a motion keep theirs, so that the vector goes on through half a turn, where one of at most pi jumps.
 
     Limits: at the identity the value is 0 and the derivative 2 dp_(1..3); at an angle of 2 pi, where there is no axis,
     value and derivative stay finite.

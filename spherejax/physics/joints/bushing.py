@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
-from spherejax.foundations.rotation import continued_rotation_vector, normalized
+from spherejax.foundations.rotation import normalized, rotation_vector
 from spherejax.foundations.types import Number, Numeric, Quadruple, Scalar, Unit, Vector3
 from spherejax.physics.bodies import numbers, unit_norm
 from spherejax.physics.joints.base import AbstractSphericalModel, Effect, Medium, Response
@@ -195,7 +195,7 @@ class Bushing(AbstractSphericalModel):
         rotation, measure, moment = jnp.zeros(3), jnp.zeros(3), jnp.zeros(3)
         relative = socket.T @ (motion.ball_angular_velocity - motion.socket_angular_velocity)
         if self.law.resists_rotation:
-            rotation = continued_rotation_vector(motion.relative_quaternion)
+            rotation = rotation_vector(motion.relative_quaternion)
             measure = self.law.measure_of_rotation(motion.relative_quaternion)
             moment = socket @ self.law.moment(measure, relative)
         energy = self.law.elastic_energy(deflection, measure)

@@ -15,7 +15,7 @@ import numpy as np
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import non_negative
 from spherejax.foundations.numerics import radial_projection, safe_norm
-from spherejax.foundations.rotation import continued_rotation_vector
+from spherejax.foundations.rotation import rotation_vector
 from spherejax.foundations.types import Matrix3, Number, Quaternion, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import AbstractLaw
 
@@ -55,7 +55,7 @@ class AbstractElastomer(AbstractLaw):
         The rotation vector has no direction after a whole turn, and a run ends before: see `rotation_share`. A law for
         a joint that turns many times has another measure.
         """
-        return continued_rotation_vector(relative_quaternion)
+        return rotation_vector(relative_quaternion)
 
     def rotation_share(self, relative_quaternion: Quaternion) -> Scalar | None:
         """The rotation as a share of the largest for which its measure is good: a run ends beyond 1. None for any."""
