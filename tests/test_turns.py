@@ -280,16 +280,21 @@ def test_a_moment_is_continuous_through_half_a_turn():
     assert np.abs(before[2]) > 1.0
 
 
-def test_the_sign_of_a_quaternion_says_nothing():
-    """Of a body whose reference orientation has the other sign, and of a relaxed one."""
-    angle = 0.3
-    q = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-    for sign in (1.0, -1.0):
-        body = sj.Body(1.0, (1e-3,) * 3, quaternion=q, reference_quaternion=(sign, 0, 0, 0))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rubber_is_relaxed_by_the_shorter_way(sign):
+    """Whatever the sign of the quaternion that says where it is."""
+    q = sign * np.array([np.cos(0.15), 0.0, 0.0, np.sin(0.15)])
+    law = sj.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.eye(3))
+    joint = sj.Revolute(("ground", "w"), (0, 0, 0), Z, sj.Bushing(law=law, relaxed_quaternion=q))
+    body = sj.Body(1.0, (1e-3,) * 3)
+    run = sj.simulate(sj.Scene({"w": body}, {"rubber": joint}, gravity=(0, 0, 0)), [0.0, 1e-4])
+    assert run.part("rubber", "rotation")[0, 2] == pytest.approx(-0.3)
+
+
+def test_the_sign_of_a_quaternion_says_which_way_round():
+    """A scene that starts where another one has come to rest, 4 rad from where it was described."""
+    q = np.array([np.cos(2.0), 0.0, 0.0, np.sin(2.0)])
+    for sign, angle in ((1.0, 4.0), (-1.0, 4.0 - 2 * np.pi)):
+        body = sj.Body(1.0, (1e-3,) * 3, quaternion=sign * q, reference_quaternion=(1, 0, 0, 0))
         run = sj.simulate(sj.Scene({"w": body}, wheel({}).joints, coil(), gravity=(0, 0, 0)), [0.0, 0.01])
         assert run.force("coil")["angle"][0] == pytest.approx(angle)
-        law = sj.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.eye(3))
-        joint = sj.Revolute(("ground", "w"), (0, 0, 0), Z, sj.Bushing(law=law, relaxed_quaternion=sign * q))
-        body = sj.Body(1.0, (1e-3,) * 3)
-        run = sj.simulate(sj.Scene({"w": body}, {"rubber": joint}, gravity=(0, 0, 0)), [0.0, 1e-4])
-        assert run.part("rubber", "rotation")[0, 2] == pytest.approx(-angle)

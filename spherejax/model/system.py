@@ -350,19 +350,7 @@ def _are_far_apart(values: list) -> bool:
 
 def _with_array_fields(body: Body) -> Body:
     # Points are resolved into the joints; leaving them here would make unused numbers part of the program's shape.
-    return Body(body.mass, body.inertia, body.position, _signed(body), body.velocity, body.angular_velocity)
-
-
-def _signed(body: Body) -> Numeric:
-    """The orientation at the start, of its two signs that of the shorter way from where it is described.
-
-    Angles and rotations that go on through half a turn are counted from there.
-    """
-    start, described = body.quaternion, body.reference_quaternion
-    if described is None:
-        return start
-    xp: Any = np if is_concrete(start) and is_concrete(described) else jnp
-    return xp.where(xp.sum(start * described) < 0, -start, start)
+    return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
 
 
 SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)

@@ -44,7 +44,8 @@ class Body(eqx.Module):
         points: places on the body where joints and forces meet it, body axes [m], each of shape (3,).
         reference_position, reference_quaternion: where the body is in the position for which joints and forces
             give points, axes and rest angles; None: where it starts. `sj.equilibrium` sets them, so that what was
-            described where it was drawn keeps its meaning where the mechanism comes to rest.
+            described where it was drawn keeps its meaning where the mechanism comes to rest. Of an orientation beyond
+            half a turn from there the sign of its quaternion says which way round: q and -q differ by a whole turn.
     """
 
     mass: Number

@@ -80,7 +80,8 @@ NOT_MADE = -1.0
 """Share that says that a check is not made."""
 
 CHECKS = (
-    "energy", "loss", "flight", "constraints", "quaternions", "rotations", "turns", "conformity", "tilt", "film", "axes",
+    "energy", "loss", "flight", "constraints", "quaternions", "rotations", "turns",
+    "conformity", "tilt", "film", "axes",
 )  # fmt: skip
 """What is audited, in the order of `run.stats.audit`."""
 
