@@ -25,7 +25,13 @@ from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import N_PARTS, Scene, check_scene
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces.base import AbstractForce
-from spherejax.physics.forces.remembering import ActingForce, is_sampled, memory_entries, recalling
+from spherejax.physics.forces.remembering import (
+    AbstractForceWithMemory,
+    ActingForce,
+    is_sampled,
+    memory_entries,
+    recalling,
+)
 from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.laws.normal import AbstractNormalLaw, by_factor
@@ -130,11 +136,17 @@ class System(eqx.Module):
         return tuple(slot for slot in self.force_slots if not all(entry.counts_turns for entry in slot.contents))
 
     def forces_with(self, memory: Float[Array, " n_memory"]) -> Mapping[str, ActingForce]:
-        """The force elements, those that remember with what they remember."""
-        if not self.force_slots:
-            return self.forces
-        known = {slot.joint: recalling(self.forces[slot.joint], memory[slot.entries]) for slot in self.force_slots}
-        return {name: known.get(name, force) for name, force in self.forces.items()}
+        """The force elements, those that remember with what they remember.
+
+        A controller without integral and filter has no entries; it is called like the others.
+        """
+        entries = {slot.joint: slot.entries for slot in self.force_slots}
+        return {
+            name: recalling(force, memory[entries.get(name, slice(0, 0))])
+            if isinstance(force, AbstractForceWithMemory)
+            else force
+            for name, force in self.forces.items()
+        }
 
     @property
     def force_joints(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from spherejax.files.fields.location import FilePlace
 from spherejax.foundations.checks import Requirement, enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.units.units import PURE, UnitError, in_si
-from spherejax.physics.functions.base import Given, UserFunction
+from spherejax.physics.functions.base import ConvertedFunction, Given, UserFunction
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.joints.lubricated import Lubricated
 
@@ -146,8 +146,9 @@ def unwrapped(value: Any) -> Any:
 
 
 WRAPPERS: Mapping[type, Callable[[Any], tuple]] = {
-    Given: lambda given: (given.module, given.function),
+    Given: lambda given: (given.callable,),
     UserFunction: lambda function: (function.given,),
+    ConvertedFunction: lambda function: (function.given,),
 }
 """Classes in which functions of users are kept."""
 

@@ -19,6 +19,7 @@ import sysconfig
 import types
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -107,6 +108,19 @@ def code_fingerprint(parts: tuple, *, with_state: bool = True) -> str:
     return words.fingerprint
 
 
+def reaches_tracer(parts: tuple) -> bool:
+    """Whether code of a user's own looks up a value that JAX traces, in its closures, globals, classes or objects.
+
+    Args:
+        parts: classes, functions and objects, as `own_parts` finds them.
+    """
+    words = _Words(is_of_code=True)
+    with suppress(Exception):  # what code looks up may be anything, and fail when it is looked at
+        words.value(parts)
+        words.finish()
+    return words.is_traced
+
+
 class _ForeignError(Exception):
     """Something that no version tells."""
 
@@ -146,6 +160,7 @@ class _Words:
         self._is_known_only = is_known_only
         self._is_collecting, self._is_of_code, self._with_state = is_collecting, is_of_code, with_state
         self.is_bound = False
+        self.is_traced = False  # whether a tracer was met
         self.foreign: dict[int, Any] = {}  # what no version tells, where that is collected
         self._met: dict[int, tuple[int, Any]] = {}  # objects are kept: an address is not given out twice
         self._waiting: deque[Any] = deque()
@@ -207,7 +222,7 @@ class _Words:
     def array(self, value: Any) -> None:
         if isinstance(value, jax.core.Tracer):
             # A constant of a trace around this one: what it holds is not known, what it is, is.
-            self.is_bound = True
+            self.is_bound = self.is_traced = True
             self.word("traced", value.aval)
             return
         if hasattr(value, "dtype") and jnp.issubdtype(value.dtype, jax.dtypes.extended):
@@ -284,6 +299,7 @@ class _Words:
         fingerprint = words.fingerprint
         self.is_bound |= words.is_bound
         self._n_looked_into = words._n_looked_into
+        self.is_traced |= words.is_traced
         return fingerprint
 
     def _object(self, value: Any) -> None:

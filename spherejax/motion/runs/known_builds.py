@@ -22,6 +22,7 @@ from spherejax.foundations.kept.fingerprints import (
     program_fingerprint,
     value_fingerprint,
 )
+from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.contacts import crossings, memory_after_step
@@ -84,18 +85,21 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
         return build
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)), one)
     structures: list[Structure] = []
+    scenes: list[Scene] = []
 
     def numbers(parameters):
-        compiled = compile_scene(built(build, parameters), track_work=track_work)
+        scenes[:] = [built(build, parameters)]
+        compiled = compile_scene(scenes[0], track_work=track_work)
         structure, theta = flatten_system(compiled.system)
         structures.append(structure)
         return jnp.asarray(theta), [jnp.asarray(each) for each in compiled.conditions]
 
-    traced = [program_fingerprint(numbers, shapes)]
-    structure = structures[-1]
-    traced.append(_equations(structure, bool(by)))
-    if by:
-        traced.append(program_fingerprint(_with_slopes(lambda p: numbers(p)[0]), shapes))
+    with captures_explained(scenes):
+        traced = [program_fingerprint(numbers, shapes)]
+        structure = structures[-1]
+        traced.append(_equations(structure, bool(by)))
+        if by:
+            traced.append(program_fingerprint(_with_slopes(lambda p: numbers(p)[0]), shapes))
     parts = [each.fingerprint for each in traced]
     is_bound = any(each.is_bound for each in traced)
     return known(build, Traced(combined(*parts), is_bound), is_all=known_fingerprint(structure) is not None)

@@ -21,6 +21,8 @@ from spherejax.foundations.forms import whole_number
 from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.kept.own_code import looked_at_once
 from spherejax.foundations.types import Numeric
+from spherejax.model.captured import captures_explained
+from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
 from spherejax.motion.integration.audit import cautions
@@ -204,7 +206,18 @@ def with_sensitivities(
 @bounded_jit(what="runs in lanes")
 def many(build: Build, method: LaneMethod, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
-    prepared = PreparedRuns(partial(built, build), method, ts)
+    scenes: list[Scene] = []
+
+    def scene_of(one: Any) -> Scene:
+        scenes[:] = [built(build, one)]
+        return scenes[0]
+
+    with captures_explained(scenes):
+        return _many(PreparedRuns(scene_of, method, ts), parameters, is_wanted)
+
+
+def _many(prepared: PreparedRuns, parameters, is_wanted) -> Runs:
+    method, ts = prepared.method, prepared.ts
     starts: Any = jax.vmap(prepared.start)(parameters)
     may_run = starts.may_run & is_wanted
     outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)

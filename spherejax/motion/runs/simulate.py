@@ -18,6 +18,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.kept.own_code import looked_at_once
 from spherejax.foundations.lanes import rows_at
+from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
@@ -128,7 +129,7 @@ def simulate(
     require_float64()
     asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
     limits = None if accuracy is None else _limits(scene, ts, accuracy, rtol, stepsize_controller, track_work, scalar)
-    with looked_at_once():
+    with looked_at_once(), captures_explained([scene]):
         call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
         for change in call.changes:
             warnings.warn(change, StartWarning, stacklevel=2)

@@ -14,7 +14,7 @@ from spherejax.output.plot.shapes import body_strokes, triad_strokes
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, arrow_outline, ground_marks
 from spherejax.output.plot.symbols import joint_strokes
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.forces.remembering import memory_entries, recalling
+from spherejax.physics.forces.remembering import AbstractForceWithMemory, memory_entries, recalling
 from spherejax.physics.forces.torsional import TorsionalSpring
 from spherejax.physics.forces.tyre import Tyre
 from spherejax.physics.kinematics import BodyMotion
@@ -77,10 +77,10 @@ def forces_on_bodies(name: str, force: Any, pose: MechanismPose) -> list[tuple[n
 
     None of one that remembers where there is no run that says what.
     """
-    if memory_entries(force):
-        if name not in pose.memory:
-            return []
-        force = recalling(force, jnp.asarray(pose.memory[name]))
+    if memory_entries(force) and name not in pose.memory:
+        return []
+    if isinstance(force, AbstractForceWithMemory):
+        force = recalling(force, jnp.asarray(pose.memory.get(name, ())))
     by_body: Any = (pose.positions, pose.quaternions, pose.rotations, pose.velocities, pose.angular_velocities)
     motions: Any = {body: BodyMotion(*(values[body] for values in by_body)) for body in pose.positions}
     found = []

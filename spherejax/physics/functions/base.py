@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
+from spherejax.foundations.closures import Template, closure_converted, is_number
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
 
@@ -103,17 +104,17 @@ class Network(eqx.Module):
 
     def __init__(self, module: Any):
         leaves, tree = jax.tree.flatten(module)
-        is_number = tuple(eqx.is_inexact_array_like(leaf) for leaf in leaves)
-        self.numbers = tuple(leaf for leaf, number in zip(leaves, is_number, strict=True) if number)
-        others = tuple(leaf for leaf, number in zip(leaves, is_number, strict=True) if not number)
-        self.structure = (tree, is_number, others)
+        which = tuple(map(is_number, leaves))
+        self.numbers = tuple(leaf for leaf, number in zip(leaves, which, strict=True) if number)
+        others = tuple(leaf for leaf, number in zip(leaves, which, strict=True) if not number)
+        self.structure = (tree, which, others)
 
     @property
     def module(self) -> Any:
         """The module, with the numbers of now."""
-        tree, is_number, others = self.structure
+        tree, which, others = self.structure
         numbers, rest = iter(self.numbers), iter(others)
-        return jax.tree.unflatten(tree, [next(numbers) if number else next(rest) for number in is_number])
+        return jax.tree.unflatten(tree, [next(numbers) if number else next(rest) for number in which])
 
     def __call__(self, *arguments) -> Any:
         """The module's value."""
@@ -127,21 +128,33 @@ class Given(eqx.Module):
         module: the callable, where it is an `equinox.Module`: its numbers are leaves.
         function: the callable, where it is a plain function: it is structure, and two scenes with different functions
             are different programs. Define it once, outside of what is called repeatedly.
+        captured: traced values that a callable closes over (a parameter of a sweep, of a fit, of a derivative): they
+            are leaves, too; empty without.
+        template: the callable without these values; None without.
     """
 
     module: Any
     function: Callable | None = eqx.field(static=True)
+    captured: tuple[Any, ...]
+    template: Template | None = eqx.field(static=True)
 
     def __init__(self, given: Callable):
-        is_module = isinstance(given, eqx.Module)
-        # A network holds functions among its numbers.
-        holds_functions = is_module and any(callable(leaf) for leaf in jax.tree.leaves(given))
-        self.module = Network(given) if holds_functions else given if is_module else None
-        self.function = None if is_module else given
+        self.module, self.function, self.captured, self.template = None, None, (), None
+        converted = closure_converted(given)
+        if converted is not None:
+            self.template, self.captured = converted
+        elif not isinstance(given, eqx.Module):
+            self.function = given
+        else:
+            # A network holds functions among its numbers.
+            holds_functions = any(callable(leaf) for leaf in jax.tree.leaves(given))
+            self.module = Network(given) if holds_functions else given
 
     @property
     def callable(self) -> Callable:
         """What was given."""
+        if self.template is not None:
+            return self.template.filled(self.captured)
         return self.module if self.function is None else self.function
 
     def __call__(self, *arguments):
@@ -166,14 +179,64 @@ class UserFunction(AbstractFunction):
         return jnp.asarray(self.given(x))
 
 
+class ConvertedFunction(AbstractFunction):
+    """A function of a user's own class whose static parts close over traced values.
+
+    Attributes:
+        given: the function, with these values and its own numbers as leaves.
+    """
+
+    given: Given
+
+    @property
+    def function(self) -> AbstractFunction:
+        """The function, with the numbers of now."""
+        function = self.given.callable
+        assert isinstance(function, AbstractFunction)
+        return function
+
+    def __call__(self, x: Number) -> Scalar:
+        """f(x)."""
+        return self.function(x)
+
+    @property
+    def knows_primitive(self) -> bool:
+        """Whether the function does."""
+        return self.function.knows_primitive
+
+    def primitive(self, x: Number) -> Scalar:
+        """That of the function."""
+        return self.function.primitive(x)
+
+    def derivative(self, x: Number) -> Scalar:
+        """That of the function."""
+        return self.function.derivative(x)
+
+    def second_derivative(self, x: Number) -> Scalar:
+        """That of the function."""
+        return self.function.second_derivative(x)
+
+    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+        """That of the function."""
+        return self.function.room(x, is_forward)
+
+    def requirements(self) -> list[Requirement]:
+        """Those of the function."""
+        return self.function.requirements()
+
+
 def as_function(value) -> AbstractFunction | None:
     """A function as given, a callable as `UserFunction`; None stays None.
 
     Raises:
         SceneError: for what cannot be called.
     """
-    if value is None or isinstance(value, AbstractFunction):
-        return value
+    if value is None:
+        return None
+    if isinstance(value, AbstractFunction):
+        is_own = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
+        given = None if is_own else Given(value)
+        return value if given is None or given.template is None else ConvertedFunction(given)
     if inspect.isclass(value) and issubclass(value, AbstractFunction):
         raise SceneError(f"{value.__name__} alone is no function; give its numbers, {value.__name__}(...)")
     if not callable(value):

@@ -14,6 +14,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import OWN, Named, Number, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import numbers
+from spherejax.physics.functions.base import Given
 from spherejax.physics.joints.body_axes import (
     cross,
     direction_requirement,
@@ -120,11 +121,13 @@ class ImplicitCurve(AbstractCurve):
     """The curve where a function of the place vanishes, given as a plain function.
 
     Attributes:
-        function: takes a place [m], shape (3,), and returns two numbers (static; a curve whose numbers are to be
-            swept is a class of one's own from `AbstractCurve`).
+        function: takes a place [m], shape (3,), and returns two numbers.
     """
 
-    function: Annotated[Callable, OWN] = eqx.field(static=True)
+    function: Given
+
+    def __init__(self, function: Annotated[Callable, OWN]):
+        self.function = Given(function)
 
     def residual(self, place):
         """The function's value."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
-from spherejax.physics.functions.base import AbstractFunction, UserFunction, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
 
 
 def prescribed(function: Callable, field: str) -> AbstractFunction:
@@ -19,7 +19,9 @@ def prescribed(function: Callable, field: str) -> AbstractFunction:
     """
     if not callable(function):
         raise SceneError(f"{field} = {function!r} must be a function of time t [s], written in jax.numpy")
-    return function if isinstance(function, AbstractFunction) else UserFunction(function)
+    found = as_function(function)
+    assert found is not None
+    return found
 
 
 def time_requirements(function: AbstractFunction, field: str, shape: tuple[int, ...] = ()) -> list[Requirement]:
