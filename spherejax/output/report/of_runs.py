@@ -38,6 +38,7 @@ WHAT_IS_AUDITED = {
     "quaternions": "quaternions keep their norm",
     "conformity": "surfaces are pressed in within the range of their elastic law",
     "tilt": "journals tilt in their rims by little",
+    "rotations": "bushings are turned by no more than their laws measure",
     "turns": "how often angles have gone round is not in doubt",
     "axes": "axes that angles are about tilt by little enough for an angle",
     "film": "the offset of each film is small against its clearance",
