@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import nbformat
 import numpy as np
@@ -17,7 +18,10 @@ from nbclient import NotebookClient
 from sweeping import pendulum
 
 import spherejax as sj
+from spherejax.motion.integration.lanes import Block
 from spherejax.studies.sweep import crew
+from spherejax.studies.sweep.chunks import ChunkWork
+from spherejax.studies.sweep.store import stored_chunk_size
 
 TESTS = str(Path(__file__).parent)
 
@@ -119,3 +123,64 @@ def test_a_notebook_shows_one_output_that_ends_readable(environment, monkeypatch
     assert output.data["text/plain"].startswith("sweep: 300 of 300 runs, ")
     assert "lane efficiency" in output.data["text/plain"]
     assert 'value="1.0000"' in output.data["text/html"]
+
+
+# How long a chunk takes -----------------------------------------------------------------------------------------------
+
+
+def paced_size(monkeypatch, seconds, n_runs=60_000, workers=2, size=2000, width=24):
+    """Runs in a chunk of a sweep whose runs take so long each."""
+    method = SimpleNamespace(block=Block(width))
+    work = ChunkWork(pendulum, method, None, (0.0, 1.0), size)  # type: ignore[arg-type]
+    monkeypatch.setattr(crew, "compiled_for", lambda *_: None)
+    monkeypatch.setattr(crew, "run_chunk", lambda _, rows, __: SimpleNamespace(seconds=seconds * crew.n_rows(rows)))
+    rows = {"gravity": np.linspace(1.0, 2.0, 48)}
+    return crew.paced(work, some_runs=lambda n: rows, n_runs=n_runs, workers=workers).size
+
+
+def test_chunks_of_a_long_sweep_take_seconds(monkeypatch):
+    """A sweep of 60,000 lost up to 23 s of each core when it was stopped."""
+    for seconds in (0.004, 0.0075, 0.02):
+        size = paced_size(monkeypatch, seconds)
+        assert size >= crew.FEWEST_FOR_EACH_LANE * 24
+        assert size * seconds <= max(crew.CHUNK_SECONDS, crew.FEWEST_FOR_EACH_LANE * 24 * seconds)
+        assert size < 2000
+    assert paced_size(monkeypatch, 0.0031) == paced_size(monkeypatch, 0.0033)  # one program
+
+
+def test_chunks_stay_as_they_are_where_it_is_not_worth_compiling_again(monkeypatch):
+    assert paced_size(monkeypatch, 1e-4) == 2000  # a chunk takes 0.2 s
+    assert paced_size(monkeypatch, 0.01, n_runs=4000) == 2000  # the sweep takes 20 s
+    assert paced_size(monkeypatch, 1.0, size=500) == 500  # few runs for each lane
+
+
+@pytest.mark.slow
+def test_a_sweep_makes_the_chunks_that_it_is_paced_to(monkeypatch, tmp_path):
+    monkeypatch.setattr(crew, "LONG_SWEEP", 0.0)
+    monkeypatch.setattr(crew, "CHUNK_SECONDS", 1e-9)
+    monkeypatch.setattr(crew, "FEWEST_FOR_EACH_LANE", 2)
+    grid, ts = {"gravity": np.linspace(1.0, 20.0, 30)}, np.linspace(0.0, 0.1, 3)
+    options = {"record": ["final position.bob"], "workers": 1, "block": Block(4), "progress": False}
+    paced = sj.sweep(pendulum, grid, ts, store=tmp_path / "s.zarr", **options)
+    assert stored_chunk_size(tmp_path / "s.zarr") == 8
+    whole = sj.sweep(pendulum, grid, ts, chunk=30, **options)
+    np.testing.assert_array_equal(paced["final_position.bob"], whole["final_position.bob"])
+
+
+@pytest.mark.usefixtures("hears_interrupts")
+def test_a_stopped_sweep_keeps_what_has_been_computed(monkeypatch, tmp_path):
+    """The chunks that threads had finished when the interrupt came were not stored."""
+    ready, at_once = [], crew.wait
+
+    def interrupted(under_way, return_when):
+        ready.append(at_once(under_way).done)  # all that were handed out
+        if len(ready) == 2:
+            raise KeyboardInterrupt
+        return at_once(under_way, return_when=return_when)
+
+    monkeypatch.setattr(crew, "wait", interrupted)
+    grid, ts = {"gravity": np.linspace(1.0, 20.0, 12)}, np.linspace(0.0, 0.1, 3)
+    options = {"record": ["final position.bob"], "workers": 2, "chunk": 2, "progress": False}
+    with pytest.raises(KeyboardInterrupt) as stop:
+        sj.sweep(pendulum, grid, ts, store=tmp_path / "s.zarr", **options)
+    assert stop.value.__notes__[0].startswith("sweep: stopped; 8 of 12 runs are in ")

@@ -58,8 +58,12 @@ def check_store_is_whole(path: Path) -> None:
         if entry.is_symlink():
             raise ValueError(f"{os.path.relpath(entry.path, path)!r} is a symbolic link, which is not followed")
         if entry.name in (".zarray", ".zmetadata", "zarr.json"):
-            text = Path(entry.path).read_text(encoding="utf-8")
-            if _names_pickle(json.loads(text)):
+            try:
+                # Bytes, as zarr gives them to this reader: a text may be UTF-16 as well.
+                metadata = json.loads(Path(entry.path).read_bytes())
+            except ValueError:  # zarr cannot read it either, and whoever reads says what is damaged
+                continue
+            if _names_pickle(metadata):
                 raise ValueError(
                     f"{os.path.relpath(entry.path, path)!r} says that values are stored as pickles, which may be code; "
                     "write the store anew with numbers and texts alone"

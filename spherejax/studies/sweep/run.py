@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, check
 from spherejax.motion.start.redundancy import undetermined_reactions_of
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import ChunkWork
-from spherejax.studies.sweep.crew import crew_for, default_workers, work_off
+from spherejax.studies.sweep.crew import crew_for, default_workers, paced, work_off
 from spherejax.studies.sweep.grids import Grid, as_grid
 from spherejax.studies.sweep.identity import identity_of, with_known_functions
 from spherejax.studies.sweep.lock import held
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
     import xarray
 
 LARGEST_CHUNK = 2048
-"""Runs in a chunk, at most: what is lost when a sweep is stopped, and what is in memory at a time."""
+"""Runs in a chunk, at most: what is lost when a sweep is stopped, and what is in memory at a time. Where they take long
+there are fewer; see `studies.sweep.crew.paced`."""
 
 LARGEST_FOR_EACH_LANE = 4
 """Runs in a chunk for each lane that there may be even so: the blocks of an accelerator are wide."""
@@ -78,7 +80,8 @@ def sweep(
     Other args:
         rtol, atol, solver, derivative_rtol, max_steps: as in `simulate`.
         block: lanes that run side by side on a core or an accelerator; by default by its kind (`motion.widths`).
-        chunk: runs that are handed out at a time, to a core or an accelerator.
+        chunk: runs that are handed out at a time, to a core or an accelerator; what is lost when a sweep is stopped. By
+            default as many as memory and workers call for; in a long sweep on processors, as many as take two seconds.
         workers: chunks that are computed at the same time in this process: all cores, or one for each device where
             there are several or they are no CPUs. Several devices share one program, sharded by `jax.shard_map`.
         executor: anything with the interface of `concurrent.futures.Executor` (a process pool; a Dask client's
@@ -128,6 +131,8 @@ def sweep(
         workers = workers or default_workers()
         size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
         work = ChunkWork(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
+        if stored is None and chunk is None and executor is None:
+            work = paced(work, some_runs=partial(_some_runs, grid), n_runs=grid.n_runs, workers=workers)
         facts = {**provenance(example, grid, method, times, wanted), **_marks(example, wanted, float(times[0]))}
         results = Results(grid, work, path, facts, identity_of(build, grid, wanted))
         with reporting(progress, grid.n_runs) as report:
