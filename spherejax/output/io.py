@@ -92,7 +92,7 @@ def load(path: str | os.PathLike) -> "xarray.Dataset":
             return unescaped(xarray.load_dataset(path, engine="zarr"))
         check_hdf5_is_whole(path)
         return unescaped(xarray.load_dataset(path, engine="h5netcdf") if path.suffix == ".nc" else read_hdf5(path))
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
         raise SceneError(f"{str(path)!r} is no readable file of this kind ({kind}): {error}") from error
 
 
