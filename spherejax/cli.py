@@ -77,6 +77,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         return BAD_REQUEST
 
 
+class _Version(argparse.Action):
+    """`--version`: of this package and of those that compute, as an issue needs them."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **_: Any):
+        super().__init__(option_strings, dest, nargs=0, help="show versions and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        # Looked up only when they are asked for; none of the packages is loaded.
+        names = ("spherejax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
+        of_python = ".".join(map(str, sys.version_info[:3]))
+        of_others = ", ".join([f"Python {of_python}", *(f"{name} {_version(name)}" for name in names[1:])])
+        print(f"{names[0]} {_version(names[0])} ({of_others})")
+        parser.exit(0)
+
+
+def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:  # a folder of sources that nobody has installed
+        return "unknown"
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are not buried under the list of all options."""
 
@@ -125,6 +149,7 @@ def parser() -> argparse.ArgumentParser:
 
     formatter = argparse.RawDescriptionHelpFormatter
     parser = _Parser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
+    parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for add in (
         add_run,

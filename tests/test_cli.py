@@ -296,6 +296,16 @@ def test_a_failed_run_exits_with_3_and_says_why(capsys):
     assert "max_steps" in err
 
 
+def test_version_says_what_computes(capsys):
+    import importlib.metadata
+
+    assert cli.main(["--version"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"spherejax {importlib.metadata.version('spherejax')} (Python {sys.version.split()[0]}")
+    assert f"jaxlib {importlib.metadata.version('jaxlib')}" in said
+    assert said.count("\n") == 1
+
+
 def test_an_interrupt_exits_with_130(capsys, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt

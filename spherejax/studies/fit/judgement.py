@@ -4,7 +4,7 @@ import numpy as np
 
 from spherejax.studies.fit.growth import REMEDY, lost_at, start_of
 from spherejax.studies.fit.methods import Course, Ending
-from spherejax.studies.fit.statistics import white
+from spherejax.studies.fit.statistics import Whiteness, whiteness_of
 
 UNLIKELY = 1e-3
 """Residuals that white noise shows more rarely than this are not taken for white."""
@@ -160,14 +160,26 @@ def _colour(fit) -> list[str]:
     for experiment, columns in fit.residuals.items():
         for name, values in columns.items():
             there = values[~np.isnan(values)]
-            if there.size >= FEWEST and white(there) < UNLIKELY:
-                coloured.append(name if len(fit.residuals) == 1 else f"{name} of {experiment}")
+            test = whiteness_of(there)
+            if there.size >= FEWEST and test.probability < UNLIKELY:
+                coloured.append((name if len(fit.residuals) == 1 else f"{name} of {experiment}", test))
     if not coloured:
         return []
+    are = ", ".join(f"{name} ({_correlated(test)})" for name, test in coloured)
     return [
-        f"the residuals of {', '.join(coloured)} are not white: neighbouring ones are alike. The model misses "
-        "something that was measured, or the errors are correlated; the standard deviations are then too small"
+        f"the residuals of {are} are not white noise by the test of Ljung and Box. The model misses something that was "
+        "measured, or the errors are correlated; the standard deviations, which assume independent errors, are wrong, "
+        "and too small where neighbouring residuals are alike"
     ]
+
+
+def _correlated(test: Whiteness) -> str:
+    """What a test has found: the largest correlation, and how likely all of them are."""
+    apart = "neighbouring ones" if test.lag == 1 else f"those {test.lag} samples apart"
+    return (
+        f"{apart} have a correlation of {test.correlation:.2g}, white noise has less than {test.bound:.2g} in 19 of 20 "
+        f"cases; Q = {test.statistic:.3g} over {test.n_lags} lags, p = {test.probability:.1g}"
+    )
 
 
 def _failures(fit) -> list[str]:

@@ -198,23 +198,48 @@ def _listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def white(residuals: np.ndarray, lags: int = 10) -> float:
-    """Probability that white residuals look as correlated as these, by the test of Ljung and Box (1978).
+class Whiteness(NamedTuple):
+    """The test of Ljung and Box (1978) of consecutive residuals.
+
+    Attributes:
+        probability: that white residuals look as correlated as these.
+        statistic: Q = n (n + 2) sum_k r_k^2 / (n - k), which is distributed as chi-square with as many degrees of
+            freedom as there are lags, where residuals are white.
+        n_lags: how many correlations r_k are looked at, k = 1, 2, ...
+        n: residuals.
+        lag: k of the largest magnitude of r_k.
+        correlation: that r_k.
+    """
+
+    probability: float
+    statistic: float
+    n_lags: int
+    n: int
+    lag: int
+    correlation: float
+
+    @property
+    def bound(self) -> float:
+        """The magnitude that a correlation of white residuals exceeds once in twenty, 1.96 / sqrt(n)."""
+        return 1.96 / self.n**0.5
+
+
+def whiteness_of(residuals: np.ndarray, n_lags: int = 10) -> Whiteness:
+    """How likely residuals are white noise; with probability 1 where there are too few to say, or all are the same.
 
     Args:
         residuals: consecutive, of one observable.
-        lags: how many correlations are looked at.
+        n_lags: how many correlations are looked at; a fifth of the residuals at most.
     """
     n = residuals.size
-    lags = min(lags, n // 5)
-    if lags < 1:
-        return 1.0
-    centered = residuals - residuals.mean()
-    power = centered @ centered
-    if power == 0:
-        return 1.0
-    correlations = np.array([centered[k:] @ centered[:-k] for k in range(1, lags + 1)]) / power
-    statistic = n * (n + 2) * np.sum(correlations**2 / (n - np.arange(1, lags + 1)))
+    n_lags = min(n_lags, n // 5)
+    centered = residuals - residuals.mean() if n else residuals
+    power = float(centered @ centered)
+    if n_lags < 1 or power == 0:
+        return Whiteness(1.0, 0.0, max(n_lags, 0), n, 1, 0.0)
+    correlations = np.array([centered[k:] @ centered[:-k] for k in range(1, n_lags + 1)]) / power
+    statistic = float(n * (n + 2) * np.sum(correlations**2 / (n - np.arange(1, n_lags + 1))))
     from scipy import stats
 
-    return float(stats.chi2.sf(statistic, lags))
+    at = int(np.argmax(np.abs(correlations)))
+    return Whiteness(float(stats.chi2.sf(statistic, n_lags)), statistic, n_lags, n, at + 1, float(correlations[at]))

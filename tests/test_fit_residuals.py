@@ -1,0 +1,60 @@
+"""What a fit says of its residuals: whether they are white noise, by which test, and how they are correlated."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from spherejax.studies.fit.judgement import _colour
+from spherejax.studies.fit.statistics import whiteness_of
+
+
+def autoregressive(factor, lag, n=600, seed=3):
+    """x_i = factor x_(i - lag) + e_i."""
+    noise = np.random.default_rng(seed).normal(size=n + 200)
+    for i in range(lag, noise.size):
+        noise[i] += factor * noise[i - lag]
+    return noise[200:]
+
+
+def said(residuals):
+    """The warning of a fit with these residuals of one observable, or none."""
+    return "".join(_colour(SimpleNamespace(residuals={"data": {"height": np.asarray(residuals)}})))
+
+
+def test_white_noise_is_taken_for_what_it_is():
+    """Probabilities are spread evenly: as many below 0.05 as there should be, and none below a thousandth of a time."""
+    rng = np.random.default_rng(1)
+    found = np.array([whiteness_of(rng.normal(size=300)).probability for _ in range(2000)])
+    assert abs(np.mean(found < 0.05) - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 2000)
+    assert abs(np.mean(found < 0.5) - 0.5) < 4 * np.sqrt(0.25 / 2000)
+    assert said(rng.normal(size=300)) == ""
+
+
+@pytest.mark.parametrize(
+    ("factor", "lag", "words"),
+    [
+        (0.6, 1, "neighbouring ones have a correlation of 0."),
+        (-0.6, 1, "neighbouring ones have a correlation of -0."),
+        (0.6, 4, "those 4 samples apart have a correlation of 0."),
+    ],
+)
+def test_the_correlation_that_was_found_is_said(factor, lag, words):
+    """Of residuals with a correlation of -0.13 it was said that neighbouring ones are alike."""
+    residuals = autoregressive(factor, lag)
+    text = said(residuals)
+    assert words in text
+    assert "test of Ljung and Box" in text
+    test = whiteness_of(residuals)
+    by_numpy = np.corrcoef(residuals[lag:], residuals[:-lag])[0, 1]
+    assert test.lag == lag
+    assert test.correlation == pytest.approx(by_numpy, abs=0.01)
+    assert test.correlation == pytest.approx(factor, abs=0.1)
+    assert f"{test.correlation:.2g}" in text
+    assert f"less than {1.96 / np.sqrt(600):.2g}" in text
+
+
+@pytest.mark.parametrize("residuals", [[], [1.0], [1.0] * 50, [0.0] * 50])
+def test_residuals_that_say_nothing_have_no_warning(residuals):
+    assert said(residuals) == ""
+    assert whiteness_of(np.asarray(residuals)).probability == 1.0
