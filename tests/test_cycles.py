@@ -407,6 +407,15 @@ def test_what_makes_no_sense_is_refused(request_, words):
         request_()
 
 
+def test_an_element_that_samples_is_refused():
+    """Its count of samples does not repeat itself; without a word its samples would not be taken."""
+    ball = sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 0.3))
+    held = sj.SampledPID(sj.Travel(("ground", "ball"), (0.0, 0.0, 1.0)), 0.05, 0.1, 20.0)
+    scene = sj.Scene({"ball": ball}, forces={"held": held})
+    with pytest.raises(sj.SceneError, match=r"force 'held' samples.*sj\.PID"):
+        sj.steady_cycle(scene, period=1.0)
+
+
 # The command -------------------------------------------------------------------------------------------------------
 
 

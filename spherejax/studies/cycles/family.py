@@ -52,6 +52,13 @@ class Family:
         self.example: System = compile_scene(self.scene(values)).system
         if not is_concrete(flatten_system(self.example)[1]):
             raise SceneError("cycles are looked for with numbers that are known; call it outside of jit, vmap and grad")
+        if self.example.sampled_forces:
+            # The number of the coming sample is a part of the state: it grows from period to period.
+            raise SceneError(
+                f"force {self.example.sampled_forces[0]!r} samples at instants of its own: cycles of such mechanisms "
+                "are not looked for. Simulate until the motion repeats itself (sj.simulate); or replace the element "
+                "for this study by one that acts at all times, a sampled controller by sj.PID"
+            )
         self._numbers = None
         if self.names:
             shapes = {name: jax.ShapeDtypeStruct((), jnp.float64) for name in self.names}
