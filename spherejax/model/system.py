@@ -136,14 +136,15 @@ class System(eqx.Module):
         return tuple(slot for slot in self.force_slots if not all(entry.counts_turns for entry in slot.contents))
 
     def forces_with(self, memory: Float[Array, " n_memory"]) -> Mapping[str, ActingForce]:
-        """The force elements, those that remember with what they remember.
+        """The force elements, each with its entries of the state.
 
-        A controller without integral and filter has no entries; it is called like the others.
+        Elements that count turns have entries though they do not remember; a controller without integral and filter
+        is an element that remembers, though it has none.
         """
         entries = {slot.joint: slot.entries for slot in self.force_slots}
         return {
             name: recalling(force, memory[entries.get(name, slice(0, 0))])
-            if isinstance(force, AbstractForceWithMemory)
+            if name in entries or isinstance(force, AbstractForceWithMemory)
             else force
             for name, force in self.forces.items()
         }
