@@ -53,9 +53,11 @@ from spherejax.motion.integration.sensitivity_rows import (
     of_first_row,
     rows_rate,
     scales_of,
+    unseen_of_first_row,
     with_rows,
 )
 from spherejax.motion.integration.status import Status, start_status
+from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.start.assembly import Assembly
 
@@ -374,7 +376,16 @@ def integrate_rows(
         y0=rows0,
         args=RowParameters(*parameters, audit_limits(plan, options, parameters.value.theta)),
         saveat=diffrax.SaveAt(subs=saved),
-        stepsize_controller=landing_controller(judging, solver, contacts, taken, plan, ts, of_first_row(room_of(plan))),
+        stepsize_controller=landing_controller(
+            judging,
+            solver,
+            contacts,
+            taken,
+            plan,
+            ts,
+            of_first_row(room_of(plan)),
+            unseen_of_first_row(unseen_of(plan.structure, plan.scalar, solver)),
+        ),
         adjoint=options.adjoint,
         max_steps=options.max_steps,
         throw=False,

@@ -31,6 +31,7 @@ from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import SampledElements, SamplingSolver, samples_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, end_status, start_status, status_of
+from spherejax.motion.integration.unseen import Unseen, unseen_of
 from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.implicit import with_structure
@@ -176,7 +177,9 @@ def _integrated(plan, options, values, known, ts, start, values_are_legal) -> Ou
         saveat=diffrax.SaveAt(
             subs=[samples(jnp.minimum(ts, t1), correct, taken), diffrax.SubSaveAt(t1=True)], solver_state=True
         ),
-        stepsize_controller=landing_controller(options, solver, contacts, taken, plan, ts, room_of(plan)),
+        stepsize_controller=landing_controller(
+            options, solver, contacts, taken, plan, ts, room_of(plan), unseen_of(plan.structure, plan.scalar, solver)
+        ),
         adjoint=options.adjoint,
         max_steps=options.max_steps,
         throw=False,
@@ -223,6 +226,7 @@ def landing_controller(
     plan: Plan,
     ts: Float[Array, " n"],
     room: Callable | None,
+    unseen: Unseen | None,
 ) -> LandingController:
     """The controller that judges errors, with what else ends a step: contacts, and the longest step of a road."""
     longest = longest_step(plan.structure, ts, scalar=plan.scalar)
@@ -232,7 +236,7 @@ def landing_controller(
         controller = StepBudget(controller, options.budget)  # pyright: ignore[reportCallIssue]
     were_taken = None if taken is None else taken.were_taken
     made: Any = LandingController  # pyright takes its fields for those of diffrax's base class
-    return made(controller, contacts, interpolation, longest, room, were_taken)
+    return made(controller, contacts, interpolation, longest, room, were_taken, unseen)
 
 
 def room_of(plan: Plan) -> Callable | None:

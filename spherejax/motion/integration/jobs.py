@@ -41,10 +41,12 @@ from spherejax.motion.integration.sensitivity_rows import (
     linearized,
     of_first_row,
     rows_rate,
+    unseen_of_first_row,
     with_rows,
 )
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, start_status
+from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import controller_for
@@ -154,6 +156,7 @@ class JobKind:
             samples_of(self.structure, self.scalar),
             in_machine_code=in_machine_code(plan, self.solver),
             program=rate.scalar,
+            unseen=unseen_of(self.structure, self.scalar, self.solver),
         )
         return self._of_rows(problem, solver, rate) if self.with_rows else problem
 
@@ -174,6 +177,7 @@ class JobKind:
             watch=None if watch is None else lambda t, rows, numbers: watch(t, rows[0], numbers),
             audit=None if problem.audit is None else problem.audit.of_rows(),
             room=of_first_row(problem.room),
+            unseen=unseen_of_first_row(problem.unseen),
             samples=None if problem.samples is None else problem.samples.of_rows(),
             moving=self.moving,
         )

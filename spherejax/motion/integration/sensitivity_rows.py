@@ -32,6 +32,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.equations.contacts import GRAZING_RATE
 from spherejax.motion.equations.programs import Program
+from spherejax.motion.integration.unseen import Unseen
 from spherejax.motion.solvers.landing import ContactFunctions
 
 
@@ -196,6 +197,12 @@ def _crossing_slopes(contacts: ContactFunctions, parameters: Linearized, t, rows
 def of_first_row(function: Callable | None) -> Callable | None:
     """A function (parameters, t, y) of the state, as one of the rows that it stands above."""
     return None if function is None else lambda parameters, t, rows: function(parameters.value, t, rows[0])
+
+
+def unseen_of_first_row(unseen: Unseen | None) -> Unseen | None:
+    """What looks at functions of time, for a state that is one of rows."""
+    signals: Any = None if unseen is None else of_first_row(unseen.signals)
+    return None if unseen is None else unseen._replace(signals=signals)
 
 
 def judging_rows(controller, slack: float = 1.0):

@@ -86,7 +86,7 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         cycles: how often what depends on time repeats itself in a span.
     """
 
-    def timed(function):
+    def timed(function) -> Any:
         if function is None:
             return None
         return lambda span, x, *states: function(span.numbers, span.time(x), *states)
@@ -115,6 +115,7 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         longest_step=None if problem.longest_step is None else jnp.asarray(1.0 / (STEPS_AT_LEAST * cycles)),
         audit=None if audit is None else _audit(audit),
         room=None if problem.room is None else room,
+        unseen=None if problem.unseen is None else problem.unseen._replace(signals=timed(problem.unseen.signals)),
         slack_of=None if problem.slack_of is None else slack,
         program=None,
     )

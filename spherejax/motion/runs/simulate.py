@@ -27,6 +27,7 @@ from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.integration.one_run import bound_run, can_be_a_job
 from spherejax.motion.integration.status import REMEDIES, OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from spherejax.motion.integration.unseen import bound_in_words
 from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
@@ -215,7 +216,8 @@ def _call(
         outcome_of = partial(integrate_with_sensitivities, *arguments)
     else:
         outcome_of = bound_run(*arguments)
-    explanation = "; ".join(filter(None, [choice.reason, said, path.reason]))
+    bound = bound_in_words(found.structure, path.scalar)
+    explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound]))
     described = _asked(choice.solver, rtol, atol, max_steps) if stepsize_controller is None and budget is None else None
 
     def run() -> Trajectory:

@@ -169,6 +169,7 @@ class LandingController(AbstractForwardingController):
         room: how soon [s] something comes that no step may pass over, a function of (parameters, t, y), or None.
         were_taken: whether samples were taken at the end of a step, a function of the states at its start and its end,
             or None; the state jumps there.
+        unseen: looks between the stages for pulses of functions of time, or None; see `integration.unseen`.
     """
 
     controller: Any  # diffrax.AbstractAdaptiveStepSizeController
@@ -177,6 +178,7 @@ class LandingController(AbstractForwardingController):
     longest: Float[Array, ""] | None = None
     room: Callable | None = eqx.field(static=True, default=None)
     were_taken: Callable | None = eqx.field(static=True, default=None)
+    unseen: Any = eqx.field(static=True, default=None)
 
     def wrap(self, direction):
         """Wrap the wrapped controller."""
@@ -213,6 +215,12 @@ class LandingController(AbstractForwardingController):
             error_order,
             controller_state.inner,
         )
+        if self.unseen is not None and self.longest is not None:
+            looked = jnp.where(keep, t1 - t0, 0.0)
+            seen = self.unseen.shortened(self.longest, args, t0, looked, y1_candidate)
+            passes_over = keep & (seen < looked)
+            keep, next_t0 = keep & ~passes_over, jnp.where(passes_over, t0, next_t0)
+            next_t1 = jnp.where(passes_over, t0 + seen, next_t1)
         next_t1 = self._limited(next_t0, next_t1, args, jnp.where(keep, y1_candidate, y0))
         jumps = jnp.array(False) if self.were_taken is None else self.were_taken(y0, y1_candidate)
         made_jump = made_jump if self.were_taken is None else made_jump | (keep & jumps)

@@ -20,7 +20,7 @@ from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Function, Listed, Named, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace
-from spherejax.physics.forces.coupler import AbstractCoordinate, AbstractStretch
+from spherejax.physics.forces.coupler import AbstractCoordinate, AbstractStretch, Turn
 from spherejax.physics.forces.line import Attachment, two_ends
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants
 from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
@@ -73,6 +73,9 @@ class Actuator(AbstractForce):
         effort: f [N] by time [s]: a number, `Table`, `Sine`, any function of one number. Steps of the integration end
             where a function says that it begins, ends or turns.
         offset: a number that is added [N]; an input for `sj.linearize` about a motion that the function drives.
+
+    Limits: a pulse of a function of one's own that is shorter than 1/20,000 of the motion can be passed over; declare
+    it by the breaks of a `Piecewise`, where steps end: `sj.Piecewise([0.4, 0.40001], [f, f, f])`.
     """
 
     coordinate: AbstractCoordinate
@@ -100,6 +103,12 @@ class Actuator(AbstractForce):
         """`effort` [N]; `position` [m] and `rate` [m/s] of the coordinate."""
         motion = self.coordinate.motion(motions)
         return {"effort": self._force(t), "position": motion.value, "rate": motion.rate}
+
+    def unknown_in_time(self, t, motions):
+        """The effort, where it is a function of one's own that does not say where it turns."""
+        del motions
+        unit = "N m" if isinstance(self.coordinate, Turn) else "N"
+        return ((self.effort(t), unit),) if self.effort.is_unknown else ()
 
     def room(self, t, motions):
         """To where the effort begins, ends or turns."""

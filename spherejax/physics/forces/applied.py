@@ -29,6 +29,9 @@ class AppliedWrench(AbstractForce):
         in_body_axes: whether force and moment are given in body axes and turn with the body.
 
     A function takes the motions if it has two arguments without default.
+
+    Limits: a pulse of a function of one's own that is shorter than 1/20,000 of the motion can be passed over; declare
+    it by the breaks of a `Piecewise`, where steps end: `sj.Piecewise([0.4, 0.40001], [f, f, f])`.
     """
 
     body: str = eqx.field(static=True)
@@ -81,6 +84,11 @@ class AppliedWrench(AbstractForce):
         given = [value.callable for value in (self.force, self.moment) if isinstance(value, Given)]
         return least_room(one.room(t, True) for one in given if isinstance(one, AbstractFunction))
 
+    def unknown_in_time(self, t, motions):
+        """Force and moment by functions of one's own that do not say where they turn."""
+        given = [(value, unit) for value, unit in ((self.force, "N"), (self.moment, "N m")) if _is_unknown(value)]
+        return tuple((_at(value, t, motions), unit) for value, unit in given)
+
     def parts(self, t, motions) -> dict[str, Array]:
         """`force` [N] and `moment` [N m], world axes, shape (3,)."""
         force, moment, _ = self._applied(t, motions)
@@ -98,6 +106,13 @@ def _at(value: Numeric | Given, t, motions: Motions) -> Vector3:
     if not isinstance(value, Given):
         return jnp.asarray(value)
     return jnp.asarray(value(t, motions) if _takes_motions(value.callable) else value(t))
+
+
+def _is_unknown(value: Numeric | Given) -> bool:
+    if not isinstance(value, Given):
+        return False
+    function = value.callable
+    return function.is_unknown if isinstance(function, AbstractFunction) else True
 
 
 def _takes_motions(function: Callable) -> bool:

@@ -148,6 +148,15 @@ class AbstractForce(eqx.Module):
         del t, motions
         return None
 
+    def unknown_in_time(self, t: Scalar, motions: Motions) -> tuple[tuple[Array, str], ...]:
+        """Values that follow functions of time of which nothing is known, each with its unit "N", "N m", "m" or "1".
+
+        They are looked at between the stages of each step, so that no pulse of a twenty-thousandth of the motion is
+        passed over; of a class of the user's own these are all wrenches. What is shorter can be missed, unless `room`
+        says where it begins and ends.
+        """
+        return all_of(self.wrenches(t, motions)) if is_users_own(self) else ()
+
     def parts(self, t: Scalar, motions: Motions) -> dict[str, Array]:
         """Named results for inspection, e.g. `length` [m], `force` [N]; see `Trajectory.force`."""
         del t, motions
@@ -176,6 +185,16 @@ class AbstractForce(eqx.Module):
     def body_names(self) -> tuple[str, ...]:
         """Bodies that the element names, checked against the scene."""
         return ()
+
+
+def is_users_own(force: AbstractForce) -> bool:
+    """Whether the class of an element is not one of this package (static)."""
+    return not type(force).__module__.startswith("spherejax.")
+
+
+def all_of(wrenches: Mapping[str, Wrench]) -> tuple[tuple[Array, str], ...]:
+    """Forces and moments with their units."""
+    return tuple(pair for each in wrenches.values() for pair in ((each.force, "N"), (each.moment, "N m")))
 
 
 def power_on_bodies(wrenches: Mapping[str, Wrench], motions: Motions) -> Scalar:

@@ -235,6 +235,12 @@ class PID(AbstractController):
     def _filters(self) -> bool:
         return self.derivative is not None and self.filter_time is not None
 
+    def unknown_in_time(self, t, motions):
+        """The reference, where it is a function of one's own that does not say where it turns."""
+        del motions
+        unit = "1" if isinstance(self.coordinate, Turn) else "m"
+        return ((self.reference(t), unit),) if self.reference.is_unknown else ()
+
     def action(self, t, motions, memory):
         """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""
         kept, seen = self._entries(memory), self._measured(t, motions)

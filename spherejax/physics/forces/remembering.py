@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import positive
 from spherejax.foundations.types import Number, Numeric, Scalar
-from spherejax.physics.forces.base import AbstractForce, Motions, Wrench
+from spherejax.physics.forces.base import AbstractForce, Motions, Wrench, all_of, is_users_own
 from spherejax.physics.forces.turns import (
     attachments_of,
     turn_doubts,
@@ -238,6 +238,12 @@ class Recalling(eqx.Module):
     def room(self, t, motions):
         """As the element's; the coming sample is another thing, see `next_sample`."""
         return self._counted.room(t, motions)
+
+    def unknown_in_time(self, t, motions):
+        """As the element's; of one of the user's own all wrenches."""
+        if is_users_own(self.force):
+            return all_of(self.wrenches(t, motions))
+        return self._counted.unknown_in_time(t, motions)
 
     def memory_rate(self, t: Scalar, motions: Motions) -> Array:
         """Of all its entries of the state."""

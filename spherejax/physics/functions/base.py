@@ -51,10 +51,20 @@ class AbstractFunction(eqx.Module):
         """How far from x something begins, ends or turns [unit of x], ahead or, with `is_forward` False, behind.
 
         A step of the integration goes no further, so that no bump in a road and no jump of a drive is passed over.
-        None, unless a function says otherwise: then only a hundredth of the whole motion bounds the steps.
+        None, unless a function says otherwise: then a hundredth of the whole motion bounds the steps, and forces look at
+        the function between the stages of a step; what is shorter than 1/20,000 of the motion can be missed.
         """
         del x, is_forward
         return None
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether nothing is known of where the function turns (static), so that steps must look for it.
+
+        Of a plain function nothing is, nor of a class of the user's own that does not say it by `room`.
+        """
+        is_own = not type(self).__module__.startswith("spherejax.")
+        return is_own and type(self).room is AbstractFunction.room
 
     def requirements(self) -> list[Requirement]:
         """What the function's numbers must satisfy."""
@@ -173,6 +183,11 @@ class UserFunction(AbstractFunction):
 
     def __init__(self, function: Callable):
         self.given = Given(function)
+
+    @property
+    def is_unknown(self) -> bool:
+        """True."""
+        return True
 
     def __call__(self, x: Number) -> Scalar:
         """f(x)."""

@@ -70,6 +70,11 @@ class Piecewise(AbstractFunction):
             total = total + piece.primitive(end) - piece.primitive(low)
         return total
 
+    @property
+    def is_unknown(self) -> bool:
+        """Whether one of the pieces is."""
+        return any(piece.is_unknown for piece in self.pieces)
+
     def room(self, x: Number, is_forward: Number) -> Scalar | None:
         """To the next break, or less where a piece says so."""
         return least_room(
@@ -121,6 +126,11 @@ class Sum(AbstractFunction):
     def primitive(self, x: Number) -> Scalar:
         """Sum of the primitives."""
         return sum((term.primitive(x) for term in self.terms), jnp.zeros(()))
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether one of the terms is."""
+        return any(term.is_unknown for term in self.terms)
 
     def room(self, x: Number, is_forward: Number) -> Scalar | None:
         """The least of the terms."""

@@ -73,7 +73,9 @@ class Repeating:
         were_taken = None if problem.samples is None else problem.samples.were_taken
         made: Any = LandingController  # pyright takes its fields for those of diffrax's base class
         controller = problem.controller_of(parameters)
-        return made(controller, problem.contacts, interpolation, problem.longest_step, problem.room, were_taken)
+        return made(
+            controller, problem.contacts, interpolation, problem.longest_step, problem.room, were_taken, problem.unseen
+        )
 
     def init(self, term, t0, t_end, y0, parameters):
         """The end of the first step [s], and the control's state, of one lane."""

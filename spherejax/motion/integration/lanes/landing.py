@@ -15,6 +15,7 @@ Arrays have their lanes on the last axis.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import diffrax
@@ -158,9 +159,16 @@ class Landing:
         """What becomes of the trial steps."""
         size, shortest = step.t1 - step.t0, shortest_step(step.t0, step.t1)
         error, is_finite = self._scaled_error(step)
-        passes = error < 1
+        passes, unseen = error < 1, None
+        if self.problem.unseen is not None and self.problem.longest_step is not None:
+            bend, looked = self.bend_of_time(state, size), jnp.where(passes, size, 0.0)
+            shortened = partial(self.problem.unseen.shortened, self.problem.longest_step)
+            seen = in_lanes(shortened)(step.parameters, step.t0, looked, step.y1, bend)
+            unseen = passes & (seen < looked)
+            passes, error = passes & ~unseen, jnp.where(unseen, jnp.maximum(error, 1.0), error)
         largest = jnp.where(passes, jnp.where(state.was_rejected, 1.0, LARGEST_FACTOR), SAFETY)
         longer = size * jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
+        longer = longer if unseen is None else jnp.where(unseen, jnp.minimum(longer, seen), longer)
         step = step._replace(y1=self._corrected(step.parameters, step.t1, step.y1))
         if self.contacts is None:
             state = state._replace(was_rejected=~passes)

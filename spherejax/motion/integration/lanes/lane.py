@@ -11,6 +11,7 @@ from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.integration.status import Status
+from spherejax.motion.integration.unseen import Unseen
 from spherejax.motion.solvers.landing import ContactFunctions
 
 
@@ -53,6 +54,7 @@ class LaneProblem(NamedTuple):
         in_machine_code: whether the programs become machine code of their own.
         program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
         moving: entries of theta that the sensitivities are by; None for all.
+        unseen: looks between the stages for pulses of functions of time, or None.
     """
 
     solver: diffrax.AbstractSolver
@@ -71,6 +73,7 @@ class LaneProblem(NamedTuple):
     in_machine_code: bool = False
     program: ScalarProgram | None = None
     moving: tuple[int, ...] | None = None
+    unseen: Unseen | None = None
 
 
 class StepLog(NamedTuple):
