@@ -83,7 +83,7 @@ SCENES = {
     ),
     "actuator, box": lambda: on_rail(box),
     "actuator, own function": lambda: on_rail(OwnFunction(1.0)),
-    "actuator, sum": lambda: on_rail(sj.Sum(sj.Constant(0.0), bell)),
+    "actuator, sum": lambda: on_rail(sj.Sum(sj.Constant(0.0), OwnFunction(1.0))),
     "own force": lambda: free(Push(1.0)),
 }
 

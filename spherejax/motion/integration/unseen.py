@@ -88,17 +88,17 @@ def bound_in_words(structure: Structure, scalar: bool | None) -> str:
     """How short a pulse of a user's function may be, for a run's explanation; empty for a system without one."""
     if signals_for(structure, scalar) is None:
         return ""
-    system = example_of(structure)
     names: list[str] = []
 
-    def look(t, y):
+    def look(system, t, y):
         state = unpack(system.layout, y)
         motions, forces = body_motions(system, state), system.forces_with(state.memory)
         names.extend(name for name, force in forces.items() if force.unknown_in_time(t, motions))
         return t
 
+    system = example_of(structure)
     number, flat = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (system.layout.size,)))
-    jax.eval_shape(look, number, flat)
+    jax.eval_shape(look, system, number, flat)
     of = ", ".join(f"force {name!r}" for name in names)
     return f"functions of time of your own ({of}): a pulse shorter than 1/{LOOKS:,} of the motion can be missed"
 

@@ -231,6 +231,11 @@ class ConvertedFunction(AbstractFunction):
         """That of the function."""
         return self.function.second_derivative(x)
 
+    @property
+    def is_unknown(self) -> bool:
+        """As the function."""
+        return self.function.is_unknown
+
     def room(self, x: Number, is_forward: Number) -> Scalar | None:
         """That of the function."""
         return self.function.room(x, is_forward)
