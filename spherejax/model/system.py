@@ -142,12 +142,11 @@ class System(eqx.Module):
         is an element that remembers, though it has none.
         """
         entries = {slot.joint: slot.entries for slot in self.force_slots}
-        return {
-            name: recalling(force, memory[entries.get(name, slice(0, 0))])
-            if name in entries or isinstance(force, AbstractForceWithMemory)
-            else force
-            for name, force in self.forces.items()
-        }
+        recall = [n for n, force in self.forces.items() if n in entries or isinstance(force, AbstractForceWithMemory)]
+        if not recall:
+            return self.forces
+        known = {name: recalling(self.forces[name], memory[entries.get(name, slice(0, 0))]) for name in recall}
+        return {name: known.get(name, force) for name, force in self.forces.items()}
 
     @property
     def force_joints(self) -> tuple[str, ...]:
