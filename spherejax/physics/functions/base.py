@@ -51,8 +51,8 @@ class AbstractFunction(eqx.Module):
         """How far from x something begins, ends or turns [unit of x], ahead or, with `is_forward` False, behind.
 
         A step of the integration goes no further, so that no bump in a road and no jump of a drive is passed over.
-        None, unless a function says otherwise: then a hundredth of the whole motion bounds the steps, and forces look at
-        the function between the stages of a step; what is shorter than 1/20,000 of the motion can be missed.
+        None, unless a function says otherwise: then a hundredth of the whole motion bounds the steps, and forces are
+        looked at between the stages of a step; what is shorter than 1/20,000 of the motion can be missed.
         """
         del x, is_forward
         return None
