@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.lanes import over_lanes
@@ -37,11 +38,19 @@ def least_correction(
     system: System, motions: BodyMotions, constraints: ConstraintSet, violation: Float[Array, " n"]
 ) -> BodySteps:
     """M^-1 D^T (D M^-1 D^T)^-1 times a violation: what to take from the bodies so that it vanishes."""
+    return _correction(system, motions, constraints, violation)[0]
+
+
+def _correction(
+    system: System, motions: BodyMotions, constraints: ConstraintSet, violation: Float[Array, " n"]
+) -> tuple[BodySteps, Float[Array, " n"]]:
+    """That, and (D M^-1 D^T)^-1 times the violation: of velocities the impulses [N s or N m s] that take it."""
     if not constraints.groups:
-        return jnp.zeros((system.layout.n_bodies, VELOCITY_SIZE))
+        return jnp.zeros((system.layout.n_bodies, VELOCITY_SIZE)), jnp.zeros(0)
     masses = inverse_masses(system, motions)
     mobility = mobility_of(constraints, masses).with_larger_diagonal(REGULARIZATION)
-    return masses.times(constraints.transposed_times(solved(constraints, mobility, violation, system.smallest_pivot)))
+    impulses = solved(constraints, mobility, violation, system.smallest_pivot)
+    return masses.times(constraints.transposed_times(impulses)), impulses
 
 
 def without_velocities(state: State, steps: BodySteps) -> State:
@@ -62,17 +71,33 @@ def corrected(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Arra
     constraints = constraint_set(system, t, motions)
     moved = _moved_back(state, least_correction(system, motions, constraints, constraints.residual))
     motions_moved = body_motions(system, moved)
-    violation = velocity_violation(constraint_set(system, t, motions_moved), motions_moved)
-    found = without_velocities(moved, least_correction(system, motions, constraints, violation))
-    return pack(_with_work(system, state, found) if system.tracks_constraint_work else found)
+    there = constraint_set(system, t, motions_moved)
+    violation = velocity_violation(there, motions_moved)
+    steps, impulses = _correction(system, motions, constraints, violation)
+    return pack(_with_works(system, state, without_velocities(moved, steps), there, violation, impulses))
 
 
-def _with_work(system: System, before: State, after: State) -> State:
-    """The state after a correction, with the energy of motion and weight that it took among the constraints' work."""
-    change = _energy(system, after) - _energy(system, before)
-    at = system.constraint_work_index % system.layout.n_work
-    work = [after.work[:at], after.work[at : at + 1] + change, after.work[at + 1 :]]
-    return after._replace(work=jnp.concatenate(work))
+def _with_works(
+    system: System, before: State, after: State, constraints: ConstraintSet, violation: Array, impulses: Array
+) -> State:
+    """The state after a correction, with its works: of drivers whose rate has jumped, and of the other constraints.
+
+    An impulse -D^T L works on the mean of the velocities before and after, L.(Phi_t - violation/2). That of a driver is
+    put in; what else changes the energy of motion and weight counts as work of the constraint forces.
+    """
+    supplied = jnp.zeros(())
+    if system.is_driven:
+        is_driven = np.concatenate(
+            [np.repeat(each.group.joint.is_driven, each.rows.residual.size) for each in constraints.groups]
+        )
+        supplied = impulses @ jnp.where(is_driven, constraints.rate_at_rest - violation / 2, 0.0)
+    work = list(jnp.split(after.work, system.layout.n_work)) if system.layout.n_work else []
+    if system.tracks_constraint_work:
+        change = _energy(system, after) - _energy(system, before)
+        work[system.constraint_work_index] = work[system.constraint_work_index] + (change - supplied)
+    if system.tracks_supply and system.is_driven:
+        work[-1] = work[-1] + supplied
+    return after._replace(work=jnp.concatenate([jnp.zeros(0), *work]))
 
 
 def _energy(system: System, state: State) -> Scalar:

@@ -23,6 +23,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system, with_laws_by_factor
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
+from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
 
@@ -101,6 +102,12 @@ class PreparedScene:
         times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
         found = self._once("start", times, lambda: known_start(self._seen, ts))
         return None if found is None else found._replace(assembly=own_arrays(found.assembly))
+
+    def jump_conditions(self, ts: Numeric) -> list:
+        """Conditions, traced, that no driver jumps; see `motion.start.jumps`."""
+        if not self._system.is_driven:
+            return []
+        return self._once("jumps", (ts,), lambda: jump_conditions(self._seen, ts))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
         key = None if self.unknown else values_of(numbers)

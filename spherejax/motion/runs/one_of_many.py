@@ -22,6 +22,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.simulate import tolerances_of, traced_times
 from spherejax.motion.solvers.automatic import SolverChoice
+from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.start_now import known_start
 
 
@@ -92,7 +93,8 @@ class PreparedRuns:
         self.shared_tolerances = pair if own is None else None
         # What it changes has been said before the runs were traced; see `many.warn_of_starts`.
         start = known_start(system, self.ts)
-        legal = jnp.all(jnp.stack([jnp.array(True), *compiled.conditions, *traced_times(self.ts)]))
+        conditions = [*compiled.conditions, *traced_times(self.ts), *jump_conditions(system, self.ts)]
+        legal = jnp.all(jnp.stack([jnp.array(True), *conditions]))
         assembly = None if start is None else start.assembly
         solver = method.choice.solver
         limits = audit_limits(system, pair[0], solver)

@@ -207,6 +207,7 @@ def _call(
         said = f"{said}; first step by trial (Hairer)"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
+    conditions += found.jump_conditions(ts)
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
     values = rows_at(jnp.asarray(found.theta), unknown) if unknown else np.zeros(0)
     arguments = plan, options, values, found.known, ts, assembly, values_are_legal

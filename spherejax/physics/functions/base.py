@@ -66,6 +66,14 @@ class AbstractFunction(eqx.Module):
         is_own = not type(self).__module__.startswith("spherejax.")
         return is_own and type(self).room is AbstractFunction.room
 
+    @property
+    def may_jump(self) -> bool:
+        """Whether its value may jump, or its slope at a place that `room` does not tell (static).
+
+        A driver that prescribes such a function is looked at before a run: a prescribed motion must not jump.
+        """
+        return True
+
     def requirements(self) -> list[Requirement]:
         """What the function's numbers must satisfy."""
         return []

@@ -136,6 +136,11 @@ class Sum(AbstractFunction):
         """The least of the terms."""
         return least_room(term.room(x, is_forward) for term in self.terms)
 
+    @property
+    def may_jump(self) -> bool:
+        """Whether a term may."""
+        return any(term.may_jump for term in self.terms)
+
     def requirements(self) -> list[Requirement]:
         """What the terms require."""
         return [row for k, term in enumerate(self.terms) for row in function_requirements(f"terms[{k}]", term)]

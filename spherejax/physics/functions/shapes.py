@@ -21,6 +21,11 @@ class _KnowsPrimitive(AbstractFunction):
         """True."""
         return True
 
+    @property
+    def may_jump(self) -> bool:
+        """False."""
+        return False
+
 
 class Constant(_KnowsPrimitive):
     """f(x) = value.
@@ -200,6 +205,11 @@ class Step(_KnowsPrimitive):
     def room(self, x: Number, is_forward: Number) -> Scalar:
         """To the step."""
         return room_between([self.at], x, is_forward)
+
+    @property
+    def may_jump(self) -> bool:
+        """True."""
+        return True
 
     def requirements(self) -> list[Requirement]:
         """Finite numbers."""

@@ -44,6 +44,11 @@ class _AbstractTable(AbstractFunction):
         """True."""
         return True
 
+    @property
+    def may_jump(self) -> bool:
+        """False: its slope jumps at points alone."""
+        return False
+
     @abc.abstractmethod
     def _cubics(self) -> "_Cubics":
         """The pieces."""
