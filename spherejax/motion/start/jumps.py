@@ -1,7 +1,7 @@
 """Prescribed motions that jump: no force moves a body by a finite way in no time, so such a driver is refused.
 
 A driver's equation is differentiated twice; a jump of what it prescribes is in none of the derivatives, and only drift
-control would follow it: slowly by feedback, by teleport with a correction. A jump of the rate (a kink) is an impact
+control would follow it: slowly by feedback, by teleport with a correction. A jump of the rate (a kink) is an impact of
 the driver. Where the function says where it turns (`AbstractFunction.room`: tables, pieces) a step ends there, and the
 correction of the velocities is that impact. Kinks of a function that does not say so are refused.
 

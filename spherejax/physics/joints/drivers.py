@@ -8,9 +8,9 @@ The function of time is one of `spherejax.physics.functions` (`Linear(slope, off
 or any callable in jnp. Numbers that are to be swept or differentiated are fields of an `equinox.Module` with
 `__call__`; a plain function is structure: define it once, since each new function object is compiled anew.
 
-What is prescribed must not jump; `spherejax.motion.start.jumps` looks before a run. Its rate may jump where the function
-says by `room` that it turns, as `Table` and `Piecewise` do: with a correction of each step (the default drift control)
-that is an impact of the driver.
+What is prescribed must not jump; `spherejax.motion.start.jumps` looks before a run. Its rate may jump where the
+function says by `room` that it turns, as `Table` and `Piecewise` do: with a correction of each step (the
+default drift control) that is an impact of the driver.
 """
 
 from collections.abc import Callable
