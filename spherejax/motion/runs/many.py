@@ -107,6 +107,7 @@ def simulate_many(
     check_tolerances(rtol, atol, derivative_rtol)
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     n_runs = count_of_runs(parameters)
+    _refuse_spread_arrays(parameters)
     with looked_at_once():
         method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
         method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
@@ -118,6 +119,17 @@ def simulate_many(
     if is_concrete(stats.audit) and (said := cautions(np.asarray(stats.audit)[np.asarray(status) == Status.SUCCEEDED])):
         warnings.warn(said, OutOfRangeWarning, stacklevel=2)
     return runs
+
+
+def _refuse_spread_arrays(parameters: Any) -> None:
+    """Raise `SceneError` for arrays that lie on several devices: XLA cannot part the loop over lanes among them."""
+    for leaf in jax.tree.leaves(parameters):
+        n_devices = len(leaf.sharding.device_set) if isinstance(leaf, jax.Array) and is_concrete(leaf) else 1
+        if n_devices > 1:
+            raise SceneError(
+                f"the parameters lie on {n_devices} devices, and the lanes of many runs on one. Give them as NumPy arrays "
+                "(np.asarray(...)); sj.sweep uses all devices by itself"
+            )
 
 
 def count_of_runs(parameters: Any) -> int:
