@@ -127,8 +127,8 @@ def _refuse_spread_arrays(parameters: Any) -> None:
         n_devices = len(leaf.sharding.device_set) if isinstance(leaf, jax.Array) and is_concrete(leaf) else 1
         if n_devices > 1:
             raise SceneError(
-                f"the parameters lie on {n_devices} devices, and the lanes of many runs on one. Give them as NumPy arrays "
-                "(np.asarray(...)); sj.sweep uses all devices by itself"
+                f"the parameters lie on {n_devices} devices, and the lanes of many runs on one. Give them as NumPy "
+                "arrays (np.asarray(...)); sj.sweep uses all devices by itself"
             )
 
 
