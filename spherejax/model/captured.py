@@ -1,6 +1,6 @@
 """An error for parts whose code reaches traced values that closure conversion does not take out of it.
 
-Functions that enter a part as functions are converted (`foundations.closures`). A class that is written within a
+Functions that enter a part as functions are converted (`physics.functions.closures`). A class that is written within a
 builder, a static field of a user's own part, and a global variable are not: JAX stops with an error about its tracers,
 which names neither the part nor a remedy.
 """

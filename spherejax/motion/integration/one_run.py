@@ -38,7 +38,7 @@ from spherejax.motion.integration.integrate import (
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.lanes.operation import runs
-from spherejax.motion.integration.lanes.windows import Pace, Paused, Progress, begun, gone_on, window_at
+from spherejax.motion.integration.lanes.windows import Paused, WindowPace, WindowProgress, begun, gone_on, window_at
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.traits import can_step_in_lanes
@@ -114,7 +114,7 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
             while True:
                 began = time.perf_counter()
                 ys, found, vectors, numbers = go_on(vectors, window_at(times, first), np.asarray(pace.n_turns))
-                progress = Progress.of(numbers)  # waits for the program
+                progress = WindowProgress.of(numbers)  # waits for the program
                 pace.note(progress.n_turns - n_turns_before, time.perf_counter() - began)
                 n_turns_before = progress.n_turns
                 yield first, ys
@@ -137,10 +137,10 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
 
 
 @lru_cache(maxsize=64)
-def _pace(structure: Structure, rest: Any) -> Pace:
+def _pace(structure: Structure, rest: Any) -> WindowPace:
     """Of runs of one program; the arguments are what its turns depend on."""
     del structure, rest
-    return Pace()
+    return WindowPace()
 
 
 def _where_it_stopped(times: Float[np.ndarray, " n"], found: tuple) -> str:
@@ -296,7 +296,7 @@ def started(plan: Plan, request: _Request, values, known, ends, start, values_ar
 @bounded_jit(what="a run", options=options_for)
 def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, window, n_turns) -> tuple:
     """Samples of the next window, what else an `Outcome` says at its end but for the assembly, the run's vectors, and
-    the numbers of a `Progress`.
+    the numbers of a `WindowProgress`.
 
     Args:
         plan, request, ends: as of `started`.

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.closures import Template, closure_converted, is_number
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.physics.functions.closures import Template, closure_converted, is_number
 
 
 class AbstractFunction(eqx.Module):

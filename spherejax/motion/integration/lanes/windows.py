@@ -98,7 +98,7 @@ def window_at(ts: Float[np.ndarray, " n"], first: int) -> Float[np.ndarray, " w"
     return window
 
 
-class Progress(NamedTuple):
+class WindowProgress(NamedTuple):
     """Where a run is when a window has ended.
 
     Attributes:
@@ -112,13 +112,13 @@ class Progress(NamedTuple):
     n_turns: int
 
     @classmethod
-    def of(cls, numbers: Array) -> "Progress":
+    def of(cls, numbers: Array) -> "WindowProgress":
         """From what `gone_on` returns."""
         n_written, is_busy, n_turns = np.asarray(numbers).tolist()
         return cls(n_written, bool(is_busy), n_turns)
 
 
-class Pace:
+class WindowPace:
     """How many turns a call may make so that Ctrl-C is heard soon.
 
     The time of a turn is taken from calls before, of the same program: it is 2 us for a pendulum and 1 ms for a large
@@ -179,7 +179,7 @@ def gone_on(
     problem: LaneProblem, paused: Paused, ends: Float[Array, "2"], window: Float[Array, " w"], n_turns: Int[Array, ""]
 ) -> tuple[LaneOutcome, dict[str, Array], Int[Array, "3"]]:
     """What a run is when its window is full, when it has ended, or after a number of turns; the vectors of how it goes
-    on, see `begun`; and the numbers of a `Progress`."""
+    on, see `begun`; and the numbers of a `WindowProgress`."""
 
     def go_on() -> tuple[LaneOutcome, RunUnderWay, Array]:
         run = paused.run
