@@ -29,9 +29,6 @@ from spherejax.physics.laws.pressure import PreloadAlone
 _RADIUS = 1.0
 """Of the shaft in a joint with friction [m]: with 1 the law's sliding velocity is the joint's rate in rad/s."""
 
-_A_TURN = 2 * np.pi - 0.1
-"""How far from the start a stop may be [rad]: at a whole turn the angle jumps, and the stop is pressed in before."""
-
 
 class Ways(NamedTuple):
     """What a description leaves open.
@@ -248,12 +245,6 @@ def _stop(name: str, robot: Robot, groups: LinkGroups, axis: np.ndarray, stiffne
     if edge.kind in SLIDING:
         return BumpStop(_ends(name, groups), edge.lower, edge.upper, stiffness, direction=axis)
     lower, upper = edge.lower - position, edge.upper - position
-    if max(abs(lower), abs(upper)) > _A_TURN:
-        raise SceneError(
-            f"{robot.path}: joint {name!r} has limits {edge.lower!r} and {edge.upper!r} rad, a whole turn or more from "
-            f"its start at {position!r}, where angles are not known; leave its stops out with "
-            f"stops={{..., {name!r}: None}}, or start it between them"
-        )
     # The torque turns the joint back: positive beyond the upper limit.
     beyond = [Linear(stiffness, -stiffness * limit) for limit in (lower, upper)]
     spring = Piecewise([lower, upper], [beyond[0], Constant(0.0), beyond[1]])
