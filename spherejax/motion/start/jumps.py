@@ -101,8 +101,8 @@ def _refuse(name: str, found: Jumps, says_where: bool) -> None:
         before, after = np.asarray(found.values)
         raise SceneError(
             f"driver {name!r}: its function of time jumps at t = {float(found.at):.9g} s from {before:.6g} to "
-            f"{after:.6g} (m or rad). No force moves a body so: let it change over a finite time, e.g. "
-            "sj.SmoothStep(start, end, before, after)"
+            f"{after:.6g} (m or rad), or changes there at a rate that is not finite, as a square root does at zero. No "
+            "force moves a body so: let it change over a finite time, e.g. sj.SmoothStep(start, end, before, after)"
         )
     if bool(found.is_kink) and not says_where:
         before, after = np.asarray(found.rates)
