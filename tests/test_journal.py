@@ -136,12 +136,32 @@ def momenta(run):
     return linear, angular
 
 
-def test_a_journal_may_start_anywhere_in_its_bearing():
-    body = sj.Body(0.5, (1e-3, 2e-3, 1e-3), (0.0, 0.0, 3e-4), points={"pin": (0.0, 0.0, 0.0)})
-    joint = sj.Revolute(("ground", "bob"), "ground.nail", (0.0, 1.0, 0.0), dry(), starts_concentric=False)
-    scene = sj.Scene({"bob": body}, {"pivot": joint}, ground_points={"nail": (0.0, 0.0, 0.0)})
-    run = sj.simulate(scene, jnp.array([0.0, 0.01]), throw=True)
-    assert float(run.position("bob")[1, 2]) == pytest.approx(3e-4 - 9.81 * 0.01**2 / 2, rel=1e-9)
+def eccentric(points, **second):
+    body = sj.Body(0.5, (1e-3, 2e-3, 1e-3), (0.0, 0.0, 3e-4), points=points)
+    joint = sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), dry(), starts_concentric=False, **second)
+    return sj.Scene({"bob": body}, {"pivot": joint})
+
+
+@pytest.mark.parametrize("second", ["bob.pin", (0.0, 0.0, 3e-4)])
+def test_a_journal_may_start_anywhere_in_its_bearing(second):
+    """0.3 mm above the middle of a gap of 0.5 mm: it falls until it meets the wall, at -0.5 mm."""
+    scene = eccentric({"pin": (0.0, 0.0, 0.0)}, second_point=second)
+    ts = np.array([0.0, 0.01, 0.0127, 0.0129])
+    run = sj.simulate(scene, ts, throw=True)
+    heights = np.asarray(run.position("bob")[:, 2])
+    np.testing.assert_allclose(heights[:3], 3e-4 - 9.81 * ts[:3] ** 2 / 2, rtol=1e-9)
+    np.testing.assert_allclose(run.eccentricity("pivot")[:, 2], heights, atol=1e-12)
+    assert int(run.stats.n_onsets[0]) == 1  # after sqrt(2 * 0.8e-3 / 9.81) = 12.77 ms
+    assert float(sj.simulate(eccentric({}), ts[:2]).eccentricity("pivot")[0, 2]) == 0.0
+
+
+def test_a_second_point_is_closed_and_said():
+    """A wheel that is described 5 cm off its axle is moved there, and a warning names it."""
+    wheel = sj.Body(1.0, (1.0, 1.0, 1.0), (0.3, 0.05, 0.0), points={"hub": (0.0, 0.0, 0.0)})
+    joint = sj.Revolute(("ground", "wheel"), (0.3, 0.0, 0.0), (0.0, 1.0, 0.0), second_point="wheel.hub")
+    with pytest.warns(sj.StartWarning, match="wheel"):
+        run = sj.simulate(sj.Scene({"wheel": wheel}, {"axle": joint}), np.array([0.0, 0.1]))
+    np.testing.assert_allclose(run.position("wheel"), [[0.3, 0.0, 0.0]] * 2, atol=1e-9)
 
 
 @pytest.mark.parametrize(

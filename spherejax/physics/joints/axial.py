@@ -45,6 +45,9 @@ class AbstractAxialJoint(AbstractPairJoint):
         model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
+        second_point: the joint's point on the second body, where it is not `point` in the described start: numbers as
+            of `point`, shape (3,); None where it is `point`, or given by name.
+        second_point_name: its name, where it is given by name.
         turns_freely: whether the joint turns about its axis (static).
         is_bearing: whether it may have clearance, as a journal in a bearing (static).
         slides_freely: whether it slides along it (static).
@@ -62,6 +65,8 @@ class AbstractAxialJoint(AbstractPairJoint):
     axis: Triple
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
+    second_point: Triple | None
+    second_point_name: str | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -70,22 +75,26 @@ class AbstractAxialJoint(AbstractPairJoint):
         axis,
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
+        second_point=None,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
         self.model = Ideal() if model is None else model
         self.starts_concentric = starts_concentric
+        self.second_point_name, self.second_point = (None, None) if second_point is None else split_point(second_point)
 
     def as_described(self):
         """The joint with a bushing that may be pressed at the start."""
         point = self.point if self.point_name is None else self.point_name
-        return type(self)(self.bodies, point, self.axis, self.model, starts_concentric=False)
+        second = self.second_point if self.second_point_name is None else self.second_point_name
+        return type(self)(self.bodies, point, self.axis, self.model, starts_concentric=False, second_point=second)
 
     def requirements(self) -> list[Requirement]:
         """A finite point, a direction, and a model for such a joint."""
         return [
             *point_requirements(self.point),
+            *point_requirements(self.second_point, "second_point"),
             direction_requirement(self.axis),
             *model_requirements(
                 self.model, turns_freely=self.turns_freely, slides=self.slides_freely, is_bearing=self.is_bearing
@@ -95,6 +104,9 @@ class AbstractAxialJoint(AbstractPairJoint):
     def placed(self, bodies, find):
         """The joint's equations in body axes, or a ball in a socket that stands for them."""
         places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        if self.second_point is not None or self.second_point_name is not None:
+            on_second = places_of(bodies, find, self.bodies, self.second_point_name, self.second_point)[1]
+            places = places[0], on_second
         axis = unit(self.axis)
         across = two_across(bodies, self.bodies[0], axis)
         on_second = turned(bodies, self.bodies[1], axis)
@@ -160,8 +172,9 @@ class Revolute(AbstractAxialJoint):
         axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
+        second_point: Annotated[Numeric | None, Named.PLACE] = None,
     ):
-        super().__init__(bodies, point, axis, model, starts_concentric)
+        super().__init__(bodies, point, axis, model, starts_concentric, second_point)
 
     def _equations(self, bodies, axis, axis_stays):
         return True, axis_stays
@@ -180,6 +193,8 @@ class Cylindrical(AbstractAxialJoint):
         model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
+        second_point: the joint's point on the second body, where it is not `point` in the described start: the start is
+            then closed, and a `StartWarning` says what was moved.
     """
 
     turns_freely = True
@@ -192,8 +207,9 @@ class Cylindrical(AbstractAxialJoint):
         axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
+        second_point: Annotated[Numeric | None, Named.PLACE] = None,
     ):
-        super().__init__(bodies, point, axis, model, starts_concentric)
+        super().__init__(bodies, point, axis, model, starts_concentric, second_point)
 
     def _equations(self, bodies, axis, axis_stays):
         return False, axis_stays
@@ -210,6 +226,8 @@ class Prismatic(AbstractAxialJoint):
         model: `Ideal(...)`, or `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
+        second_point: the joint's point on the second body, where it is not `point` in the described start: the start is
+            then closed, and a `StartWarning` says what was moved.
     """
 
     turns_freely = False
@@ -222,8 +240,9 @@ class Prismatic(AbstractAxialJoint):
         axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
+        second_point: Annotated[Numeric | None, Named.PLACE] = None,
     ):
-        super().__init__(bodies, point, axis, model, starts_concentric)
+        super().__init__(bodies, point, axis, model, starts_concentric, second_point)
 
     def _equations(self, bodies, axis, axis_stays):
         return False, right_angles_of_all_axes(bodies, self.bodies, axis)
