@@ -3,6 +3,7 @@
 import warnings
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -184,3 +185,32 @@ def test_scene_files_and_the_command_line_say_so(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error", sj.StartWarning)
         assert main(["run", str(path), "--t1", "0.001", "--samples", "2"]) == 0
+
+
+def test_a_run_goes_on_from_the_end_of_another():
+    """A scene at the end of a run, with a ball off its center: exactly, where it is asked to start as described.
+
+    Otherwise the ball is put back into the middle, and the assembly says so under `jit` too.
+    """
+
+    def bob(concentric, position=(0.0, 0.0, -0.2), velocity=(0.3, 0.0, 0.0), spin=(0.0, -1.5, 0.0), q=(1.0, 0, 0, 0)):
+        body = sj.Body(0.5, (1e-3, 2e-3, 1e-3), position, q, velocity, spin, {"pin": (0.0, 0.0, 0.2)})
+        joint = sj.Spherical(
+            "ground.o", "bob.pin", sj.Dry(2e-5, normal=sj.Hertz(stiffness=1e9)), starts_concentric=concentric
+        )
+        return sj.Scene({"bob": body}, {"pin": joint}, ground_points={"o": (0.0, 0.0, 0.0)})
+
+    def end(run, sample):
+        whole = run.position, run.velocity, run.angular_velocity, run.quaternion
+        return [each("bob")[sample] for each in whole]
+
+    whole = sj.simulate(bob(False), jnp.linspace(0.0, 0.04, 5), rtol=1e-10)
+    parts = end(whole, 2)
+    off_center = float(jnp.linalg.norm(whole.eccentricity("pin")[2]))
+    assert off_center > 1e-6
+    ts = jnp.linspace(0.0, 0.02, 3)
+    on = sj.simulate(bob(False, *parts), ts, rtol=1e-10)
+    np.testing.assert_array_equal(on.position("bob")[0], parts[0])
+    np.testing.assert_allclose(on.position("bob")[-1], whole.position("bob")[-1], atol=1e-11)
+    moved = jax.jit(lambda parts: sj.simulate(bob(True, *parts), ts, rtol=1e-10).assembly.displacement)(parts)
+    assert 0.1 * off_center < float(moved[0]) < 2 * off_center

@@ -159,6 +159,9 @@ class Revolute(AbstractAxialJoint):
             `Lubricated(...)` with a bearing's film as well (`film=sj.ShortBearing(length)`).
         starts_concentric: whether a bushing starts relaxed and a journal in the middle, the start being assembled as if
             the joint were ideal; False leaves the bodies, and their velocities, as they are described.
+
+    Limits: `point` is the center of the bearing and of the journal at the start, wherever the bodies are. So a journal
+    starts in the middle, with `starts_concentric=False` too; what that leaves are velocities across the axis.
     """
 
     turns_freely = True
