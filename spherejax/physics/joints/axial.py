@@ -159,9 +159,11 @@ class Revolute(AbstractAxialJoint):
             `Lubricated(...)` with a bearing's film as well (`film=sj.ShortBearing(length)`).
         starts_concentric: whether a bushing starts relaxed and a journal in the middle, the start being assembled as if
             the joint were ideal; False leaves the bodies, and their velocities, as they are described.
+        second_point: of a journal its center, so that it may start beside that of the bearing (with
+            `starts_concentric=False`); of other joints as of `AbstractAxialJoint`.
 
-    Limits: `point` is the center of the bearing and of the journal at the start, wherever the bodies are. So a journal
-    starts in the middle, with `starts_concentric=False` too; what that leaves are velocities across the axis.
+    Limits: without `second_point` the bearing's center is the journal's, wherever the bodies are. A journal then starts
+    in the middle, with `starts_concentric=False` too; what that leaves are velocities across the axis.
     """
 
     turns_freely = True
