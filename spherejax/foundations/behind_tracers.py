@@ -44,7 +44,8 @@ def known_behind(tree: Any) -> list[Any]:
 
 def _inner(leaf: Any) -> Any:
     """What the tracer stands for, one transformation further in; None where there is nothing to see."""
-    inner = getattr(leaf, "val", None) if _is_lane(leaf) else getattr(leaf, "primal", None)
+    # What is the same in all lanes is a tracer of `jax.vmap` without a batch axis; results of runs in `jax.jacfwd` are.
+    inner = getattr(leaf, "val", None) if hasattr(leaf, "batch_dim") else getattr(leaf, "primal", None)
     return inner if isinstance(inner, jax.Array | np.ndarray | np.generic | float | int) else None
 
 

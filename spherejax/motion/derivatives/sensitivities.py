@@ -2,7 +2,7 @@
 error control; see `sensitivity_rows` for their equations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
@@ -55,6 +56,7 @@ from spherejax.motion.integration.sensitivity_rows import (
     scales_of,
     unseen_of_first_row,
     with_rows,
+    with_start_time,
 )
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
@@ -63,58 +65,153 @@ from spherejax.motion.start.assembly import Assembly
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`, differentiable in forward and in reverse mode.
+    """As `integrate`, differentiable in forward and in reverse mode: by the traced numbers and by the sample times.
 
     The derivative rule computes all sensitivities by the traced numbers and applies them: that is linear in the
     tangent, so it can be transposed. With few parameters it is cheaper than a reverse sweep, in run time and far more
     in compile time. In a lane the outcome and its derivatives come from one integration, by diffrax from two.
+
+    The derivative by the sample times is exact where time does not enter the equations by itself, and needs no
+    integration; elsewhere the first time has a row of sensitivities of its own. See `sensitivity_rows`.
     """
     in_lanes = can_be_a_job(plan.structure, options)
-    if not plan.unknown:
+    if not plan.unknown and is_concrete(ts):
         return run_of(plan, options, values, known, ts, start, values_are_legal)
     # Tolerances may be traced: a rule may not close over them.
     arrays, others = eqx.partition(options, eqx.is_array)
 
-    def by_diffrax(values, arrays, *rest) -> tuple[Outcome, Slopes]:
-        options = eqx.combine(arrays, others).decided
-        outcome = run(values, arrays, *rest)
-        if has_controlled_sensitivities(options.solver):
-            return outcome, _controlled_slopes(plan, options, values, *rest)
-        return outcome, _slopes_through_the_loop(plan, options, values, *rest)
+    def slopes_by(by_start: bool) -> Callable:
+        """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
 
-    @jax.custom_jvp
-    def with_slopes(values, arrays, *rest) -> tuple[Outcome, Slopes]:
-        options = eqx.combine(arrays, others).decided
-        if not (in_lanes and has_controlled_sensitivities(options.solver)):
-            return by_diffrax(values, arrays, *rest)
-        scale = scales_of(values)
-        found = slopes_as_job(plan, options, values, _diagonal(scale), *rest)
-        return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
+        def by_diffrax(values, arrays, *rest) -> tuple[Outcome, Slopes]:
+            options = eqx.combine(arrays, others).decided
+            outcome = run(values, arrays, *rest)
+            if has_controlled_sensitivities(options.solver):
+                return outcome, _controlled_slopes(plan, options, values, *rest, by_start)
+            return outcome, _slopes_through_the_loop(plan, options, values, *rest, by_start)
 
-    @with_slopes.defjvp
-    def with_slopes_jvp(primals, tangents):
-        # Second derivatives: lanes have none of their own.
-        solver = eqx.combine(primals[1], others).decided.solver
-        example = example_of(plan.structure)
-        if (example.contact_joints or example.touching_forces) and isinstance(solver, diffrax.AbstractERK):
-            raise SceneError(NO_SECOND_DERIVATIVES)
-        _refuse_large(plan)
-        return jax.jvp(lambda values: by_diffrax(values, *primals[1:]), primals[:1], tangents[:1])
+        @jax.custom_jvp
+        def with_slopes(values, arrays, *rest) -> tuple[Outcome, Slopes]:
+            options = eqx.combine(arrays, others).decided
+            if not (in_lanes and has_controlled_sensitivities(options.solver)):
+                return by_diffrax(values, arrays, *rest)
+            scale = with_start_time(scales_of(values), by_start)
+            found = slopes_as_job(plan, options, values, _diagonal(scale), *rest, by_start)
+            return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
+
+        def with_slopes_jvp(primals, tangents):
+            # Second derivatives: lanes have none of their own.
+            if by_start or _is_moved(tangents[3]):
+                raise SceneError(NO_SECOND_BY_TIME)
+            solver = eqx.combine(primals[1], others).decided.solver
+            example = example_of(plan.structure)
+            if example.touching_forces or (example.contact_joints and isinstance(solver, diffrax.AbstractERK)):
+                raise SceneError(NO_SECOND_DERIVATIVES)
+            _refuse_large(plan)
+            found = by_diffrax(*primals)
+
+            def floats(values):
+                return eqx.filter(by_diffrax(values, *primals[1:]), _is_float)
+
+            # All of them, then those along the tangent: that can be transposed, which diffrax's forward mode cannot.
+            second = jax.jacfwd(floats)(primals[0])
+            along = _instantiated(tangents[0], primals[0])
+            # A film may never be pressed through; where it is, they would miss what happens there.
+            along = jnp.where(_has_contact(plan, found[0]), jnp.nan, along)
+            return found, jax.tree.map(
+                lambda value, slopes: _no_tangent(value) if slopes is None else slopes @ along, found, second
+            )
+
+        with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
+        return with_slopes
 
     @jax.custom_jvp
     def run(values, arrays, known, ts, start, values_are_legal):
         return run_of(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
 
-    @run.defjvp
     def run_jvp(primals, tangents):
-        outcome, jacobian = with_slopes(*primals)
-        ys, assembly = _along(jacobian, tangents[0], outcome.ys)
+        values, _, known, ts, *_ = primals
+        moves_times = _is_moved(tangents[3])
+        by_start = moves_times and depends_on_time(plan)
+        if moves_times:
+            _refuse_by_time(plan)
+        if _is_moved(tangents[0]) or by_start:
+            outcome, jacobian = slopes_by(by_start)(*primals)
+            along = _instantiated(tangents[0], values)
+            if by_start:
+                along = jnp.append(along, tangents[3][0])
+            ys_dot, assembly = _along(jacobian, along)
+        else:
+            outcome = run(*primals)
+            ys_dot, assembly = jax.tree.map(jnp.zeros_like, (outcome.ys, outcome.assembly))
+        succeeded = outcome.status == Status.SUCCEEDED
+        t_dot = jnp.zeros_like(outcome.t_reached)
+        if moves_times:
+            # What the first time moves besides is in the rows, where it is more than a shift of all times.
+            delays = tangents[3] if by_start else tangents[3] - tangents[3][0]
+            ys_dot = ys_dot + delays[:, None] * _rates_at(plan, plan.theta(values, known), ts, outcome.ys)
+            t_dot = tangents[3][-1]
+        t_dot, y_dot = jax.tree.map(lambda dot: jnp.where(succeeded, dot, jnp.nan), (t_dot, ys_dot[-1]))
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
-        still = _no_tangent(outcome.t_reached), _no_tangent(outcome.y_reached)
-        return outcome, Outcome(ys, *still, counts[0], counts[1], assembly)
+        return outcome, Outcome(ys_dot, t_dot, y_dot, counts[0], counts[1], assembly)
 
+    run.defjvp(run_jvp, symbolic_zeros=True)
     arrays = jax.lax.stop_gradient(arrays)
-    return run(values, arrays, known, jax.lax.stop_gradient(ts), start, values_are_legal)
+    return run(values, arrays, known, ts, start, values_are_legal)
+
+
+def depends_on_time(plan: Plan) -> bool:
+    """Whether a motion that begins later is another motion: time enters its equations by itself."""
+    return example_of(plan.structure).is_driven or program_for(state_rate, plan.structure, plan.scalar).reads_time
+
+
+def _refuse_by_time(plan: Plan) -> None:
+    """Refuse what has no derivative by the sample times."""
+    sampled = example_of(plan.structure).sampled_forces
+    if sampled:
+        raise SceneError(
+            f"the motion has no derivative by its sample times: force {sampled[0]!r} samples at instants of its own, "
+            "and a start that passes one of them changes the motion at once. Hold ts fixed (jax.lax.stop_gradient), or "
+            "take differences of runs"
+        )
+
+
+NO_SECOND_BY_TIME = (
+    "second derivatives of a run by its sample times are not available where numbers of the scene are traced, or where "
+    "a drive, a road or an applied force depends on time. Take differences of jax.grad, which is right by the sample "
+    "times: with a step of a thousandth of the motion's time scale they have four to six digits"
+)
+
+
+@bounded_jit(what="the rates at the samples")
+def _rates_at(plan: Plan, theta: Float[Array, " p"], ts: Float[Array, " n"], ys: Float[Array, "n size"]) -> Array:
+    """Time derivatives of the flat states at the samples; NaN where these are."""
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    ahead = rate.ahead(theta)
+    # A loop: mapped, the right-hand side of a large system would have temporaries for all samples at once.
+    return jax.lax.map(lambda sample: rate.inside(theta, ahead, *sample), (ts, ys))
+
+
+def _has_contact(plan: Plan, outcome: Outcome) -> Flag:
+    """Whether a ball touches its socket, at the start or later."""
+    contacts = contacts_of(plan.structure, plan.scalar)
+    entries = () if contacts is None else contacts.onset_entries
+    begins = [outcome.ys[0, entry] > 0 for entry in entries]
+    return jnp.any(jnp.stack([jnp.array(False), *begins, *(outcome.stats.n_onsets > 0)]))
+
+
+def _is_float(leaf: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
+
+
+def _is_moved(tangent: Any) -> bool:
+    """Whether a tangent is more than the zero that JAX knows of."""
+    return not isinstance(tangent, SymbolicZero)
+
+
+def _instantiated(tangent: Any, value: Array) -> Array:
+    """The tangent as an array."""
+    return tangent if _is_moved(tangent) else jnp.zeros_like(value)
 
 
 def _no_tangent(x: Array) -> Any:
@@ -237,21 +334,40 @@ def integrate_along(
     )
 
 
-def _slopes_through_the_loop(plan, options, values, *rest) -> Slopes:
+def _slopes_through_the_loop(
+    plan, options, values, known, ts, start, values_are_legal, by_start: bool = False
+) -> Slopes:
     """The derivative of every step of the run, in forward mode."""
 
     def floats(v):
-        result = integrate(plan, options, v, *rest)
+        result = integrate(plan, options, v, known, ts, start, values_are_legal)
         return Slopes(result.ys, result.assembly)
 
-    return jax.jacfwd(floats)(values)
+    if values.shape[0]:
+        slopes = jax.jacfwd(floats)(values)
+    else:  # JAX maps over no directions where there are none, and its reductions do not bear that
+        slopes = jax.tree.map(lambda leaf: jnp.zeros((*leaf.shape, 0)), jax.eval_shape(floats, values))
+    if not by_start:
+        return slopes
+    # A motion that begins later at the state y0 is there where one that begins now has the state y0 - f dt.
+    along = jnp.zeros((1, values.shape[0] + 1)).at[0, -1].set(1.0)
+    began = start_of_rows(plan, values, along, known, ts, start, values_are_legal, by_start)
+
+    def from_state(y0):
+        return integrate(plan, options, values, known, ts, began.assembly._replace(y=y0), values_are_legal).ys
+
+    by_time = jax.jvp(from_state, (began.y0,), (began.slopes[0],))[1]
+    assembly = jax.tree.map(lambda j, dot: jnp.concatenate([j, dot[0][..., None]], -1), slopes[1], began.assembly_slopes)
+    return Slopes(jnp.concatenate([slopes.ys, by_time[..., None]], -1), assembly)
 
 
 @bounded_jit(what="the derivatives of a run")
-def _controlled_slopes(plan: Plan, options: Options, values: Float[Array, " p"], *rest) -> Slopes:
+def _controlled_slopes(
+    plan: Plan, options: Options, values: Float[Array, " p"], known, ts, start, values_are_legal, by_start: bool
+) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
-    scale = scales_of(values)
-    found = _controlled(plan, options, values, _diagonal(scale), *rest)
+    scale = with_start_time(scales_of(values), by_start)
+    found = _controlled(plan, options, values, _diagonal(scale), known, ts, start, values_are_legal, by_start)
     return Slopes(*_unscaled((found.slopes, found.assembly_slopes), scale))
 
 
@@ -264,15 +380,15 @@ def _controlled(
     ts: Float[Array, " n"],
     start: Assembly | None,
     values_are_legal: Flag,
+    by_start: bool = False,
 ) -> StatesAndSlopes:
     """Integrate the state and its sensitivities together, with the errors of both controlled."""
     rate = program_for(state_rate, plan.structure, plan.scalar)
 
-    began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
+    began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal, by_start)
     rows0 = jnp.concatenate([began.y0[None], began.slopes])
-    found = integrate_rows(
-        plan, options, linearized(partial(parameters_from, plan, rate, known), values, directions), rows0, ts, began
-    )
+    parameters = linearized(partial(parameters_from, plan, rate, known), values, directions[:, : values.shape[0]])
+    found = integrate_rows(plan, options, parameters, rows0, ts, began)
     slopes = jnp.moveaxis(found.rows[:, 1:], 1, 0)
     return StatesAndSlopes(
         found.rows[:, 0], slopes, began.assembly, began.assembly_slopes, found.status, found.t_reached, found.n_steps
@@ -308,14 +424,30 @@ class RowsStart(NamedTuple):
 
 
 def start_of_rows(
-    plan: Plan, values, directions, known, ts: Float[Array, " n"], start: Assembly | None, values_are_legal: Flag
+    plan: Plan,
+    values,
+    directions,
+    known,
+    ts: Float[Array, " n"],
+    start: Assembly | None,
+    values_are_legal: Flag,
+    by_start: bool = False,
 ) -> RowsStart:
-    """The start of a run and its derivatives; arguments as for `integrate_along`."""
+    """The start of a run and its derivatives; arguments as for `integrate_along`.
+
+    With `by_start` the directions have the first sample time as their last entry.
+    """
+    n = values.shape[0]
 
     def beginning_of(values):
-        return beginning(plan, plan.theta(values, known), ts[0], start)
+        t0 = values[n] if by_start else ts[0]
+        return beginning(plan, plan.theta(values[:n], known), t0, start)
 
-    (assembly, y0), (assembly_slopes, slopes) = linearized(beginning_of, values, directions)
+    numbers = jnp.append(values, ts[0]) if by_start else values
+    (assembly, y0), (assembly_slopes, slopes) = linearized(beginning_of, numbers, directions)
+    if by_start:
+        rate = program_for(state_rate, plan.structure, plan.scalar)
+        slopes = slopes - directions[:, n, None] * rate(plan.theta(values, known), ts[0], y0)
     return RowsStart(y0, slopes, assembly, assembly_slopes, values_are_legal)
 
 
@@ -400,11 +532,9 @@ def integrate_rows(
 
 
 @jax.jit
-def _along(jacobian: Slopes, tangent: Float[Array, " p"], ys: Array) -> Slopes:
-    """Derivatives along a tangent of the numbers."""
-    ys_dot, assembly = jax.tree.map(lambda j: j @ tangent, jacobian)
-    # Samples that the run did not reach are NaN, and constant.
-    return Slopes(jnp.where(jnp.isnan(ys), 0.0, ys_dot), assembly)
+def _along(jacobian: Slopes, tangent: Float[Array, " p"]) -> Slopes:
+    """Derivatives along a tangent of the numbers; NaN at samples that the run did not reach."""
+    return jax.tree.map(lambda j: j @ tangent, jacobian)
 
 
 def _unscaled(scaled: Any, scale: Any) -> Any:

@@ -157,6 +157,7 @@ class JobKind:
             in_machine_code=in_machine_code(plan, self.solver),
             program=rate.scalar,
             unseen=unseen_of(self.structure, self.scalar, self.solver),
+            n_touches=n_touches_of(example_of(self.structure)),
         )
         return self._of_rows(problem, solver, rate) if self.with_rows else problem
 
@@ -181,6 +182,11 @@ class JobKind:
             samples=None if problem.samples is None else problem.samples.of_rows(),
             moving=self.moving,
         )
+
+
+def n_touches_of(system: System) -> int:
+    """Surfaces of forces that act from one side."""
+    return sum(system.forces[name].n_touches for name in system.touching_forces)
 
 
 def watching(structure: Structure, names: tuple[str, ...]) -> Callable | None:
@@ -232,7 +238,10 @@ def audit_limits(system: System, rtol, solver: Any) -> Limits:
 
 
 def with_slopes(
-    job_of_values: Callable, values: Float[Array, " p"], directions: Float[Array, "k p"]
+    job_of_values: Callable,
+    values: Float[Array, " p"],
+    directions: Float[Array, "k p"],
+    first_rate: Callable | None = None,
 ) -> tuple[Job, Assembly]:
     """The job with rows of sensitivities below its state, and the derivatives of its assembly.
 
@@ -240,10 +249,15 @@ def with_slopes(
         job_of_values: the job without rows, from the numbers.
         values: the numbers.
         directions: of the sensitivities, in the numbers.
+        first_rate: the rate of the state at the start, a function of the job, where the last number is the time at
+            which it starts; None where that is known.
     """
     job, slopes = linearized(job_of_values, values, directions)
+    rows = slopes.y0
+    if first_rate is not None:
+        rows = rows - directions[:, -1, None] * first_rate(job)
     numbers = job.numbers._replace(slopes=slopes.numbers.value)
-    return job._replace(numbers=numbers, y0=jnp.concatenate([job.y0[None], slopes.y0])), slopes.assembly
+    return job._replace(numbers=numbers, y0=jnp.concatenate([job.y0[None], rows])), slopes.assembly
 
 
 def statistics(made: LaneOutcome, n_stages: int, explanation: str = "") -> Statistics:

@@ -23,6 +23,7 @@ from spherejax.foundations.kept.joined_rows import as_numbers, placed_rows
 from spherejax.foundations.kept.kept_on_disk import is_debugging
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
+from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Limits
@@ -188,10 +189,14 @@ class JobWithSlopes(NamedTuple):
 
 
 def slopes_as_job(
-    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal
+    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal, by_start: bool = False
 ) -> JobWithSlopes:
-    """A run and its derivatives in a lane; arguments as for `sensitivities.integrate_along`."""
-    return _with_slopes(plan, _Request.of(options), values, directions, known, ts, start, values_are_legal)
+    """A run and its derivatives in a lane; arguments as for `sensitivities.integrate_along`.
+
+    With `by_start` the directions have the first sample time as their last entry.
+    """
+    request = _Request.of(options)
+    return _with_slopes(plan, request, values, directions, known, ts, start, values_are_legal, by_start)
 
 
 class _Request(eqx.Module):
@@ -311,11 +316,21 @@ def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, windo
 
 
 @bounded_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)
-def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal):
-    def job_of_values(values):
-        return request.job(plan, values, known, ts, start, values_are_legal)
+def _with_slopes(
+    plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal, by_start: bool
+):
+    n = values.shape[0]
 
-    job, assembly = with_slopes(job_of_values, values, directions)
+    def job_of_values(values):
+        times = ts.at[0].set(values[n]) if by_start else ts
+        return request.job(plan, values[:n], known, times, start, values_are_legal)
+
+    def first_rate(job: Job):
+        rate = program_for(state_rate, plan.structure, plan.scalar)
+        return rate(job.numbers.theta, ts[0], job.y0)
+
+    numbers = jnp.append(values, ts[0]) if by_start else values
+    job, assembly = with_slopes(job_of_values, numbers, directions, first_rate if by_start else None)
     job = job._replace(numbers=job.numbers._replace(slack=request.slack))
     made = request.made(plan, job, ts, True)
     slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)

@@ -16,6 +16,14 @@ At a contact onset the instant tau moves with the numbers. A step lands just beh
 while the memory's part jumps as `contacts.memory_after_step` says. The force of the landing window is below a
 micronewton, and yet without this term each impact would add a relative error of 1e-7: contact stiffens from zero with
 an infinite slope. Bristles, which begin to move at the onset, need the term in full.
+
+Sample times are numbers too: a sample y(t_i) moves by f dt_i. The first one, t_0, is where the motion begins with the
+state y_0. A motion that begins later, at t_0 + dt_0, is at t_0 where that state would have come from, so its row is
+
+    Y_rate = df/dy Y,    Y(t_0) = dy_0/dt_0 - f(t_0, y_0);
+
+at onsets it jumps as all rows do. Where time enters neither f nor y_0 by itself, Y = -f at all times, and there is no
+row: only differences t_i - t_0 count.
 """
 
 from collections.abc import Callable
@@ -42,6 +50,13 @@ def scales_of(values: Any) -> Any:
     xp: Any = np if is_concrete(values) else jnp
     values = xp.asarray(values)
     return xp.where(values == 0, 1.0, xp.abs(values))
+
+
+def with_start_time(scales: Any, by_start: bool) -> Any:
+    """The same with that of the first sample time behind them, one second, where sensitivities are by that as well."""
+    if not by_start:
+        return scales
+    return np.append(scales, 1.0) if isinstance(scales, np.ndarray) else jnp.append(scales, 1.0)
 
 
 class Linearized(NamedTuple):

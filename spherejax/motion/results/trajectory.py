@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_by_factor
@@ -103,6 +104,9 @@ class Trajectory(eqx.Module, Reported):
         Of a run that its constraints have stopped, it names the joints whose equations become dependent there; of many
         runs, of the first of them.
         """
+        behind = self.behind_tracers
+        if behind is not None and behind is not self:
+            return behind.diagnosis
         if self.accuracy is not None and self.status == Status.INACCURATE:
             return self._inaccurate(self.accuracy)
         text = diagnosis(self.ended, self.t_reached, np.asarray(self.ts)[..., -1], self._cause)
@@ -143,6 +147,14 @@ class Trajectory(eqx.Module, Reported):
         if any(np.shape(leaf)[: len(shape)] != shape for leaf in leaves):
             return None
         return jax.tree.unflatten(tree, [leaf[lane] for leaf in leaves])
+
+    @property
+    def behind_tracers(self) -> "Trajectory | None":
+        """The run as numbers: itself, or what stands behind the tracers of `jax.grad` and `jax.jvp`; else None."""
+        if all(map(is_concrete, (self.ended, self.t_reached, self.ys))):
+            return self
+        known = known_behind(self)
+        return known[0] if len(known) == 1 and not np.ndim(known[0].ended) else None
 
     @property
     def audit(self) -> str:

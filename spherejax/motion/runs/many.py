@@ -24,6 +24,7 @@ from spherejax.foundations.types import Numeric
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
+from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.lanes import Block, run_in_lanes
@@ -38,6 +39,13 @@ from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, check
 from spherejax.motion.solvers.automatic import stiffest
 from spherejax.motion.start.start_now import StartWarning, changed_starts
 from spherejax.runtime import require_float64
+
+
+NO_DERIVATIVE_OF_MANY = (
+    "simulate_many gives no derivatives in jax.grad or jax.jvp. Name the parameters that they are by, by=(\"mass\",): "
+    "runs.slopes has them, from the same integration. Or map simulate, which has them: jax.vmap(jax.grad(...))"
+)
+"""What whoever differentiates through `simulate_many` is told: its loop has no derivative rule."""
 
 
 class Runs(NamedTuple):
@@ -108,6 +116,8 @@ def simulate_many(
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     n_runs = count_of_runs(parameters)
     _refuse_spread_arrays(parameters)
+    if not all(map(is_concrete, jax.tree.leaves((parameters, ts)))):
+        parameters, ts = without_derivative((parameters, ts), NO_DERIVATIVE_OF_MANY)
     with looked_at_once():
         method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
         method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)

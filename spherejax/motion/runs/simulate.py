@@ -21,6 +21,7 @@ from spherejax.foundations.lanes import rows_at
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
+from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
@@ -51,6 +52,9 @@ BESIDE_THE_MOTION = (
     "without a controller or an adjoint of your own. Leave it, or those, out"
 )
 """Why a tolerance of derivatives is refused."""
+
+BY_TIMES = "Leave adjoint= out, or hold ts fixed: jax.lax.stop_gradient(ts)"
+"""What to do where an adjoint of the user's meets sample times that are differentiated."""
 
 ENOUGH_STEPS = "Leave it out for 20,000,000."
 """What to do about a number of steps that cannot be."""
@@ -212,8 +216,9 @@ def _call(
     values = rows_at(jnp.asarray(found.theta), unknown) if unknown else np.zeros(0)
     arguments = plan, options, values, found.known, ts, assembly, values_are_legal
     if not by_sensitivities:
-        outcome_of = integrate.bound(*arguments)
-    elif unknown:
+        fixed = without_derivative(ts, f"{type(adjoint).__name__} gives no derivative by sample times. {BY_TIMES}")
+        outcome_of = integrate.bound(*arguments[:4], fixed, *arguments[5:])
+    elif unknown or not is_concrete(ts):
         outcome_of = partial(integrate_with_sensitivities, *arguments)
     else:
         outcome_of = bound_run(*arguments)
@@ -346,15 +351,16 @@ def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -
 
 
 def _reported(run: Trajectory, throw: bool) -> Trajectory:
-    if not (is_concrete(run.ended) and is_concrete(run.t_reached)):
+    seen = run.behind_tracers
+    if seen is None:
         return _raising(run) if throw else run
-    if int(run.ended) != Status.SUCCEEDED:
+    if int(seen.ended) != Status.SUCCEEDED:
         if throw:
-            raise SimulationError(run.diagnosis)
-        warnings.warn(run.diagnosis, SimulationWarning, stacklevel=3)
-    said = cautions(run.stats.audit)
+            raise SimulationError(seen.diagnosis)
+        warnings.warn(seen.diagnosis, SimulationWarning, stacklevel=3)
+    said = cautions(seen.stats.audit)
     if said:
-        limited = [name for name in run.system.contact_joints if _is_limited(run.system, name)]
+        limited = [name for name in run.system.contact_joints if _is_limited(seen.system, name)]
         of = f"joint {limited[0]!r}" if len(limited) == 1 else f"one of joints {', '.join(map(repr, limited))}"
         warnings.warn(f"{of}: {said}", OutOfRangeWarning, stacklevel=3)
     return run

@@ -57,12 +57,14 @@ class FoundCrossings(NamedTuple):
         is_exact: whether x is at the first event, within the window.
         x: fraction of the step's time [-]: the event, or how far the step is certain to have none; 1 without an event.
         bend: largest change of the crossing's velocity over the step, of each contact.
+        beyond: which functions are beyond their event there.
     """
 
     crosses: Bool[Array, " *lanes"]
     is_exact: Bool[Array, " *lanes"]
     x: Float[Array, " *lanes"]
     bend: Float[Array, "n_contacts *lanes"]
+    beyond: Bool[Array, "n_contacts *lanes"]
 
 
 class _Look(NamedTuple):
@@ -92,7 +94,7 @@ def first_event(
     inside: Callable[[Array], Crossing],
     was_touching: Bool[Array, "n_contacts *lanes"],
     passes: Bool[Array, " *lanes"],
-    window: float,
+    window: float | np.ndarray,
     n_round: int,
     bend_before: Float[Array, "n_contacts *lanes"],
 ) -> FoundCrossings:
@@ -106,7 +108,8 @@ def first_event(
         was_touching: contacts that are in contact mode in the step.
         passes: whether the error of the step is small enough. A step that was too long says where it crosses by its
             ends alone.
-        window: an event is met when the crossing function is within this beyond zero. At the end of a step it is none.
+        window: an event is met when the crossing function is within this beyond zero; one number, or one for each, of
+            shape (n_contacts, 1). At the end of a step it is none.
         n_round: the first functions are those of balls in sockets; the others have the second derivative u', u being
             their velocity.
         bend_before: the bend of the step before, in fractions of this one; negative where it is not known.
@@ -124,7 +127,8 @@ def first_event(
     low, high = seen(jnp.zeros(passes.shape), start), seen(jnp.ones(passes.shape), end)
     bend = _bend(low, high)
     cubic = low.value, low.slope, high.value, high.slope
-    by_ends = jnp.min(crossing_fraction(*cubic, window), axis=0)
+    fractions = crossing_fraction(*cubic, window)
+    by_ends = jnp.min(fractions, axis=0)
     is_known = is_certain(low, high, bend) & jnp.all(was_touching | (bend_before >= 0), axis=0)
     is_open = passes & ~is_known
 
@@ -160,7 +164,8 @@ def first_event(
     search = jax.lax.while_loop(goes_on, look, begun)
     x = jnp.where(search.found, search.x, jnp.maximum(search.low.x, LEAST_PROGRESS))
     x = jnp.where(passes, jnp.where(is_open, x, 1.0), by_ends)
-    return FoundCrossings(x < 1, passes & search.found & (x < 1), x, search.bend)
+    beyond = jnp.where(passes, search.stop.value > 0, fractions < 1)
+    return FoundCrossings(x < 1, passes & search.found & (x < 1), x, search.bend, beyond)
 
 
 def _where(condition, new, old):
@@ -180,7 +185,7 @@ def _bend(low: _Look, high: _Look) -> Float[Array, "n_contacts *lanes"]:
 
 
 def _is_certain(
-    low: _Look, high: _Look, bend, is_round, was_touching, window: float
+    low: _Look, high: _Look, bend, is_round, was_touching, window: float | np.ndarray
 ) -> Bool[Array, "n_contacts *lanes"]:
     """Whether the crossing functions cannot be beyond the window between two looks.
 
@@ -203,7 +208,7 @@ def _is_certain(
     return by_chord | ((larger <= window) & (covered >= width))
 
 
-def _reach_of_tangent(value, slope, L, window: float) -> Float[Array, "n_contacts *lanes"]:
+def _reach_of_tangent(value, slope, L, window: float | np.ndarray) -> Float[Array, "n_contacts *lanes"]:
     """How far from a look the parabola that touches g there stays below the window: value + slope x + L x^2 / 2."""
     room = jnp.maximum(window - value, 0.0)
     root = jnp.sqrt(slope * slope + 2 * L * room)
@@ -217,7 +222,7 @@ def _square(look: _Look) -> Float[Array, "n_contacts *lanes"]:
     return jnp.sum(look.velocity * look.velocity, axis=1)
 
 
-def _guess(low: _Look, here: _Look, stop: _Look, window: float) -> Float[Array, " *lanes"]:
+def _guess(low: _Look, here: _Look, stop: _Look, window: float | np.ndarray) -> Float[Array, " *lanes"]:
     """Where to look next: between what is certain and the latest look, or beyond that, if it is what is certain."""
     high = jax.tree.map(lambda a, b: jnp.where(here.x > low.x, a, b), here, stop)
     width = high.x - low.x
@@ -232,7 +237,7 @@ def _highest(cubic) -> Float[Array, " *lanes"]:
     return jnp.where(top < 1, jnp.clip(top, _FROM_ENDS, 1 - _FROM_ENDS), 0.5)
 
 
-def crossing_fraction(g0, slope0, g1, slope1, window: float):
+def crossing_fraction(g0, slope0, g1, slope1, window: float | np.ndarray):
     """Where in (0, 1) a function first becomes positive, by its cubic Hermite interpolant.
 
     Args:

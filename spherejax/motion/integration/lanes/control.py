@@ -49,6 +49,7 @@ class BlockSteps(NamedTuple):
         dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
         stray: see `stages.TrialStep`.
+        t_end: where the runs end [s].
     """
 
     t0: Float[Array, " n_lanes"]
@@ -59,6 +60,7 @@ class BlockSteps(NamedTuple):
     dense_info: Any
     parameters: Any
     stray: Float[Array, "... n_lanes"] | None = None
+    t_end: Float[Array, " n_lanes"] | float = jnp.inf
 
 
 class Repeating:

@@ -23,7 +23,7 @@ from spherejax.motion.integration.audit import Watch
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
-from spherejax.motion.integration.lanes.landing import Landing
+from spherejax.motion.integration.lanes.landing import BEHIND, Landing
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, StepLog, is_busy
 from spherejax.motion.integration.lanes.stages import ExplicitStages, TrialStep, own_time, steps_of
 from spherejax.motion.integration.status import Status
@@ -179,7 +179,8 @@ class Queue:
         """
         problem = self.problem
         error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        step = BlockSteps(lane.t, lane.t_next, lane.y, trial.y, error, trial.dense_info, lane.parameters, trial.stray)
+        ends = lane.y, trial.y, error
+        step = BlockSteps(lane.t, lane.t_next, *ends, trial.dense_info, lane.parameters, trial.stray, lane.t_end)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )
@@ -233,7 +234,8 @@ class Queue:
 
     def sample(self, t, t_next, bend, dense_info, parameters, at):
         """The state within a step."""
-        share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1.0), bend)
+        # Behind its end where a step over a touch was added to it; see `Landing`.
+        share = own_time(jnp.clip((at - t) / (t_next - t), 0.0, 1 + BEHIND), bend)
         instant = jnp.where(bend != 0, t + share * (t_next - t), at)
         y = self.problem.solver.interpolation_cls(t0=t, t1=t_next, **dense_info).evaluate(instant)
         correct = None if self.corrects_late else self.problem.correct
@@ -368,8 +370,9 @@ class Queue:
             return steps.n_stages
         n = self.ts.shape[0]
         coming = jnp.maximum(lanes.n_samples, 1)
-        # A sample at the end of a step is its end.
-        is_inside = (coming < n) & (self.ts[jnp.minimum(coming, n - 1)] < lanes.t_next)
+        # A sample at the end of a step is its end. A step over a touch may be added behind that.
+        behind = BEHIND * (lanes.t_next - lanes.t) if getattr(self.control, "has_rates_that_jump", False) else 0.0
+        is_inside = (coming < n) & (self.ts[jnp.minimum(coming, n - 1)] < lanes.t_next + behind)
         return jnp.where(jnp.any(is_inside), steps.n_stages, steps.n_used)
 
     def _looked(self, lanes: Lane, looks: Looks, last: Last) -> tuple[Lane, Looks]:

@@ -10,6 +10,10 @@
   that one is made to end there, in the root of the time that is left (b = -1); a trial step that was rejected because
   it went further is shortened.
 * After an event the first two steps are of the sizes that suited the last time.
+* A touch (of a stop, a tyre) has no memory: beyond its surface the stages of a step feel it, and where its stiffness is
+  there at once the derivatives of the state (`sensitivity_rows`) have rates that jump there. A stage on the wrong side
+  is an error of the size of the jump, however near to the surface the step ends. So with sensitivities a step ends
+  short of a touch, and a step whose stages all lie before its end goes over the surface (`_over_the_touch`).
 
 Arrays have their lanes on the last axis.
 """
@@ -21,6 +25,7 @@ from typing import NamedTuple
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
@@ -53,6 +58,22 @@ _LIKE_LAST_FLIGHT = 1.5
 
 _BEYOND = 1.005
 """A step that is made again to end on an event is made this much longer: one can be found inside it, not ahead."""
+
+_SHORT = 1e-3
+"""A step whose sensitivities are integrated ends by this share of its size short of a touch. Its stages stray from the
+motion by less, or its error is too large."""
+
+_NEAR = 1e-2
+"""From this share of the last step on before a touch the step over it is made: its error is of the fourth order."""
+
+BEHIND = 2 * _NEAR
+"""States so far behind a step, by its size, are states inside it too: that step over a touch is not one of its own."""
+
+_TOUCH_WINDOW = 1e-12
+"""Where that step ends, behind the surface [m]: positions of meters are rounded to 1e-16 of them."""
+
+_TOUCH_TURNS = 3
+"""Newton's method finds the end of that step; each turn squares an error that is a thousandth at first."""
 
 _NO_STRAY = 10.0
 """Stages within so many tolerances of a step's end have not strayed from it, however short the way."""
@@ -212,12 +233,21 @@ class Landing:
         # Where the rounding of time leaves no instant between start and end, the end is the event.
         can_repeat = jnp.maximum(up_to_event, shortest) < size
         lands = passes & found.crosses & found.is_exact & is_accurate
+        ends_short = jnp.zeros_like(lands)
+        if self.has_rates_that_jump:
+            # Where the rounding of time leaves room for the step over the touch.
+            ends_short = found.crosses & jnp.any(found.beyond[contacts.n_contacts :], axis=0) & (size > shortest / _SHORT)
+            up_to_event = jnp.where(ends_short, size * share * (1 - _SHORT), up_to_event)
+            lands = lands & ~ends_short
         repeats = passes & found.crosses & ~lands & can_repeat
         keep = passes & ~repeats
         t = jnp.where(lands, step.t0 + size * share, step.t1)
         y = jax.lax.cond(jnp.any(lands), self._landed, lambda step, *_: step.y1, step, state, lands, share)
         y = contacts.update_lanes(step.parameters, t, step.y0, y)
         end = in_lanes(contacts.crossings)(step.parameters, t, y)
+        touched = jnp.zeros_like(lands)
+        if self.has_rates_that_jump:
+            t, y, end, touched = self._over_the_touch(contacts, step, t, y, end, keep & ~lands)
         is_touching = contacts.is_touching(y)
         began = ~was_touching & is_touching
         is_event = keep & jnp.any(was_touching != is_touching, axis=0)
@@ -225,18 +255,22 @@ class Landing:
         duration = state.duration + jnp.where(keep, t - step.t0, 0.0)
         expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
+        if self.has_rates_that_jump:
+            may_release = may_release.at[contacts.n_contacts :].set(False)  # a step ends short of these
         following, until = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
+        if self.has_rates_that_jump:
+            following = following * self._share_to_touch(state, end, t - step.t0, following, ~is_event & ~touched)
         acceleration = found.bend / size**2
         longest = longest_ball_step(end, acceleration, is_touching)
         following = jnp.minimum(following, longest)
         # A step that was too long only because it went far beyond the event is right up to there.
-        is_event_to_blame = found.crosses & (share * _BEYOND < _NEAR_END)
+        is_event_to_blame = found.crosses & ((share * _BEYOND < _NEAR_END) | ends_short)
         again = jnp.where(passes | is_event_to_blame, up_to_event, longer)
         coming = jnp.where(keep, following, jnp.maximum(again, shortest))
         elapsed = state.since + (t - step.t0)
         state = Pace(
             jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
-            jnp.where(keep, jnp.where(is_event, -1.0, acceleration), state.acceleration),
+            jnp.where(keep, jnp.where(is_event | touched, -1.0, acceleration), state.acceleration),
             expected,
             jnp.where(is_event, 0, state.n_since + keep),
             jnp.where(is_event, 0.0, duration),
@@ -245,6 +279,79 @@ class Landing:
             jnp.where(keep, until, state.until),
         )
         return Judgment(keep, t, coming, y, state, is_event, None, began & keep)
+
+    @property
+    def _window(self) -> float | Float[np.ndarray, "n 1"]:
+        """How far behind zero each crossing function may be where a step ends on its event."""
+        if self.contacts is None or not self.has_rates_that_jump:
+            return LANDING_WINDOW
+        n, n_touches = self.contacts.n_contacts, self.problem.n_touches
+        return np.array([LANDING_WINDOW] * n + [_TOUCH_WINDOW] * n_touches)[:, None]
+
+    @property
+    def has_rates_that_jump(self) -> bool:
+        """Whether there are sensitivities, and touches at which their rates may jump."""
+        contacts = self.contacts
+        return contacts is not None and contacts.first_row is not None and self.problem.n_touches > 0
+
+    def _over_the_touch(self, contacts: ContactFunctions, step: BlockSteps, t, y, end: Crossing, may_cross):
+        """The time, the rows and the crossings behind a touch that the kept steps have come near to, and whose it was.
+
+        The step over it is Heun's of the third order, whose last stage is at two thirds of its way: none is beyond the
+        surface. For the time that it ends behind the surface the rates are those behind it: that is linear in what is
+        left of the crossing function.
+        """
+        n, room = contacts.n_contacts, self._room(step.parameters, t, y)
+
+        def over(t, y, end):
+            sign, way = jnp.where(end.value[n:] > 0, -1.0, 1.0), end.value[n:]
+            speed = sign * end.rate[n:]
+            comes = (speed > 0) & (sign * way <= 0)
+            delays = jnp.where(comes, -sign * way / jnp.where(comes, speed, 1.0), jnp.inf)
+            first = jnp.argmin(delays, axis=0)
+
+            def of_first(values):
+                return jnp.take_along_axis(values, first[None], axis=0)[0]
+
+            delay = of_first(delays)
+            is_near = may_cross & (delay <= _NEAR * (step.t1 - step.t0)) & (delay < room)
+            is_near = is_near & (t + 2 * delay < step.t_end)
+            first_try = jnp.where(is_near, delay + _TOUCH_WINDOW / 2 / of_first(jnp.where(comes, speed, 1.0)), 0.0)
+            rate, crossings = in_lanes(self.problem.rate), in_lanes(contacts.crossings)
+
+            def turn(_, found):
+                size, *_ = found
+                shares = jnp.array([0.0, 1 / 3, 2 / 3])
+
+                def stage(i, k):
+                    before = y + size * shares[i] * jax.lax.dynamic_index_in_dim(k, jnp.maximum(i - 1, 0), 0, False)
+                    slope = rate(t + shares[i] * size, before, step.parameters)
+                    return jax.lax.dynamic_update_index_in_dim(k, slope, i, 0)
+
+                k = jax.lax.fori_loop(0, 3, stage, jnp.zeros((3, *y.shape)))
+                after = y + size * (k[0] + 3 * k[2]) / 4
+                there = crossings(step.parameters, t + size, after)
+                speed = of_first(sign * there.rate[n:])
+                beyond = of_first(sign * there.value[n:])
+                is_over = (speed > 0) & (beyond > 0)
+                late = beyond / jnp.where(speed > 0, speed, 1.0)
+                aim = _TOUCH_WINDOW / 2 / jnp.where(speed > 0, speed, 1.0)
+                better = jnp.where(is_near & (speed > 0), jnp.maximum(size + aim - late, 0.0), size)
+                return better, size, after, 1.5 * k[2] - 0.5 * k[0], late, is_over, there
+
+            nothing = first_try, first_try, y, y, first_try, is_near, end
+            _, size, after, slope, late, is_over, there = jax.lax.fori_loop(0, _TOUCH_TURNS, turn, nothing)
+            touched = is_near & is_over & (late <= delay)
+            behind = rate(t + size, after, step.parameters)
+            after = after + jnp.where(touched, late, 0.0) * (behind - slope)
+            chosen = jax.tree.map(lambda new, old: jnp.where(touched, new, old), (t + size, after, there), (t, y, end))
+            return (*chosen, touched)
+
+        sign = jnp.where(end.value[n:] > 0, -1.0, 1.0)
+        near = (-sign * end.value[n:]) <= _NEAR * (step.t1 - step.t0) * sign * end.rate[n:]
+        is_any = jnp.any(may_cross & jnp.any(near, axis=0))
+        none = jnp.zeros_like(may_cross)
+        return jax.lax.cond(is_any, over, lambda t, y, end: (t, y, end, none), t, y, end)
 
     def _landed(self, step: BlockSteps, state: Pace, lands, share) -> Float[Array, "... n_lanes"]:
         """The states inside the steps that end there, those at the ends of the others."""
@@ -287,21 +394,22 @@ class Landing:
         end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
         numbers = by_fraction(state.start), by_fraction(end)
         before = state.acceleration * size**2
-        found = first_event(*numbers, inside, was_pressing, passes, LANDING_WINDOW, contacts.n_contacts, before)
+        found = first_event(*numbers, inside, was_pressing, passes, self._window, contacts.n_contacts, before)
         return found._replace(x=jax.lax.stop_gradient(found.x))
 
     def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
         """The share of the following step that ends just behind a release, as the motion of the last one has it."""
-        ratio = following / size
-        start = state.start
-        slope0, slope1 = start.rate * size, end.rate * size
-        c3 = 2 * (start.value - end.value) + slope0 + slope1
-        c2 = 3 * (end.value - start.value) - 2 * slope0 - slope1 + 3 * c3
-        value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))
-        slope = slope1 + ratio * (2 * c2 + ratio * 3 * c3)
-        fractions = crossing_fraction(-end.value, -slope1 * ratio, -value, -slope * ratio, LANDING_WINDOW)
+        fractions = _fractions_ahead(state.start, end, size, following, -1.0, LANDING_WINDOW)
         shares = jnp.where(may_release, fractions, 1.0)
         return jnp.min(shares, axis=0)
+
+    def _share_to_touch(self, state: Pace, end, size, following, is_like) -> Float[Array, " n_lanes"]:
+        """The share of the following step that ends short of a touch, as the motion of the last one has it."""
+        n = self.contacts.n_contacts if self.contacts is not None else 0
+        sign = jnp.where(end.value > 0, -1.0, 1.0)
+        fractions = _fractions_ahead(state.start, end, size, following, sign, _TOUCH_WINDOW)
+        shares = jnp.where(is_like & (fractions < 1), fractions * (1 - _SHORT), 1.0)
+        return jnp.min(shares[n:], axis=0)
 
     def _state_inside(self, step: BlockSteps, state: Pace, share, is_first=False) -> Float[Array, "... n_lanes"]:
         """The states after a share of the steps' time; with all rows below them, or the first row alone."""
@@ -367,6 +475,20 @@ class Landing:
         size = jnp.minimum(size, jnp.maximum(room, shortest))
         longest = self.problem.longest_step
         return size if longest is None else jnp.minimum(size, longest)
+
+
+def _fractions_ahead(start: Crossing, end: Crossing, size, following, sign, window) -> Float[Array, "n n_lanes"]:
+    """Where in a step that follows one of a size `sign` times a crossing function becomes positive; 1 where not.
+
+    As the cubic has it that the last step had.
+    """
+    ratio = following / size
+    slope0, slope1 = start.rate * size, end.rate * size
+    c3 = 2 * (start.value - end.value) + slope0 + slope1
+    c2 = 3 * (end.value - start.value) - 2 * slope0 - slope1 + 3 * c3
+    value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))
+    slope = slope1 + ratio * (2 * c2 + ratio * 3 * c3)
+    return crossing_fraction(sign * end.value, sign * slope1 * ratio, sign * value, sign * slope * ratio, window)
 
 
 def _bend(near, far) -> Float[Array, " n_lanes"]:
