@@ -131,7 +131,9 @@ def test_many_offsets_at_once():
 def test_what_has_no_derivative_by_time_says_so():
     ts = jnp.asarray(TS)
     twice = jax.hessian(lambda offset: motion(sj.simulate(pushed(), ts * (1 + offset))).sum())
-    with pytest.raises(sj.SceneError, match=r"second derivatives of a run by its sample times .* differences of jax\.grad"):
+    with pytest.raises(
+        sj.SceneError, match=r"second derivatives of a run by its sample times .* differences of jax\.grad"
+    ):
         twice(0.0)
     mixed = jax.jacfwd(jax.grad(lambda g, offset: falling(ts * (1 + offset), g).sum()), 1)
     with pytest.raises(sj.SceneError, match="second derivatives of a run by its sample times"):
@@ -146,7 +148,9 @@ def test_through_contact_where_time_enters_by_itself():
     """A ball that a force drives to and fro in its socket, through several impacts, against differences."""
     ball = cases.ball_in_socket(sj.Dry(1e-4, normal=sj.LankaraniNikravesh(restitution=0.7)), 0.2)
     push = sj.AppliedWrench("ball", force=lambda t: jnp.array([0.3, 0.0, 0.0]) * jnp.cos(60 * t))
-    scene = sj.Scene(ball.bodies, ball.joints, {"push": push}, gravity=(0.0, 0.0, 0.0), ground_points=ball.ground_points)
+    scene = sj.Scene(
+        ball.bodies, ball.joints, {"push": push}, gravity=(0.0, 0.0, 0.0), ground_points=ball.ground_points
+    )
 
     def place(first):
         ts = jnp.stack([first, 0.06, 0.1])

@@ -65,8 +65,10 @@ def touch_of(stiffness):
 
 @pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8, 1e10])
 def test_a_ball_between_two_linear_stops_by_all_its_numbers(stiffness):
-    """In contact, just behind both ends of it, and three impacts later; it was wrong by stiffness over mass times 4e-10,
-    and from 1e9 on the run failed where it was differentiated."""
+    """In contact, just behind both ends of it, and three impacts later.
+
+    It was wrong by stiffness over mass times 4e-10, and from 1e9 on the run failed where it was differentiated.
+    """
     at, lasts = touch_of(stiffness)
     assert errors(stiffness, [at - 1e-7, at + 1e-7, at + 0.4 * lasts, at + lasts + 1e-7, 0.5]) < 1e-6
     assert errors(stiffness, [1.9]) < 2e-6

@@ -280,12 +280,11 @@ def test_a_derivative_that_was_not_reached_is_not_zero():
     assert np.isfinite(states[:-1]).all()
     assert np.isfinite(slope[:-1]).all()
     assert np.any(slope[:-1])
-    # A sample that was not reached is NaN and constant.
     assert np.isnan(states[-1]).all()
-    assert not np.any(slope[-1])
+    assert np.isnan(slope[-1]).all()
     states, slope = jax.jvp(lambda x: planar_states(x, ts, max_steps=20), (ZERO,), (jnp.ones_like(ZERO),))
     assert np.isnan(states[-1]).all()
-    assert not np.any(slope[-1])
+    assert np.isnan(slope[-1]).all()
 
 
 @pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()], ids=["exact matrix", "inexact matrix"])

@@ -83,7 +83,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
     def slopes_by(by_start: bool) -> Callable:
         """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
 
-        def by_diffrax(values, arrays, *rest) -> tuple[Outcome, Slopes]:
+        def by_diffrax(values, arrays, *rest: Any) -> tuple[Outcome, Slopes]:
             options = eqx.combine(arrays, others).decided
             outcome = run(values, arrays, *rest)
             if has_controlled_sensitivities(options.solver):
@@ -91,7 +91,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
             return outcome, _slopes_through_the_loop(plan, options, values, *rest, by_start)
 
         @jax.custom_jvp
-        def with_slopes(values, arrays, *rest) -> tuple[Outcome, Slopes]:
+        def with_slopes(values, arrays, *rest: Any) -> tuple[Outcome, Slopes]:
             options = eqx.combine(arrays, others).decided
             if not (in_lanes and has_controlled_sensitivities(options.solver)):
                 return by_diffrax(values, arrays, *rest)
@@ -357,7 +357,9 @@ def _slopes_through_the_loop(
         return integrate(plan, options, values, known, ts, began.assembly._replace(y=y0), values_are_legal).ys
 
     by_time = jax.jvp(from_state, (began.y0,), (began.slopes[0],))[1]
-    assembly = jax.tree.map(lambda j, dot: jnp.concatenate([j, dot[0][..., None]], -1), slopes[1], began.assembly_slopes)
+    assembly = jax.tree.map(
+        lambda j, dot: jnp.concatenate([j, dot[0][..., None]], -1), slopes[1], began.assembly_slopes
+    )
     return Slopes(jnp.concatenate([slopes.ys, by_time[..., None]], -1), assembly)
 
 

@@ -316,9 +316,7 @@ def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, windo
 
 
 @bounded_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)
-def _with_slopes(
-    plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal, by_start: bool
-):
+def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal, by_start: bool):
     n = values.shape[0]
 
     def job_of_values(values):

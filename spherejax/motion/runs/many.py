@@ -40,9 +40,8 @@ from spherejax.motion.solvers.automatic import stiffest
 from spherejax.motion.start.start_now import StartWarning, changed_starts
 from spherejax.runtime import require_float64
 
-
 NO_DERIVATIVE_OF_MANY = (
-    "simulate_many gives no derivatives in jax.grad or jax.jvp. Name the parameters that they are by, by=(\"mass\",): "
+    'simulate_many gives no derivatives in jax.grad or jax.jvp. Name the parameters that they are by, by=("mass",): '
     "runs.slopes has them, from the same integration. Or map simulate, which has them: jax.vmap(jax.grad(...))"
 )
 """What whoever differentiates through `simulate_many` is told: its loop has no derivative rule."""

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import visible
 from spherejax.studies.sweep.spreads import Scattered, Spread, scattered
@@ -197,6 +199,12 @@ def _named(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _numbers(name: str, given) -> Float[np.ndarray, " n"]:
+    if not all(map(is_concrete, jax.tree.leaves(given))):
+        raise SceneError(
+            f"parameter {name!r} is traced (within jax.jit, jax.grad or jax.vmap), and a sweep takes numbers. For "
+            "derivatives record sensitivities, sj.Sensitivity(...), or map runs of your own: "
+            "jax.vmap(jax.grad(lambda x: ...sj.simulate(...)))"
+        )
     try:
         numbers = np.atleast_1d(np.asarray(visible(given)))
         if numbers.dtype.kind not in "fiuO":  # NumPy would make numbers of texts, times and truth values

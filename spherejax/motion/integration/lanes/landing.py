@@ -236,7 +236,9 @@ class Landing:
         ends_short = jnp.zeros_like(lands)
         if self.has_rates_that_jump:
             # Where the rounding of time leaves room for the step over the touch.
-            ends_short = found.crosses & jnp.any(found.beyond[contacts.n_contacts :], axis=0) & (size > shortest / _SHORT)
+            ends_short = (
+                found.crosses & jnp.any(found.beyond[contacts.n_contacts :], axis=0) & (size > shortest / _SHORT)
+            )
             up_to_event = jnp.where(ends_short, size * share * (1 - _SHORT), up_to_event)
             lands = lands & ~ends_short
         repeats = passes & found.crosses & ~lands & can_repeat
