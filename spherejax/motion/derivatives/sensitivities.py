@@ -87,8 +87,8 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
             options = eqx.combine(arrays, others).decided
             outcome = run(values, arrays, *rest)
             if has_controlled_sensitivities(options.solver):
-                return outcome, _controlled_slopes(plan, options, values, *rest, by_start)
-            return outcome, _slopes_through_the_loop(plan, options, values, *rest, by_start)
+                return outcome, _controlled_slopes(plan, options, values, *rest, by_start=by_start)
+            return outcome, _slopes_through_the_loop(plan, options, values, *rest, by_start=by_start)
 
         @jax.custom_jvp
         def with_slopes(values, arrays, *rest: Any) -> tuple[Outcome, Slopes]:
@@ -96,7 +96,7 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
             if not (in_lanes and has_controlled_sensitivities(options.solver)):
                 return by_diffrax(values, arrays, *rest)
             scale = with_start_time(scales_of(values), by_start)
-            found = slopes_as_job(plan, options, values, _diagonal(scale), *rest, by_start)
+            found = slopes_as_job(plan, options, values, _diagonal(scale), *rest, by_start=by_start)
             return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
 
         def with_slopes_jvp(primals, tangents):
