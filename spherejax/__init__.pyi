@@ -47,6 +47,7 @@ from .physics.forces.remembering import AbstractForceWithMemory, ForceAction, In
 from .physics.forces.sampled_pid import SampledPID
 from .physics.forces.spring_damper import ShockAbsorber, SpringDamper
 from .physics.forces.torsional import TorsionalSpring
+from .physics.forces.torsional_stop import TorsionalStop
 from .physics.forces.tyre import Tyre
 from .physics.functions.base import AbstractFunction, Network, UserFunction
 from .physics.functions.pieces import Piecewise, Sum
@@ -363,6 +364,7 @@ __all__ = [
     "Tolerance",
     "ToleranceBudget",
     "TorsionalSpring",
+    "TorsionalStop",
     "Trajectory",
     "TranslationDriver",
     "Travel",

@@ -52,6 +52,8 @@ CONSERVATIVE: dict[str, sj.AbstractForce] = {
     "stop, short": sj.BumpStop(ENDS, shortest=0.9, stiffness=1e3),
     "stop, long": sj.BumpStop(ENDS, longest=0.2, stiffness=1e3, onset=0.1),
     "stop, both": sj.BumpStop(ENDS, shortest=0.35, longest=0.5, stiffness=1e3, spring=table(), direction=UP),
+    "torsional stop": sj.TorsionalStop(("first", "second"), (1.0, 2.0, 2.0), -0.2, 0.1, 8.0, onset=0.1),
+    "torsional stop by table": sj.TorsionalStop(("ground", "second"), UP, largest=-0.3, spring=table()),
     "coupler": sj.Coupler(
         sj.Turn(("ground", "first"), UP, 0.3), sj.Turn(("first", "second"), (1.0, 2.0, 2.0)), -0.7, 40.0, offset=0.1
     ),
@@ -74,6 +76,11 @@ DAMPED: dict[str, sj.AbstractForce] = {
         sj.Travel(("ground", "first.eye"), UP), sj.Travel(ENDS, (1.0, 0.3, 0.0)), 0.4, 40.0, 3.0
     ),
     "stop with damping": sj.BumpStop(ENDS, 0.9, None, 1e3, 30.0, 0.01, damper=lambda v: 5.0 * v),
+    "stop with restitution": sj.BumpStop(ENDS, 0.9, None, 1e3, spring=table(), restitution=0.6, transition=0.5),
+    "torsional stop with damping": sj.TorsionalStop(("first", "second"), UP, 0.4, None, 8.0, 2.0, 0.1, damper=jnp.tanh),
+    "torsional stop with restitution": sj.TorsionalStop(
+        ("ground", "second"), UP, -0.1, 0.1, 8.0, onset=0.1, restitution=0.6, transition=0.5
+    ),
     "damped tyre": sj.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, damper=sj.Linear(3.0)),
     "tyre on a moving road": sj.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, road=road, speed=4.0),
     "tyre, normal to a moving road": sj.Tyre(

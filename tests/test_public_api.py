@@ -87,6 +87,7 @@ ARGUMENTS = {
     sj.ShockAbsorber: ("ends", "compression", "extension", "spring", "free_length", "transition", "direction"),
     sj.BumpStop: ("ends", "shortest", "longest", "stiffness", "damping", "onset", "spring", "damper", "direction"),
     sj.TorsionalSpring: ("bodies", "axis", "stiffness", "damping", "free_angle", "spring", "damper"),
+    sj.TorsionalStop: ("bodies", "axis", "smallest", "largest", "stiffness", "damping", "onset", "spring", "damper"),
     sj.Coupler: ("first", "second", "ratio", "stiffness", "damping", "offset"),
     sj.Turn: ("bodies", "axis", "radius"),
     sj.Travel: ("ends", "direction"),

@@ -15,7 +15,7 @@ from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, a
 from spherejax.output.plot.symbols import joint_strokes
 from spherejax.physics.bodies import GROUND
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, memory_entries, recalling
-from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.torsional import AbstractTorsionalForce
 from spherejax.physics.forces.tyre import Tyre
 from spherejax.physics.kinematics import BodyMotion
 
@@ -25,7 +25,7 @@ def force_strokes(name: str, mechanism: Mechanism, pose: MechanismPose, camera: 
     force = mechanism.forces[name]
     if isinstance(force, Tyre):
         strokes = _tyre(force, pose, camera)
-    elif isinstance(force, TorsionalSpring):
+    elif isinstance(force, AbstractTorsionalForce):
         strokes = _spiral(force, mechanism, pose, camera, s)
     elif len(places := force_places(force)) == 2:
         strokes = _line_element(name, places, pose, camera, s)
@@ -60,7 +60,7 @@ def _tyre(force: Tyre, pose: MechanismPose, camera: Camera) -> list[Stroke]:
 
 
 def _spiral(
-    force: TorsionalSpring, mechanism: Mechanism, pose: MechanismPose, camera: Camera, s: float
+    force: AbstractTorsionalForce, mechanism: Mechanism, pose: MechanismPose, camera: Camera, s: float
 ) -> list[Stroke]:
     """A spiral about the joint that joins the same two bodies; about the second body's center where there is none."""
     bodies = set(force.bodies)

@@ -19,7 +19,7 @@ from spherejax.output.plot.shapes import bars_of
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, INK, PAPER
 from spherejax.output.plot.symbols import DRIVER_COLOR, model_color, perpendiculars
 from spherejax.physics.bodies import GROUND
-from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.torsional import AbstractTorsionalForce
 from spherejax.physics.forces.tyre import Tyre
 
 Shape = dict[str, Any]
@@ -250,7 +250,7 @@ class _Maker:
             body, radius = force.center.partition(".")[0], float(np.asarray(force.radius))
             wheel = radius * np.stack([CIRCLE[:, 0], np.zeros(len(CIRCLE)), CIRCLE[:, 1]], -1)
             yield self._shape("face", body, force.place, wheel, edge="0.2", face="0.6", alpha=0.12, width=4.0)
-        elif isinstance(force, TorsionalSpring):
+        elif isinstance(force, AbstractTorsionalForce):
             bodies = set(force.bodies)
             joint = next((one for one in mechanism.joints.values() if set(one.bodies) == bodies), None)
             second = force.bodies[1] if force.bodies[1] != GROUND else force.bodies[0]
@@ -303,7 +303,7 @@ def tracks_of(mechanism: Mechanism, ts: np.ndarray, s: float) -> list[Shape]:
     for name, force in mechanism.forces.items():
         if isinstance(force, Tyre):
             found.append({"edge": to_hex(GROUND_COLOR), "width": 1.6, "points": _road(force, poses)})
-        elif not isinstance(force, TorsionalSpring) and len(force_places(force)) != 2:
+        elif not isinstance(force, AbstractTorsionalForce) and len(force_places(force)) != 2:
             arrows = [[_arrow(at, pull, 5 * s) for at, pull in forces_on_bodies(name, force, pose)] for pose in poses]
             for one in zip(*arrows, strict=True):
                 look = {"edge": to_hex(FORCE_COLOR), "width": 1.6, "arrow": True}

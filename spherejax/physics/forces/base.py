@@ -30,6 +30,7 @@ UNITS = {
     "moment": "N m",
     "angle": "rad",
     "angular_rate": "rad/s",
+    "depth": "rad",
     "torque": "N m",
     "load": "N",
     "lag": "m",

@@ -4,34 +4,21 @@ from collections.abc import Callable
 from typing import Annotated
 
 import equinox as eqx
-import jax.numpy as jnp
-import numpy as np
 
 from spherejax.foundations.checks import Requirement
-from spherejax.foundations.errors import SceneError
-from spherejax.foundations.legal import numeric
 from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.forces.base import Touch
-from spherejax.physics.forces.line import (
-    AbstractLineForce,
-    Attachment,
-    Pull,
-    is_without_damping,
-    line_requirements,
-    stores_all,
-    two_ends,
-)
-from spherejax.physics.forces.one_sided import OneSided
+from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, two_ends
+from spherejax.physics.forces.one_sided import TRANSITION, OneSided, Stops
 from spherejax.physics.functions.base import AbstractFunction, as_function
-from spherejax.physics.functions.shapes import finite
 
 
 class BumpStop(AbstractLineForce):
     """A stop that presses two points apart below a length, or together beyond one, and never holds them.
 
     How it resists, for a depth p = shortest - length or p = length - longest above 0, is the law of
-    `spherejax.physics.forces.one_sided`: f = max(0, k ramp(p) + spring(p) + rise(p) (c p_rate + damper(p_rate))).
+    `spherejax.physics.forces.one_sided`: f = max(0, k ramp(p) + spring(p) + rise(p) (c p_rate + damper(p_rate))); with
+    a restitution e, f = (k ramp(p) + spring(p)) (1 + h s(p_rate)) with h = (1 - e^2)/(1 + e^2) and s the smooth sign.
 
     Attributes:
         ends: `"body.point"` of the two points; `"body"` alone is its center of mass.
@@ -44,7 +31,12 @@ class BumpStop(AbstractLineForce):
         spring: force [N] by depth [m]; any function of one number.
         damper: force [N] by the depth's rate [m/s]; any function of one number.
         direction: as in `SpringDamper`; length is then the distance along it, and may be negative.
+        restitution: e, the speed after an impact by that before [-], in (0, 1], at any speed and inertia; instead of
+            damping. None: nothing is lost but by damping.
+        transition: rate within which the sign is smooth [m/s]; impacts much slower lose less.
         attachment: the geometry in body axes, once the scene is compiled.
+
+    Limits and source of the law: `spherejax.physics.forces.one_sided`.
     """
 
     ends: tuple[str, str] = eqx.field(static=True)
@@ -56,6 +48,8 @@ class BumpStop(AbstractLineForce):
     spring: AbstractFunction | None
     damper: AbstractFunction | None
     direction: Triple | None
+    restitution: Number | None
+    transition: Number
     attachment: Attachment | None
 
     def __init__(
@@ -70,6 +64,8 @@ class BumpStop(AbstractLineForce):
         spring: Annotated[Callable | None, Function("m", "N")] = None,
         damper: Annotated[Callable | None, Function("m/s", "N")] = None,
         direction: Annotated[Triple, Unit("1")] = None,
+        restitution: Annotated[Number | None, Unit("1")] = None,
+        transition: Annotated[Number, Unit("m/s")] = TRANSITION,
     ):
         if shortest is None and longest is None:
             raise TypeError("a bump stop needs shortest= or longest=: the length at which it begins to act")
@@ -82,64 +78,43 @@ class BumpStop(AbstractLineForce):
         self.spring = as_function(spring)
         self.damper = as_function(damper)
         self.direction = None if direction is None else numbers(direction)
+        self.restitution = restitution
+        self.transition = transition
         self.attachment = None
 
     def pull(self, length: Scalar, rate: Scalar, t: Scalar) -> Pull:
         """Tension and stored energy; a stop at the shortest length answers with a negative tension."""
         del t
-        total = Pull(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
-        for limit, side in self._limits:
-            press = self._law.press(side * (length - limit), side * rate)
-            total = Pull(
-                total.force + side * press.force,
-                total.elastic + side * press.elastic,
-                total.energy + press.energy,
-            )
-        return total
+        return self._stops.pull(length, rate)
 
     @property
     def never_adds_energy(self) -> bool:
         """With numbers for damping, and a spring that knows its integral."""
-        return stores_all(self.spring, self.damper)
+        return self._stops.law.never_adds_energy
 
     @property
     def conserves_energy(self) -> bool:
-        """Without damping, and without a spring function, which may pull: a stop only presses."""
-        return self.never_adds_energy and self.spring is None and is_without_damping(self.damping)
+        """Without damping, with no restitution below 1, and without a spring function, which may pull."""
+        return self._stops.law.conserves_energy
 
     @property
     def n_touches(self) -> int:
         """One for each limit."""
-        return len(self._limits)
+        return len(self._stops.limits)
 
     def touches(self, t, motions):
         """How far the length is beyond each limit."""
         del t
-        if self.attachment is None:
-            raise SceneError("the stop is not in a scene yet: its ends are known once the scene is compiled")
-        stretch = self.attachment.stretch(motions)
-        return tuple(Touch(side * (stretch.length - limit), side * stretch.rate) for limit, side in self._limits)
+        length, rate, _ = self.stretch(motions)
+        return self._stops.touches(length, rate)
 
     def requirements(self) -> list[Requirement]:
         """Two bodies, shortest below longest, and the law's own requirements."""
-        rows = line_requirements(self.ends, self.direction)
-        rows += [
-            finite(name, limit)
-            for name, limit in (("shortest", self.shortest), ("longest", self.longest))
-            if limit is not None
-        ]
-        if self.shortest is not None and self.longest is not None:
-            ordered = (numeric(self.longest) > numeric(self.shortest)) & (numeric(self.longest) < np.inf)
-            remedy = "Between the two the stop is free."
-            rows.append(Requirement("longest", self.longest, ordered, "be above shortest", remedy))
-        return [*rows, *self._law.requirements()]
+        return [*line_requirements(self.ends, self.direction), *self._stops.requirements("shortest", "longest")]
 
     @property
-    def _limits(self) -> tuple[tuple[Number, float], ...]:
-        """Each limit, and the direction in which the length passes it."""
-        both = ((self.shortest, -1.0), (self.longest, 1.0))
-        return tuple((limit, side) for limit, side in both if limit is not None)
-
-    @property
-    def _law(self) -> OneSided:
-        return OneSided(self.stiffness, self.damping, self.spring, self.damper, self.onset)
+    def _stops(self) -> Stops:
+        law = OneSided(
+            self.stiffness, self.damping, self.spring, self.damper, self.onset, self.restitution, self.transition
+        )
+        return Stops(law, self.shortest, self.longest)

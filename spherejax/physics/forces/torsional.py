@@ -3,6 +3,7 @@
 The angle, through any number of turns, and the direction along which the torque acts are those of the module `turns`.
 """
 
+import abc
 from collections.abc import Callable, Mapping
 from typing import Annotated, Self
 
@@ -23,7 +24,82 @@ from spherejax.physics.functions.base import AbstractFunction, as_function, func
 from spherejax.physics.functions.shapes import finite
 
 
-class TorsionalSpring(AbstractForce):
+class AbstractTorsionalForce(AbstractForce):
+    """An element about an axis between two bodies with a torque by angle and rate; a member gives `torque`.
+
+    The torque turns the second body back, and the first one forward.
+
+    Attributes:
+        bodies: names of the two bodies; `"ground"` is one.
+        axis: world axes at the start, any length; it turns with the first body.
+        attachment: the same in body axes; None until the scene is compiled.
+    """
+
+    bodies: eqx.AbstractVar[tuple[str, str]]
+    axis: eqx.AbstractVar[Triple]
+    attachment: eqx.AbstractVar[TorsionalAttachment | None]
+
+    @abc.abstractmethod
+    def torque(self, angle: Scalar, rate: Scalar) -> Pull:
+        """Torque [N m], its elastic part, and the energy stored [J].
+
+        Args:
+            angle: since the start, through any number of turns [rad].
+            rate: its time derivative [rad/s].
+        """
+
+    def twist(self, motions: Motions) -> Twist:
+        """Angle, rate and direction of the placed element."""
+        if self.attachment is None:
+            raise SceneError("the element is not in a scene yet: its axis is known once the scene is compiled")
+        return self.attachment.twist(motions)
+
+    def wrenches(self, t, motions):
+        """The torque on both bodies."""
+        del t
+        angle, rate, direction = self.twist(motions)
+        moment = self.torque(angle, rate).force * direction
+        return {self.bodies[0]: Wrench(jnp.zeros(3), moment), self.bodies[1]: Wrench(jnp.zeros(3), -moment)}
+
+    def potential_energy(self, t, motions):
+        """Energy stored [J]."""
+        del t
+        angle, rate, _ = self.twist(motions)
+        return self.torque(angle, rate).energy
+
+    def parts(self, t, motions) -> dict[str, Array]:
+        """`angle` [rad], `angular_rate` [rad/s], `torque` [N m], `dissipated_power` [W]."""
+        del t
+        angle, rate, _ = self.twist(motions)
+        torque, elastic, _ = self.torque(angle, rate)
+        return {
+            "angle": angle,
+            "angular_rate": rate,
+            "torque": torque,
+            "dissipated_power": (torque - elastic) * rate,
+        }
+
+    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
+        """The axis in the first body's axes, and the relative orientation at the start."""
+        del find
+        attachment = attached(bodies, self.bodies, self.axis)
+        return eqx.tree_at(lambda force: force.attachment, self, attachment, is_leaf=lambda x: x is None)
+
+    @property
+    def body_names(self) -> tuple[str, str]:
+        """The two bodies."""
+        return self.bodies
+
+    def axis_requirements(self) -> list[Requirement]:
+        """Two bodies and an axis."""
+        remedy = "Name two different bodies; 'ground' is one."
+        return [
+            Requirement("bodies", self.bodies, self.bodies[0] != self.bodies[1], "be two bodies", remedy),
+            is_direction("axis", self.axis),
+        ]
+
+
+class TorsionalSpring(AbstractTorsionalForce):
     """A spring and a damper about an axis between two bodies.
 
         torque = k u + c angle_rate + spring(u) + damper(angle_rate),    u = angle - free_angle
@@ -86,12 +162,6 @@ class TorsionalSpring(AbstractForce):
         """Without damping."""
         return self.never_adds_energy and is_without_damping(self.damping)
 
-    def twist(self, motions: Motions) -> Twist:
-        """Angle, rate and direction of the placed element."""
-        if self.attachment is None:
-            raise SceneError("the element is not in a scene yet: its axis is known once the scene is compiled")
-        return self.attachment.twist(motions)
-
     def torque(self, angle: Scalar, rate: Scalar) -> Pull:
         """Torque [N m], its elastic part, and the energy stored [J]."""
         u = angle - self.free_angle
@@ -102,51 +172,13 @@ class TorsionalSpring(AbstractForce):
             total = total + self.damper(rate)
         return Pull(total, linear + elastic, 0.5 * linear * u + energy)
 
-    def wrenches(self, t, motions):
-        """The torque on both bodies."""
-        del t
-        angle, rate, direction = self.twist(motions)
-        moment = self.torque(angle, rate).force * direction
-        return {self.bodies[0]: Wrench(jnp.zeros(3), moment), self.bodies[1]: Wrench(jnp.zeros(3), -moment)}
-
-    def potential_energy(self, t, motions):
-        """Energy stored [J]."""
-        del t
-        angle, rate, _ = self.twist(motions)
-        return self.torque(angle, rate).energy
-
-    def parts(self, t, motions) -> dict[str, Array]:
-        """`angle` [rad], `angular_rate` [rad/s], `torque` [N m], `dissipated_power` [W]."""
-        del t
-        angle, rate, _ = self.twist(motions)
-        torque, elastic, _ = self.torque(angle, rate)
-        return {
-            "angle": angle,
-            "angular_rate": rate,
-            "torque": torque,
-            "dissipated_power": (torque - elastic) * rate,
-        }
-
-    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
-        """The axis in the first body's axes, and the relative orientation at the start."""
-        del find
-        attachment = attached(bodies, self.bodies, self.axis)
-        return eqx.tree_at(lambda force: force.attachment, self, attachment, is_leaf=lambda x: x is None)
-
     def requirements(self) -> list[Requirement]:
         """Two bodies, an axis, k >= 0, c >= 0, and what the functions require."""
-        remedy = "Name two different bodies; 'ground' is one."
         return [
-            Requirement("bodies", self.bodies, self.bodies[0] != self.bodies[1], "be two bodies", remedy),
-            is_direction("axis", self.axis),
+            *self.axis_requirements(),
             non_negative("stiffness", self.stiffness, "N m/rad"),
             non_negative("damping", self.damping, "N m s/rad"),
             finite("free_angle", self.free_angle),
             *function_requirements("spring", self.spring),
             *function_requirements("damper", self.damper),
         ]
-
-    @property
-    def body_names(self) -> tuple[str, str]:
-        """The two bodies."""
-        return self.bodies

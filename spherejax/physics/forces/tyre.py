@@ -22,7 +22,6 @@ from spherejax.foundations.legal import positive
 from spherejax.foundations.types import Function, Named, Number, Numeric, Scalar, Unit, Vector3
 from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Touch, Wrench, body_of, place_of
-from spherejax.physics.forces.line import is_without_damping, stores_all
 from spherejax.physics.forces.one_sided import OneSided
 from spherejax.physics.functions.base import AbstractFunction, Given, as_function, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -138,12 +137,12 @@ class Tyre(AbstractForce):
     @property
     def never_adds_energy(self) -> bool:
         """On a flat road, with numbers for damping, and a spring that knows its integral."""
-        return self.road is None and stores_all(self.spring, self.damper)
+        return self.road is None and self._law.never_adds_energy
 
     @property
     def conserves_energy(self) -> bool:
         """Without damping, and without a spring function, which may pull: a tyre only presses."""
-        return self.never_adds_energy and self.spring is None and is_without_damping(self.damping)
+        return self.road is None and self._law.conserves_energy
 
     @property
     def n_touches(self) -> int:
