@@ -77,14 +77,14 @@ def test_the_restitution_is_that_of_any_speed_and_spring(e, spring):
     stiffness = STIFFNESS if spring is None else 0.0
     for speed in (0.5, 50.0):
         scene = wheel(None, 0.1 * speed, stiffness, speed=speed, spring=spring, restitution=e)
-        after = rates(sj.simulate(scene, [0.0, 0.5], rtol=1e-9))[-1]
+        after = rates(sj.simulate(scene, np.array([0.0, 0.5]), rtol=1e-9))[-1]
         assert after == pytest.approx(-np.sqrt((e * speed) ** 2 + left_over(e) * 1e-4), rel=1e-5)
 
 
 def test_a_slide_bounces_by_the_same_law():
     body = sj.Body(2.0, (1.0, 1.0, 1.0), velocity=(0.0, 0.0, -3.0))
     stop = sj.BumpStop(("ground", "b"), shortest=-0.3, stiffness=1e5, direction=Z, restitution=0.7)
-    run = sj.simulate(sj.Scene({"b": body}, forces={"stop": stop}, gravity=(0, 0, 0)), [0.0, 0.3], rtol=1e-9)
+    run = sj.simulate(sj.Scene({"b": body}, forces={"stop": stop}, gravity=(0, 0, 0)), np.array([0.0, 0.3]), rtol=1e-9)
     assert run.velocity("b")[-1, 2] == pytest.approx(np.sqrt(2.1**2 + left_over(0.7) * 1e-4), rel=1e-6)
 
 
@@ -111,7 +111,7 @@ def test_derivatives_by_the_restitution_and_the_limit(way):
     """Of the angle after one impact: b - e v (t - b/v - contact(e))."""
 
     def last(e, limit):
-        run = sj.simulate(wheel(None, limit, STIFFNESS, restitution=e), [0.0, 0.2], rtol=1e-10)
+        run = sj.simulate(wheel(None, limit, STIFFNESS, restitution=e), np.array([0.0, 0.2]), rtol=1e-10)
         return run.force("stop")["angle"][-1]
 
     e, b = 0.7, 0.5
@@ -127,7 +127,7 @@ def test_derivatives_by_the_restitution_and_the_limit(way):
 
 
 def test_restitutions_are_swept():
-    many = jax.vmap(lambda e: sj.simulate(wheel(None, 0.5, STIFFNESS, restitution=e), [0.0, 0.2], rtol=1e-9))
+    many = jax.vmap(lambda e: sj.simulate(wheel(None, 0.5, STIFFNESS, restitution=e), np.array([0.0, 0.2]), rtol=1e-9))
     after = many(jnp.array([0.3, 0.7, 1.0])).angular_velocity("w")[:, -1, 2]
     np.testing.assert_allclose(after, [-3.0, -7.0, -10.0], rtol=1e-4)
 
@@ -135,7 +135,7 @@ def test_restitutions_are_swept():
 def test_what_rests_on_a_stop_stays_there():
     """A torque presses on: it bounces, and comes to rest at the depth T/k."""
     motor = {"motor": sj.Actuator(sj.Turn(ENDS, Z), 5.0)}
-    run = sj.simulate(wheel(None, 0.1, STIFFNESS, restitution=0.5, forces=motor), [0.0, 2.0], throw=True)
+    run = sj.simulate(wheel(None, 0.1, STIFFNESS, restitution=0.5, forces=motor), np.array([0.0, 2.0]), throw=True)
     assert run.force("stop")["depth"][-1] == pytest.approx(5.0 / STIFFNESS, rel=1e-4)
     assert rates(run)[-1] == pytest.approx(0.0, abs=1e-4)
 
