@@ -123,6 +123,17 @@ def test_a_stop_throws_back_after_two_turns(written):
     assert run.angular_velocity("arm")[-1, 2] == pytest.approx(-20.0, rel=1e-5)
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_stop_with_a_restitution_throws_back_slower(written, kind):
+    path = written(*one_joint(kind, '<limit lower="-0.4" upper="0.3" effort="1" velocity="1"/>'))
+    lossy = {"stiffness": 4000.0, "restitution": 0.6}
+    how = {"positions": {"j": 0.1}, "velocities": {"j": 2.0}, **NO_GRAVITY}
+    scene = sj.load_urdf(path, stops={"turning": lossy, "sliding": lossy}, **how)
+    run = run_of(scene, 0.35, 11)
+    moves = run.angular_velocity("arm")[:, 2] if kind == "revolute" else run.velocity("arm")[:, 2]
+    assert moves[-1] == pytest.approx(-1.2, rel=1e-4)
+
+
 def test_stops_are_told_by_joint_and_refused_where_they_cannot_be(written):
     path = written(*one_joint("revolute", '<limit lower="-6.2832" upper="6.2832"/>'))
     assert not sj.load_urdf(path, stops={"turning": 1e3, "j": None}).forces
@@ -131,7 +142,7 @@ def test_stops_are_told_by_joint_and_refused_where_they_cannot_be(written):
         sj.load_urdf(path, stops={"turning": 1e3})
     with pytest.raises(sj.SceneError, match="stops: no joint 'k' turns or slides"):
         sj.load_urdf(path, stops={"k": 1e3})
-    for bad in (-1.0, "stiff"):
+    for bad in (-1.0, "stiff", {"restitution": 0.5}, {"stiffness": 1e3, "spring": 1.0}):
         with pytest.raises(sj.SceneError, match=r"stops\['j'\] = .* must be a stiffness above zero"):
             sj.load_urdf(path, stops={"j": bad})
     path = written(*one_joint("prismatic", "<limit effort='1' velocity='1'/>"))

@@ -14,6 +14,7 @@ from spherejax.physics.forces.bump_stop import BumpStop
 from spherejax.physics.forces.coupler import Coupler, Travel, Turn
 from spherejax.physics.forces.spring_damper import SpringDamper
 from spherejax.physics.forces.torsional import TorsionalSpring
+from spherejax.physics.forces.torsional_stop import TorsionalStop
 from spherejax.physics.functions.pieces import Piecewise
 from spherejax.physics.functions.shapes import Constant, Linear
 from spherejax.physics.joints.axial import Cylindrical, Prismatic, Revolute
@@ -30,13 +31,25 @@ _RADIUS = 1.0
 """Of the shaft in a joint with friction [m]: with 1 the law's sliding velocity is the joint's rate in rad/s."""
 
 
+_STOP = ("stiffness", "damping", "onset", "restitution", "transition")
+"""What a stop of a joint may be given, besides its limits."""
+
+
+def _is_stop(value: Any) -> bool:
+    """Whether this says how a stop resists: a stiffness, or a mapping with one."""
+    if isinstance(value, Mapping):
+        return set(value) <= set(_STOP) and _is_stop(value.get("stiffness"))
+    return isinstance(value, int | float | np.number) and bool(0 < value < np.inf)
+
+
 class Ways(NamedTuple):
     """What a description leaves open.
 
     Attributes:
         friction: law by which friction changes with the rate, or None.
         mimic: arguments of couplers, by "turning", "sliding" or a joint's name.
-        stops: stiffness beyond the limits [N m/rad or N/m] or None, by the same words.
+        stops: stiffness beyond the limits [N m/rad or N/m], or arguments of `TorsionalStop` or `BumpStop`, or None, by
+            the same words.
         ignore: what is left out.
     """
 
@@ -57,11 +70,12 @@ class Ways(NamedTuple):
                 known = ["turning", "sliding", *movable]
                 if name not in known:
                     raise SceneError(f"{robot.path}: {what}: no joint {name!r} turns or slides; {one_of(known, name)}")
-                is_stiff = isinstance(value, int | float | np.number) and 0 < value < np.inf
-                if what == "stops" and value is not None and not is_stiff:
+                if what == "stops" and value is not None and not _is_stop(value):
                     raise SceneError(
                         f"{robot.path}: stops[{name!r}] = {value!r} must be a stiffness above zero [N m/rad] or "
-                        "[N/m], or None for no stop"
+                        "[N/m], None for no stop, or a stiffness and what else a stop has, as "
+                        f'stops={{{name!r}: {{"stiffness": 500.0, "restitution": 0.5}}}}; it may have '
+                        f"{', '.join(_STOP)}"
                     )
                 if what == "mimic" and not (isinstance(value, Mapping) and set(value) <= {"stiffness", "damping"}):
                     raise SceneError(
@@ -208,10 +222,10 @@ def forces_of(
     elif edge.damping or edge.stiffness:
         slack = edge.rest if edge.stiffness else 0.0
         found[name] = SpringDamper(_ends(name, groups), edge.stiffness, edge.damping, slack, direction=axis)
-    stiffness = ways.of(ways.stops, name, edge)
+    resisting = ways.of(ways.stops, name, edge)
     has_limits = np.isfinite(edge.lower) or np.isfinite(edge.upper)
-    if stiffness is not None and has_limits:
-        found[f"{name}_stop"] = _stop(name, robot, groups, axis, stiffness, positions.get(name, 0.0))
+    if resisting is not None and has_limits:
+        found[f"{name}_stop"] = _stop(name, robot, groups, axis, resisting, positions.get(name, 0.0))
     if edge.follows is not None and "mimic" not in ways.ignore:
         how = ways.of(ways.mimic, name, edge)
         if how is None:
@@ -228,8 +242,8 @@ def _ends(name: str, groups: LinkGroups) -> tuple[str, str]:
     return groups.feet[name], groups.hands[name]
 
 
-def _stop(name: str, robot: Robot, groups: LinkGroups, axis: np.ndarray, stiffness, position: float) -> AbstractForce:
-    """An elastic stop at each limit, in a coordinate that is counted from the start (an angle) or from 0 (a length)."""
+def _stop(name: str, robot: Robot, groups: LinkGroups, axis: np.ndarray, resisting, position: float) -> AbstractForce:
+    """A stop at each limit, in a coordinate that is counted from the start (an angle) or from 0 (a length)."""
     edge = robot.edges[name]
     if not edge.lower < edge.upper:
         raise SceneError(
@@ -242,13 +256,16 @@ def _stop(name: str, robot: Robot, groups: LinkGroups, axis: np.ndarray, stiffne
             f"{edge.upper!r}; start it between them with positions={{{name!r}: ...}}, or leave its stops out with "
             f"stops={{..., {name!r}: None}}"
         )
+    given = dict(resisting) if isinstance(resisting, Mapping) else {"stiffness": resisting}
     if edge.kind in SLIDING:
-        return BumpStop(_ends(name, groups), edge.lower, edge.upper, stiffness, direction=axis)
+        return BumpStop(_ends(name, groups), edge.lower, edge.upper, direction=axis, **given)
+    bodies = (groups.heads[edge.parent], edge.child)
     lower, upper = edge.lower - position, edge.upper - position
+    if isinstance(resisting, Mapping):
+        return TorsionalStop(bodies, axis, lower, upper, **given)
     # The torque turns the joint back: positive beyond the upper limit.
-    beyond = [Linear(stiffness, -stiffness * limit) for limit in (lower, upper)]
-    spring = Piecewise([lower, upper], [beyond[0], Constant(0.0), beyond[1]])
-    return TorsionalSpring((groups.heads[edge.parent], edge.child), axis, spring=spring)
+    beyond = [Linear(resisting, -resisting * limit) for limit in (lower, upper)]
+    return TorsionalSpring(bodies, axis, spring=Piecewise([lower, upper], [beyond[0], Constant(0.0), beyond[1]]))
 
 
 def _coupler(

@@ -106,7 +106,9 @@ def load_urdf(
             _mimic.
         stops: how stiff joints are beyond their limits: `{"turning": 500.0, "sliding": 1e5}` [N m/rad, N/m]; a joint's
             own name stands before both, and None leaves its stops out. They are elastic, a `TorsionalSpring` or a
-            `BumpStop` with the joint's name and _stop; limits may be any number of turns away.
+            `BumpStop` with the joint's name and _stop; limits may be any number of turns away. In the place of a
+            stiffness, `{"stiffness": 500.0, "restitution": 0.5}`, or a damping and an onset, are arguments of
+            `TorsionalStop` and `BumpStop`, of stops that lose energy.
         base_position: of the base link's origin [m], shape (3,).
         base_quaternion: of the base link, scalar first, or any form that `Body` takes.
         base_velocity: of the base link's origin, of a free base [m/s], shape (3,).
