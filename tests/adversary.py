@@ -326,7 +326,8 @@ def _speed_of(run, **_):
 
 
 def _pulse(random):
-    width = _logarithmic(random, 1e-7, 1e-1)
+    """Down to 1/20,000 of the motion, the documented bound: a function is looked at between the stages that often."""
+    width = _logarithmic(random, 5e-5, 1e-1)
     return {"width": width, "at": float(random.uniform(0.05, 0.85))}
 
 

@@ -140,7 +140,7 @@ def test_a_run_is_the_same_bits_wherever_it_pauses(name, turns, monkeypatch):
     whole = made()
     n_calls = []
 
-    class Short(windows.Pace):
+    class Short(windows.WindowPace):
         @property
         def n_turns(self):
             n_calls.append(1)
@@ -163,14 +163,14 @@ def test_a_run_that_fails_between_pauses_fails_as_it_would(monkeypatch):
 
     whole = made()
     monkeypatch.setattr(windows, "FIRST_TURNS", 4)
-    monkeypatch.setattr(windows.Pace, "note", lambda *_: None)
+    monkeypatch.setattr(windows.WindowPace, "note", lambda *_: None)
     run = made()
     for found, expected in zip(jax.tree.leaves(run), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
 def test_calls_are_as_long_as_ctrl_c_may_wait():
-    pace = windows.Pace()
+    pace = windows.WindowPace()
     assert pace.n_turns == windows.FIRST_TURNS
     pace.note(1000, 5.0)  # it was compiled
     assert pace.n_turns == windows.FIRST_TURNS
@@ -196,7 +196,7 @@ def test_ctrl_c_stops_a_long_run_and_says_how_far_it_came(monkeypatch):
         if len(steps) == 3:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(windows.Pace, "note", noted)
+    monkeypatch.setattr(windows.WindowPace, "note", noted)
     with pytest.raises(KeyboardInterrupt) as stop:
         sj.simulate(scene, ts)
     assert steps == [windows.FIRST_TURNS] * 3

@@ -62,7 +62,7 @@ class Baumgarte(AbstractDriftControl):
         beta: feedback of the position violation [1/s].
 
     It does not pass singular positions, where the constraint equations lose rank: it feeds a violation back along a
-    direction that is about to vanish, and takes the energy of the motion. Such a run ends with `Status.AUDIT_FAILED`;
+    direction that is about to vanish, and takes the energy of the motion. Such a run ends with the status AUDIT_FAILED;
     `PostStabilization` passes.
 
     Zero switches the feedback off. Defaults from Table 3 of the paper. Violations decay within 1/alpha, so they settle

@@ -24,7 +24,7 @@ from spherejax.physics import forces, functions, joints, laws
 from spherejax.physics.bodies import Body
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.coupler import AbstractCoordinate
-from spherejax.physics.functions.base import AbstractFunction, UserFunction
+from spherejax.physics.functions.base import AbstractFunction, ConvertedFunction, UserFunction
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.curves import AbstractCurve
 from spherejax.physics.joints.joint import AbstractJoint
@@ -128,7 +128,9 @@ def _of_module(module: ModuleType, families: tuple[type, ...]) -> list[type]:
     return [
         cls
         for cls in own
-        if issubclass(cls, families) and not cls.__name__.startswith(("Abstract", "_")) and cls is not UserFunction
+        if issubclass(cls, families)
+        and not cls.__name__.startswith(("Abstract", "_"))
+        and cls not in (UserFunction, ConvertedFunction)
     ]
 
 

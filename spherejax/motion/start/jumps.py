@@ -11,7 +11,6 @@ what its derivatives at the ends say, until the interval is as short as the roun
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import System
 from spherejax.physics.functions.base import AbstractFunction
@@ -127,7 +127,7 @@ def _with_marks(function: AbstractFunction, grid: np.ndarray) -> np.ndarray:
     return np.concatenate([every, np.full(max(0, N_INTERVALS + 2 * MOST_MARKS - len(every)), grid[-1])])
 
 
-@eqx.filter_jit
+@bounded_jit
 def _jumps(function: AbstractFunction, grid: Float[Array, " n"]) -> Jumps:
     def value(t):
         return jnp.ravel(jnp.asarray(function(t), jnp.float64))

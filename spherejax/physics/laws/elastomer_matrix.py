@@ -42,7 +42,7 @@ class MatrixElastomer(AbstractElastomer):
 
     Limits: linear at e = 0 and theta = 0, where g = 1/12 and J = I; g = 1/pi**2 at pi, and grows without bound
     towards 2 pi, where a rotation vector has no direction. A run in which the joint is turned by more than three
-    quarters of a turn ends (`Status.AUDIT_FAILED`). For more: in a joint about an axis `HingeElastomer`, with a
+    quarters of a turn ends (status AUDIT_FAILED). For more: in a joint about an axis `HingeElastomer`, with a
     `TorsionalSpring` beside the joint where its torsion is elastic.
 
     Source: the general bushing of Ambrosio and Verissimo (2009), Multibody Syst. Dyn. 22:341-365, to which
