@@ -263,7 +263,8 @@ def _bent(values, effects, aside, lengths) -> float:
     missed = np.sqrt(np.sum(np.maximum(np.abs(even), np.abs(odd)) ** 2, axis=(1, 2)))[reached]
     deviation = np.sqrt(np.sum(effects**2, axis=(1, 2)))[reached]
     # Where derivatives vanish and the motion bends all the same (a best point), the first order misses everything.
-    rounding = NOTHING * np.abs(values[reached]).max(initial=1e-300)
+    # The least is a normal number also behind the product: threads of XLA flush smaller ones to zero.
+    rounding = NOTHING * np.abs(values[reached]).max(initial=1e-200)
     return float(missed.max(initial=0.0) / max(deviation.max(initial=0.0), rounding))
 
 
