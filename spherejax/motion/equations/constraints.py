@@ -304,9 +304,11 @@ def solve_augmented(
 
         _, held_along = jax.jvp(held, primals[:3], tangents[:3])
         _, taken_along = jax.jvp(taken, primals[:1], tangents[:1])
-        *slopes, pressed_along = balanced(jacobians, masses, held_along, desired_along - taken_along)
+        accelerations_along, multipliers_along, pressed_along = balanced(
+            jacobians, masses, held_along, desired_along - taken_along
+        )
         _, turned_along = jax.jvp(pressing, primals[:1], tangents[:1])
-        return found, (*slopes, pressed_along + turned_along)
+        return found, (accelerations_along, multipliers_along, pressed_along + turned_along)
 
     with_rule = jax.custom_jvp(solution)
     with_rule.defjvp(along)
