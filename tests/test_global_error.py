@@ -265,6 +265,22 @@ def test_the_command_takes_an_accuracy(capsys):
     assert "a length" in capsys.readouterr().err
 
 
+def test_a_scene_file_takes_an_accuracy(tmp_path, capsys):
+    from spherejax.cli import main
+
+    settings = sj.SimulationSettings(t1=1.0, samples=11, rtol=1e-5, accuracy={"position.rod": "1 nm"})
+    path = sj.save_scene(sj.gallery.physical_pendulum(sj.Bushing(1e5, 1e-2)), tmp_path / "rod.toml", settings=settings)
+    assert main(["run", str(path)]) == 0
+    told = capsys.readouterr().out
+    assert "position.rod" in told
+    assert "of 1.0e-09 m" in told
+    # What the command says goes before what the file says, and the work of a joint is integrated for its accuracy.
+    assert main(["run", str(path), "--accuracy", "absorbed_work.pivot=1 uJ"]) == 0
+    told = capsys.readouterr().out
+    assert "absorbed_work.pivot" in told
+    assert "position.rod" not in told
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("label", list(bench.CASES))
 def test_estimates_on_ten_scenes_against_references_at_1e_13(label):

@@ -216,6 +216,29 @@ def test_a_text_is_read_as_it_looks_or_not_at_all():
         ('solver = "dopri8"', 'solver = "dopri9"', ":41: simulation.solver: 'dopri9' is unknown; did you mean 'dopri"),
         ("rtol = 1e-6", "rtol = 10", "scene.toml:40: simulation.rtol: 10.0 allows errors as large as the motion"),
         ("rtol = 1e-6", "atol = inf", "scene.toml:40: simulation.atol: inf must be positive"),
+        (
+            "rtol = 1e-6",
+            'accuracy = "1 N"',
+            "scene.toml:40: simulation.accuracy: '1 N' is a force [N], but a length [m]",
+        ),
+        ("rtol = 1e-6", "accuracy = -1", "scene.toml:40: simulation.accuracy: 'positions' = -1 must be a positive m"),
+        ("rtol = 1e-6", "accuracy = true", 'scene.toml:40: simulation.accuracy: True is no number; write e.g. "1 um"'),
+        ("rtol = 1e-6", "accuracy = {}", "scene.toml:40: simulation.accuracy: names no quantity; write"),
+        (
+            "rtol = 1e-6",
+            '[simulation.accuracy]\n"reaction.elbow" = "1 um"',
+            "scene.toml:41: simulation.accuracy.reaction.elbow: '1 um' is a length [m], but a force [N] is expected",
+        ),
+        (
+            "rtol = 1e-6",
+            "accuracy = { position.lowr = 1e-6 }",
+            "scene.toml:40: simulation.accuracy.position.lowr: 'position.lowr': 'position' belongs to a body; write",
+        ),
+        (
+            "rtol = 1e-6",
+            'accuracy = { position.lower = 1e-6, "position.lower" = 1e-6 }',
+            "scene.toml:40: simulation.accuracy.position.lower: 'position.lower' is named twice",
+        ),
         ("samples = 5", "max_steps = -1", "scene.toml:39: simulation.max_steps: -1 must be positive"),
         ("samples = 5", "samples = " + "9" * 400, "scene.toml:39: simulation.samples: 9999"),
         (

@@ -232,6 +232,27 @@ def test_what_is_written_names_units_and_keeps_title_studied_joint_and_settings(
     assert (file.title, file.studied, file.settings) == ("four", "coupler_rocker", settings)
 
 
+@pytest.mark.parametrize(
+    ("accuracy", "line"),
+    [
+        ("1 um", 'accuracy = "1 um"'),
+        (1e-6, "accuracy = 1e-06 # m"),
+        ({"position.rocker": "1 um", "reaction.coupler_rocker": 0.1}, 'accuracy = {"position.rocker" = "1 um",'),
+    ],
+)
+def test_the_accuracy_of_a_run_is_written_and_read(tmp_path, accuracy, line):
+    settings = sj.SimulationSettings(t1=0.5, solver="dopri8", accuracy=accuracy)
+    path = sj.save_scene(sj.gallery.four_bar(sj.Dry(1e-4)), tmp_path / "s.toml", settings=settings)
+    assert f"\n{line}" in path.read_text()
+    assert sj.read_scene_file(path).settings == settings
+
+
+def test_an_accuracy_that_cannot_be_is_not_written(tmp_path):
+    with pytest.raises(sj.SceneError, match=r"simulation.accuracy: '1 N' is a force \[N\]"):
+        sj.save_scene(sj.gallery.four_bar(), tmp_path / "s.toml", settings=sj.SimulationSettings(accuracy="1 N"))
+    assert not (tmp_path / "s.toml").exists()
+
+
 def test_a_stiffness_is_written_with_the_unit_of_its_exponent(tmp_path):
     scene = sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Hertz(stiffness=1e9, exponent=1.25)))
     path = sj.save_scene(scene, tmp_path / "s.toml")

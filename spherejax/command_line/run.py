@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,7 @@ def add_run(commands) -> None:
         "--accuracy", action="append", metavar="[QUANTITY=]ERROR",
         help='largest error of the whole run: "1 um" for the positions of all bodies, or of a quantity, '
         '"reaction.NAME=0.1 N"; may be repeated. The tolerance is made tighter, from --rtol on, until the estimated '
-        "errors are within it",
+        "errors are within it; in a file accuracy = \"1 um\" in [simulation]",
     )  # fmt: skip
     times.add_argument("--atol", type=real, help="absolute tolerance of a step, one number (default: by the scene)")
     times.add_argument("--max-steps", type=whole, metavar="N", help="give up beyond (default: 20000000)")
@@ -114,6 +115,7 @@ def run_scene(options: argparse.Namespace) -> int:
     scene = found.scene(options)
     if options.drift is not None:
         scene = changed_scene(scene, drift=DRIFT_CONTROLS[options.drift]())
+    options.accuracy = accuracy_from(options.accuracy)
     options = with_defaults(options, found.settings)
     ts = sample_times(options)
     for path in filter(None, (options.out, options.impacts)):
@@ -134,7 +136,8 @@ def run_scene(options: argparse.Namespace) -> int:
             atol=options.atol,
             max_steps=options.max_steps,
             solver=solver,
-            accuracy=accuracy_from(options.accuracy),
+            accuracy=options.accuracy,
+            track_work=_needs_work(options.accuracy, system),
         )
     jax.block_until_ready(run.ys)
     seconds = time.perf_counter() - start
@@ -191,6 +194,14 @@ def accuracy_from(texts: list[str] | None) -> dict[str, str | float] | None:
         except NumberError:
             found[name] = limit
     return found or None
+
+
+def _needs_work(accuracy: str | float | Mapping[str, str | float] | None, system: sj.System) -> bool:
+    """Whether the accuracy of a work is asked for, which only a run that integrates it has."""
+    from spherejax.motion.equations.quantities import quantity
+
+    names = accuracy if isinstance(accuracy, Mapping) else ()
+    return any(name != POSITIONS and quantity(name, system).needs_work() for name in names)
 
 
 def _joint_words(options: argparse.Namespace) -> str:

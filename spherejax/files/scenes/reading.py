@@ -10,7 +10,7 @@ from spherejax.files.fields.location import FilePlace, read_toml
 from spherejax.files.fields.objects import build, built, describe
 from spherejax.files.fields.quantities import Points, vector
 from spherejax.files.fields.rotations import read_rotation
-from spherejax.files.scenes.settings import SimulationSettings, read_settings
+from spherejax.files.scenes.settings import SimulationSettings, check_accuracy, read_settings
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene, check_scene
@@ -98,6 +98,7 @@ def read_scene_file(path: str | PathLike[str], *, allow_code: bool = False) -> S
         check_scene(scene)
     except SceneError as error:
         _named_in(str(error), tables, top).fail(str(error))
+    check_accuracy(settings.accuracy, scene, top / "simulation" / "accuracy")
     return SceneFile(scene, title, studied, settings)
 
 

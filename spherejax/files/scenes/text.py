@@ -64,7 +64,8 @@ def scene_text(file: SceneFile, folder: Path) -> str:
     if settings:
         table = tomlkit.table()
         for key, value in settings.items():
-            table.add(key, _item(value, SETTINGS[key].unit(context)))
+            is_length = key == "accuracy" and isinstance(value, float)
+            table.add(key, _item(value, "m" if is_length else SETTINGS[key].unit(context)))
         document.add("simulation", table)
     return tomlkit.dumps(document)
 
@@ -111,6 +112,9 @@ def _points(points: Mapping[str, Any], context: Context) -> Table:
 
 def _item(value: Any, unit: str | None) -> Any:
     item = tomlkit.item(value)
+    if isinstance(value, Mapping):  # in one line: keys behind a table of its own would be keys of that
+        item = tomlkit.inline_table()
+        item.update(value)
     if unit is not None and unit != PURE:
         item.comment(unit)
     return item
