@@ -24,11 +24,13 @@ from typing import Any as _Any
 
 import lazy_loader as _lazy_loader
 
-from spherejax import runtime
-from spherejax.foundations.kept.collecting import collecting_later as _collecting_later
+from spherejax import runtime, wiring
+from spherejax.program_cache.garbage import gc_paused as _gc_paused
+
+wiring.connect()
 
 if not runtime.is_command():
-    with _collecting_later():
+    with _gc_paused():
         runtime.set_up()
 
 # Names, and the modules that they come from, stand in `__init__.pyi`, which type checkers read as well. A module is
@@ -39,5 +41,5 @@ _loaded, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
 
 def __getattr__(name: str) -> _Any:
     # Loading makes objects that all stay; to look for garbage among them takes a sixth of the time.
-    with _collecting_later():
+    with _gc_paused():
         return _loaded(name)

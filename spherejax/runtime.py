@@ -107,7 +107,7 @@ LOOKED_AT_AGAIN_AFTER = 3600.0
 """How often the size of the folder is looked at [s], at the start of a process."""
 
 KEPT = "kept"
-"""Folder in the cache of what this package keeps itself; see `foundations.kept_on_disk`."""
+"""Folder in the cache of what this package keeps itself; see `program_cache.disk_cache`."""
 
 _kept: list[Path] = []
 

@@ -104,9 +104,9 @@ def let_go():
 
     import jax
 
-    from spherejax.foundations.kept.bounded_jit import BoundedJit
+    from spherejax.program_cache.jit import CachedJit
 
-    for programs in [each for each in gc.get_objects() if type(each) is BoundedJit]:
+    for programs in [each for each in gc.get_objects() if type(each) is CachedJit]:
         programs.clear()
     jax.clear_caches()
     gc.collect()

@@ -8,10 +8,15 @@ from pathlib import Path
 import pytest
 
 import spherejax
-from spherejax.foundations.kept import kept_on_disk
+from spherejax.program_cache import disk_cache
 
 PACKAGE = Path(spherejax.__file__).parent
-ORDER = ["foundations", "physics", "model", "gallery", "motion", "files", "output", "studies", "command_line", "top"]
+ORDER = [
+    "program_cache", "foundations", "physics", "model", "gallery", "motion", "files", "output", "studies",
+    "command_line", "top",
+]  # fmt: skip
+ALONE = ["program_cache"]
+"""Buildings that import nothing else of the package, so that they could be published alone."""
 ROOMS = ["equations", "start", "solvers", "integration", "derivatives", "results", "runs"]
 """Of `motion`, in the order of a run."""
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -76,6 +81,18 @@ def test_imports_go_down():
     assert [f"{path}: {name}" for path, name in of_ours if not goes_down(path, name)] == []
 
 
+@pytest.mark.parametrize("building", ALONE)
+def test_a_building_that_stands_alone_imports_nothing_else_of_the_package(building):
+    own = f"spherejax.{building}"
+    of_ours = [
+        (path, name)
+        for path in FILES
+        for name in imported(path)
+        if folder_of(path) == building and name.split(".")[0] == "spherejax"
+    ]
+    assert [f"{path}: {name}" for path, name in of_ours if name != own and not name.startswith(f"{own}.")] == []
+
+
 def between_rooms(folder: str, rooms: list[str]) -> list[str]:
     """Imports of a room of a folder by one before it."""
     found = []
@@ -107,8 +124,8 @@ def test_most_of_the_foundations_stands_in_rooms():
     assert sum(len(path.read_text().splitlines()) for path in loose) <= 1200
 
 
-def test_kept_programs_are_told_apart_by_all_files_of_the_package():
-    assert {path.resolve() for path in FILES} == set(kept_on_disk._sources())
+def test_cached_programs_are_told_apart_by_all_files_of_the_package():
+    assert {path.resolve() for path in FILES} == set(disk_cache._sources())
 
 
 def test_runtime_imports_nothing_of_the_package():

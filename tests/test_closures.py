@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.foundations.kept.fingerprints import own_parts, reaches_tracer
 from spherejax.model.system import flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.physics.functions.closures import closure_converted
+from spherejax.program_cache.fingerprints import own_parts, reaches_tracer
 
 TS = np.linspace(0.0, 0.5, 6)
 X = 0.7

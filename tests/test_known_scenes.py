@@ -18,7 +18,7 @@ from spherejax.model.system import compile_scene, with_laws_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.runs import known_scenes
 from spherejax.motion.runs import simulate as simulating
-from spherejax.motion.runs.known_scenes import prepared, values_of
+from spherejax.motion.runs.known_scenes import prepared, value_key
 
 TS = jnp.array([0.0, 0.1, 0.2])
 make = simulating._call
@@ -203,7 +203,7 @@ def test_parts_that_are_equal_are_looked_at_once(monkeypatch):
     assert float(second.joints["coupler_rocker"].model.law.stiffness) == 2e6
     again = compiled(1e6)
     assert (len(looked), len(placed)) == (n + 1, n + 1)
-    assert values_of(again) == values_of(first)
+    assert value_key(again) == value_key(first)
     assert float(compiled(1e6, mass=0.5).bodies["crank"].mass) == 0.5
     assert len(placed) == 2 * n + 1  # between other bodies
     assert len(looked) == n + 1
@@ -222,14 +222,14 @@ def test_what_is_written_into_a_part_changes_no_other_scene():
 
     end = place()
     first, second = system(end), system(place())
-    before = values_of(first)
-    assert values_of(second) == before
+    before = value_key(first)
+    assert value_key(second) == before
     end[:] = 0.0
     for each in (first, second):
         each.joints["hinge"].ball_place[:] = 7.0
         each.bodies["rod"].inertia[:] = 7.0
-    assert values_of(system(place())) == before
-    assert values_of(system(end)) != before
+    assert value_key(system(place())) == before
+    assert value_key(system(end)) != before
 
 
 def test_a_part_in_the_wrong_place_is_refused_where_it_is_right_elsewhere():
@@ -308,11 +308,11 @@ def test_threads_share_them(counted):
 
 
 def test_what_cannot_be_compared_is_not_remembered():
-    assert values_of({"a": object()}) is None
-    assert values_of({"a": np.array([None])}) is None
-    assert values_of({"a": 1.0}) != values_of({"a": 1}) != values_of({"a": True})
-    assert values_of({"a": np.nan}) == values_of({"a": np.nan})
-    assert values_of({"a": 0.0}) != values_of({"a": -0.0})
+    assert value_key({"a": object()}) is None
+    assert value_key({"a": np.array([None])}) is None
+    assert value_key({"a": 1.0}) != value_key({"a": 1}) != value_key({"a": True})
+    assert value_key({"a": np.nan}) == value_key({"a": np.nan})
+    assert value_key({"a": 0.0}) != value_key({"a": -0.0})
 
 
 def test_another_law_of_impact_needs_no_other_program():

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.foundations.kept import fingerprints
-from spherejax.foundations.kept.fingerprints import (
+from spherejax.program_cache import fingerprints
+from spherejax.program_cache.fingerprints import (
     code_fingerprint,
     is_installed,
     known_fingerprint,
@@ -34,10 +34,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import spherejax as sj
-from spherejax.foundations.kept import kept_on_disk
+from spherejax.program_cache import disk_cache
 from spherejax.motion.equations.dynamics import state_rate
 print(jax.__file__)
-print(kept_on_disk.key_for(state_rate, jax.lax.scan, jax.vmap, diffrax.Dopri8()) is not None)
+print(disk_cache.key_for(state_rate, jax.lax.scan, jax.vmap, diffrax.Dopri8()) is not None)
 {run}
 """
 

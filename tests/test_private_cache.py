@@ -10,7 +10,7 @@ import warnings
 import pytest
 
 from spherejax import runtime
-from spherejax.foundations.kept import kept_on_disk
+from spherejax.program_cache import disk_cache
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners here")
 NOBODY = 65534
@@ -82,22 +82,22 @@ def test_a_folder_that_is_made_is_private_whatever_the_umask(cache, umask):
     before = os.umask(umask)
     try:
         assert configured(cache / "deep") == ""
-        kept_on_disk.save("key", 1)
+        disk_cache.save("key", 1)
     finally:
         os.umask(before)
     for folder in (cache, cache / "deep", compiled(cache / "deep"), cache / "deep" / "kept"):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert configured(cache / "deep") == ""
-    assert kept_on_disk.load("key") == 1
+    assert disk_cache.load("key") == 1
 
 
 @pytest.mark.parametrize("place", ["", "compiled", "kept", "above"])
 def test_a_folder_that_others_may_write_is_done_without(cache, place):
     assert configured(cache / "in") == ""
-    kept_on_disk.save("key", 1)
+    disk_cache.save("key", 1)
     cache.chmod(0o755)
     assert configured(cache / "in") == ""
-    kept_on_disk.save("key", 1)
+    disk_cache.save("key", 1)
     folder = {"": cache / "in", "compiled": compiled(cache / "in"), "kept": cache / "in" / "kept", "above": cache}[
         place
     ]
@@ -106,7 +106,7 @@ def test_a_folder_that_others_may_write_is_done_without(cache, place):
     assert f"others may write to {str(folder)!r}" in words
     assert "Delete the folder" in words
     assert "\n" not in words
-    assert kept_on_disk.load("key") is None
+    assert disk_cache.load("key") is None
     folder.chmod(0o700)
     assert configured(cache / "in") == ""
 
@@ -120,7 +120,7 @@ def test_a_sticky_folder_above_will_do(cache):
 @pytest.mark.parametrize("place", ["", "compiled", "kept", "above"])
 def test_a_folder_of_somebody_else_is_done_without(cache, place):
     assert configured(cache / "in") == ""
-    kept_on_disk.save("key", 1)
+    disk_cache.save("key", 1)
     folder = {"": cache / "in", "compiled": compiled(cache / "in"), "kept": cache / "in" / "kept", "above": cache}[
         place
     ]
@@ -203,24 +203,24 @@ def test_an_entry_of_jax_that_somebody_else_could_have_written_is_not_executed(c
 
 def test_files_that_others_may_write_are_not_opened(cache):
     assert configured(cache) == ""
-    kept_on_disk.save("key", "kept")
+    disk_cache.save("key", "kept")
     for mode in (0o606, 0o660):
         (cache / "kept" / "key").chmod(mode)
-        assert kept_on_disk.load("key") is None
-    kept_on_disk.save("key", "anew")
-    assert kept_on_disk.load("key") == "anew"
+        assert disk_cache.load("key") is None
+    disk_cache.save("key", "anew")
+    assert disk_cache.load("key") == "anew"
 
 
 def test_a_file_that_was_copied_over_another_is_not_loaded(cache):
     """It has its content whole, under the name of something else."""
     assert configured(cache) == ""
-    kept_on_disk.save("one", 1)
-    kept_on_disk.save("other", 2)
+    disk_cache.save("one", 1)
+    disk_cache.save("other", 2)
     shutil.copy(cache / "kept" / "one", cache / "kept" / "other")
-    assert kept_on_disk.load("one") == 1
-    assert kept_on_disk.load("other") is None
-    kept_on_disk.save("other", 2)
-    assert kept_on_disk.load("other") == 2
+    assert disk_cache.load("one") == 1
+    assert disk_cache.load("other") is None
+    disk_cache.save("other", 2)
+    assert disk_cache.load("other") == 2
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spherejax.foundations.kept.fingerprints import program_fingerprint
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.scalar import straight_line
 from spherejax.foundations.scalar.scalarize import scalarize
+from spherejax.program_cache.fingerprints import program_fingerprint
 
 
 @pytest.fixture(autouse=True, params=["by XLA", "machine code"])

@@ -13,8 +13,8 @@ import pytest
 
 import spherejax as sj
 from spherejax.foundations import terminals
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.terminals import waiting_for
+from spherejax.program_cache.jit import cached_jit
 
 RUN = """
 import jax.numpy as jnp
@@ -76,12 +76,12 @@ def test_the_wait_is_over_when_it_is_compiled(capsys):
         time.sleep(0.2)
         return jnp.sin(x)
 
-    program = bounded_jit(slow_to_trace, what="a sine")
+    program = cached_jit(slow_to_trace, what="a sine")
     with waiting_for("all of it", "another program"):
         program(jnp.asarray(1.0))
         assert "compiled" not in capsys.readouterr().err
     assert capsys.readouterr().err.startswith("spherejax: compiled all of it in ")
-    program = bounded_jit(slow_to_trace, what="a sine")
+    program = cached_jit(slow_to_trace, what="a sine")
     program(jnp.asarray(1.0))
     first, last = capsys.readouterr().err.splitlines()
     assert first == "spherejax: compiling a sine; once for each kind of scene ..."
@@ -98,7 +98,7 @@ def test_a_long_run_is_not_taken_for_compiling(capsys):
         jax.debug.callback(lambda: (time.sleep(0.2), told.append(capsys.readouterr().err)))
         return x
 
-    bounded_jit(run, what="a run")(jnp.asarray(1.0))
+    cached_jit(run, what="a run")(jnp.asarray(1.0))
     jax.effects_barrier()
     assert told == [""] or told[0].splitlines()[-1].startswith("spherejax: compiled a run in ")
     assert "compil" not in capsys.readouterr().err
@@ -111,7 +111,7 @@ def test_what_fails_is_not_said_to_be_compiled(capsys):
         raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        bounded_jit(fails)(jnp.asarray(1.0))
+        cached_jit(fails)(jnp.asarray(1.0))
     assert capsys.readouterr().err == "spherejax: compiling fails; once for each kind of scene ...\n"
     time.sleep(0.1)
     assert capsys.readouterr().err == ""

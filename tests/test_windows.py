@@ -16,16 +16,16 @@ from cases import FOUR_BAR_MODELS
 from controlling import sampled_motor
 
 import spherejax as sj
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import in_blocks, joined_rows
 from spherejax.motion.integration import one_run
 from spherejax.motion.integration.lanes import windows
 from spherejax.motion.integration.one_run import gone_on_with, integrated, started
+from spherejax.motion.integration.row_blocks import in_blocks, joined_rows
 from spherejax.motion.results import observed as observing
 from spherejax.motion.results.observed import looked_up_at, observed
 from spherejax.motion.results.steps import COMPARED, _compared
 from spherejax.motion.results.steps import _repeated as repeated
 from spherejax.motion.runs import known_scenes
+from spherejax.program_cache.jit import cached_jit
 
 PROGRAMS = (started, gone_on_with, integrated, observed, looked_up_at)
 
@@ -342,7 +342,7 @@ def test_a_part_is_let_go_before_the_next_one_is_made():
 def test_functions_are_evaluated_in_blocks(n):
     asked = []
 
-    @bounded_jit
+    @cached_jit
     def scaled(factor, x, y):
         asked.append(x.shape)
         return {"sum": x + y, "square": factor * jnp.square(x)}

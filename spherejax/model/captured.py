@@ -11,8 +11,8 @@ from contextlib import contextmanager
 import jax
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.fingerprints import own_parts, reaches_tracer
 from spherejax.model.scene import Scene
+from spherejax.program_cache.fingerprints import own_parts, reaches_tracer
 
 
 @contextmanager

@@ -12,12 +12,12 @@ import numpy as np
 from spherejax.foundations.checks import Requirement, called, enforce, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import mapping_of, misformed, of_form
-from spherejax.foundations.kept.by_value import remembered, values_of
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.joints.joint import AbstractJoint
+from spherejax.program_cache.values import lru_get, value_key
 
 
 class Scene(eqx.Module):
@@ -103,7 +103,7 @@ def check_scene(scene: Scene) -> list:
         found = enforce(f"{kind} {name!r}", called(part, "requirements"))
         conditions += found
         if not found and values is not None:
-            remembered(_right, _lock, N_PARTS, values, lambda: True)
+            lru_get(_right, _lock, N_PARTS, values, lambda: True)
     return conditions
 
 
@@ -119,7 +119,7 @@ class _Part(NamedTuple):
 def _parts(scene: Scene) -> Iterator[_Part]:
     for kind, parts in (("body", scene.bodies), ("joint", scene.joints), ("force", scene.forces)):
         for name, part in parts.items():
-            values = values_of(part)
+            values = value_key(part)
             yield _Part(kind, name, part, None if values is None else (kind, values))
 
 

@@ -17,8 +17,6 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import called, is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.by_value import own_arrays, remembered, values_of
-from spherejax.foundations.kept.own_code import own_code
 from spherejax.foundations.linear.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
@@ -37,6 +35,8 @@ from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.laws.normal import AbstractNormalLaw, by_factor
 from spherejax.physics.memory import MemoryEntry
 from spherejax.physics.state import Layout
+from spherejax.program_cache.user_code import user_code_fingerprint
+from spherejax.program_cache.values import lru_get, own_arrays, value_key
 
 
 class MemorySlot(NamedTuple):
@@ -287,7 +287,7 @@ def _placing(scene: Scene) -> Callable[[str, str, Any], Any]:
     Those that were placed before, between equal bodies, are not placed again: who changes one number of one joint and
     runs the scene anew need not wait for all the others.
     """
-    around = values_of((scene.bodies, scene.ground_points))
+    around = value_key((scene.bodies, scene.ground_points))
     drawn = cache(lambda: {name: _known("drawn", each, (), _in_reference) for name, each in scene.bodies.items()})
     find = partial(called, scene, "find")
 
@@ -312,11 +312,11 @@ def _known(what: str, part: Any, around: Hashable | None, make: Callable[[Any], 
     None in place of these: they cannot be compared. What is handed out has arrays of its own, in which a user may write
     as in those of the scene.
     """
-    values = values_of(part)
+    values = value_key(part)
     if values is None or around is None:
         return make(part)
     key = what, values, around
-    return own_arrays(remembered(_parts, _lock, N_PARTS, key, lambda: own_arrays(make(part))))
+    return own_arrays(lru_get(_parts, _lock, N_PARTS, key, lambda: own_arrays(make(part))))
 
 
 _parts: OrderedDict[Hashable, Any] = OrderedDict()
@@ -425,7 +425,7 @@ def flatten_system(system: System):
         else:
             parts += some
             start += sum(math.prod(np.shape(leaf)) for leaf in some)
-    structure = Structure(tree, shapes, tuple(special), own_code(tree))
+    structure = Structure(tree, shapes, tuple(special), user_code_fingerprint(tree))
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
     return structure, _end_to_end(parts)

@@ -92,7 +92,7 @@ def reported(place: FilePlace, what: str) -> Iterator[None]:
 
 def described_error(error: BaseException) -> str:
     """Kind and words of an error, behind the file and line of a user's code that raised it, where it is one."""
-    if isinstance(error.__cause__, SystemExit):  # as `bounded_jit` reports it
+    if isinstance(error.__cause__, SystemExit):  # as `cached_jit` reports it
         error = error.__cause__
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     at = line_of(error)

@@ -26,8 +26,8 @@ import jax
 import jax.ffi
 
 from spherejax import runtime
-from spherejax.foundations.kept import kept_on_disk
 from spherejax.foundations.machine.text import FUNCTION, FunctionText
+from spherejax.program_cache import disk_cache
 
 KNOWN_JAXLIB = (0, 10), (0, 12)
 """First and last version (major, minor) of jaxlib that this has been tested with; with another one XLA compiles all."""
@@ -144,13 +144,13 @@ def target_of(text: str, *, is_wide: bool, is_optimised: bool, prefix: str = "sp
     name = prefix + hashlib.sha256(facts.encode()).hexdigest()[:32]
     with _lock:
         if name not in _loaded:
-            kept = kept_on_disk.load(name)
+            kept = disk_cache.load(name)
             if isinstance(kept, bytes):
                 with suppress(Exception):  # whatever is wrong with it: it is compiled anew
                     _load(name, kept)
         if name not in _loaded:
             content = _compiled(text.replace(f"@{FUNCTION}", f"@{name}"), is_wide, is_optimised)
-            kept_on_disk.save(name, content)
+            disk_cache.save(name, content)
             _load(name, content)
     return name
 

@@ -69,7 +69,7 @@ class StraightLine:
         counts = self.graph.count(self._flat, self.flat_given)
         return f"StraightLine({', '.join(f'{name} {n}' for name, n in sorted(counts.items()))})"
 
-    def told_by(self) -> tuple:
+    def __cache_key__(self) -> tuple:
         """What it computes, for fingerprints of programs."""
         graph, nodes = self.graph, self._with_slopes
         place = {node: at for at, node in enumerate(nodes)}

@@ -29,7 +29,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.derivatives.sensitivities import integrate_rows, start_of_rows
@@ -50,6 +49,7 @@ from spherejax.motion.integration.status import Status
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
 from spherejax.motion.solvers.traits import can_step_in_lanes, is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
+from spherejax.program_cache.jit import cached_jit
 
 FIRST_ROOM, MORE_ROOM = 4096, 16
 """Steps that there is room for at first, and the factor by which the room grows until it suffices."""
@@ -126,7 +126,7 @@ def _differentiable(solver: Any) -> diffrax.AbstractSolver:
     return solver if can_step_in_lanes(solver) else Ros34PW2()
 
 
-@bounded_jit(what="a run that keeps its steps")
+@cached_jit(what="a run that keeps its steps")
 def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal) -> KeptRun:
     rate = program_for(state_rate, plan.structure, plan.scalar)
     began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
@@ -194,7 +194,7 @@ def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray)
     return _Legs(filled(starts[state]), filled(t_next), filled(state), filled(sample), np.asarray(order.size))
 
 
-@bounded_jit(what="the gradient of a run")
+@cached_jit(what="the gradient of a run")
 def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
     step, event = _step_of(plan, solver, rate), _event_of(plan, rate)

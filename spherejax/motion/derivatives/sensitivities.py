@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -62,6 +61,7 @@ from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.start.assembly import Assembly
+from spherejax.program_cache.jit import cached_jit
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
@@ -183,7 +183,7 @@ NO_SECOND_BY_TIME = (
 )
 
 
-@bounded_jit(what="the rates at the samples")
+@cached_jit(what="the rates at the samples")
 def _rates_at(plan: Plan, theta: Float[Array, " p"], ts: Float[Array, " n"], ys: Float[Array, "n size"]) -> Array:
     """Time derivatives of the flat states at the samples; NaN where these are."""
     rate = program_for(state_rate, plan.structure, plan.scalar)
@@ -363,7 +363,7 @@ def _slopes_through_the_loop(
     return Slopes(jnp.concatenate([slopes.ys, by_time[..., None]], -1), assembly)
 
 
-@bounded_jit(what="the derivatives of a run")
+@cached_jit(what="the derivatives of a run")
 def _controlled_slopes(
     plan: Plan, options: Options, values: Float[Array, " p"], known, ts, start, values_are_legal, by_start: bool
 ) -> Slopes:

@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.foundations.scalar.graph import NotScalarizable, TooManyOperations
 from spherejax.foundations.scalar.scalarize import ScalarProgram, scalarize
 from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
 from spherejax.motion.equations.dynamics import state_rate
+from spherejax.program_cache import disk_cache
+from spherejax.program_cache.garbage import gc_paused
 
 
 class ArrayPathWarning(UserWarning):
@@ -82,7 +82,7 @@ class Program:
         except NotScalarizable as reason:
             if is_quiet:
                 return
-            kept_on_disk.note_warning()
+            disk_cache.note_warning()
             warnings.warn(
                 f"{function.__name__} runs as array code, which may be several times slower than a scalar program: "
                 f"{reason}. Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, "
@@ -171,7 +171,7 @@ def program_for(
 @lru_cache(maxsize=256)
 def made_program(*what) -> Program:
     """Behind `program_for`: to `lru_cache` an argument that is left out and its default are two programs."""
-    with collecting_later():
+    with gc_paused():
         return Program(*what)
 
 
@@ -186,14 +186,14 @@ def _scalar_program(
     of_numbers.__name__ = function.__name__
     fixed = {(0, index): value for index, value in structure.special}
     sizes = jax.tree.map(lambda x: x.shape, state)
-    key = kept_on_disk.key_for("scalar program", function, structure, sizes, n_ahead, limit, is_computed)
-    program = kept_on_disk.load(key)
+    key = disk_cache.key_for("scalar program", function, structure, sizes, n_ahead, limit, is_computed)
+    program = disk_cache.load(key)
     if not isinstance(program, ScalarProgram):  # nothing, or nothing of ours
         program = scalarize(
             of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit,
             has_slopes=not is_computed,
         )  # fmt: skip
-        kept_on_disk.save(key, program)
+        disk_cache.save(key, program)
     return program
 
 

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.machine.few_kernels import in_few_kernels
@@ -45,6 +44,7 @@ from spherejax.motion.solvers.landing import (
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit, n_stages_of_end
 from spherejax.motion.solvers.wrapping import StepBudget
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
+from spherejax.program_cache.jit import cached_jit
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Outcome(eqx.Module):
     assembly: Assembly
 
 
-@bounded_jit(what="a run", options=options_for_stiff)
+@cached_jit(what="a run", options=options_for_stiff)
 def integrate(
     plan: Plan,
     options: Options,

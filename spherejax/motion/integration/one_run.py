@@ -18,9 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import as_numbers, placed_rows
-from spherejax.foundations.kept.kept_on_disk import is_debugging
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
@@ -40,11 +37,14 @@ from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.lanes.operation import runs
 from spherejax.motion.integration.lanes.windows import Paused, WindowPace, WindowProgress, begun, gone_on, window_at
+from spherejax.motion.integration.row_blocks import as_numbers, placed_rows
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import controller_for
+from spherejax.program_cache.disk_cache import is_debugging
+from spherejax.program_cache.jit import cached_jit
 
 
 def can_be_a_job(structure: Structure, options: Options) -> bool:
@@ -271,7 +271,7 @@ class _Request(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
 
 
-@bounded_jit(what="a run", many="runs in lanes", options=options_for)
+@cached_jit(what="a run", many="runs in lanes", options=options_for)
 def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
     """As `integrate`, in a lane.
 
@@ -290,7 +290,7 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
     return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
 
 
-@bounded_jit(what="the start of a run", options=SOON)
+@cached_jit(what="the start of a run", options=SOON)
 def started(plan: Plan, request: _Request, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
     """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
     job = request.job(plan, values, known, ends, start, values_are_legal)
@@ -298,7 +298,7 @@ def started(plan: Plan, request: _Request, values, known, ends, start, values_ar
     return run, job.assembly
 
 
-@bounded_jit(what="a run", options=options_for)
+@cached_jit(what="a run", options=options_for)
 def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, window, n_turns) -> tuple:
     """Samples of the next window, what else an `Outcome` says at its end but for the assembly, the run's vectors, and
     the numbers of a `WindowProgress`.
@@ -315,7 +315,7 @@ def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, windo
     return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors, progress
 
 
-@bounded_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)
+@cached_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)
 def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal, by_start: bool):
     n = values.shape[0]
 

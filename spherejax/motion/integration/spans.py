@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -30,6 +29,7 @@ from spherejax.motion.solvers.landing import ContactFunctions
 from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 from spherejax.physics.joints.base import Crossing
+from spherejax.program_cache.jit import cached_jit
 
 
 class Span(NamedTuple):
@@ -181,7 +181,7 @@ class Jobs(NamedTuple):
     is_wanted: Numeric
 
 
-@bounded_jit(what="cycles in lanes")
+@cached_jit(what="cycles in lanes")
 def over_spans(
     kind: SpanKind, arrays: Any, tolerances: Any, budget: Any, jobs: Jobs, shares: Float[Array, " n"]
 ) -> LaneOutcome:

@@ -10,13 +10,13 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import as_numbers, in_blocks
 from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.numerics import safe_norm
 from spherejax.motion.equations.observables import Observation, looked_up, observe
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.row_blocks import as_numbers, in_blocks
 from spherejax.physics.state import Layout, State, unpack
+from spherejax.program_cache.jit import cached_jit
 
 BLOCK = 1024
 """Samples that are evaluated in one call: one program for any number of them. One of a four-bar takes 0.4 us."""
@@ -68,13 +68,13 @@ def _is_one_run(given: Any, ys) -> bool:
     return all(map(is_concrete, jax.tree.leaves(given))) and ys.ndim == 2 and ys.shape[0] > 0
 
 
-@bounded_jit(what="what is looked up of a run")
+@cached_jit(what="what is looked up of a run")
 def looked_up_at(structure, theta, ys) -> dict[str, dict[str, Array]]:
     """As array code: what is looked up may search and loop, which scalar programs do not."""
     return jax.vmap(lambda y: looked_up(structure.system(theta), y))(ys)
 
 
-@bounded_jit(what="the quantities of a run")
+@cached_jit(what="the quantities of a run")
 def observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe all samples in one call of machine code; or else one after the other, in a loop that writes rows."""
     program = program_for(observe, structure, use_scalars)

@@ -15,8 +15,6 @@ import numpy as np
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.joined_rows import in_blocks
 from spherejax.model.system import Structure, System, flatten_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -24,11 +22,13 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.integrate import Parameters
 from spherejax.motion.integration.jobs import JobKind, RunNumbers, audit_limits
 from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
+from spherejax.motion.integration.row_blocks import in_blocks
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.tolerances import component_tolerances
 from spherejax.physics.state import unpack
+from spherejax.program_cache.jit import cached_jit
 
 NODES, WEIGHTS = (np.asarray(each) for each in np.polynomial.legendre.leggauss(4))
 SHARES = tuple(float(x) for x in (NODES + 1) / 2)
@@ -128,7 +128,7 @@ def steps_of(
     return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1])
 
 
-@bounded_jit(what="the steps of a run")
+@cached_jit(what="the steps of a run")
 def _repeated(
     kind: JobKind, capacity: int, arrays, tolerances, budget, theta, limits, y0, ts
 ) -> tuple[LaneOutcome, StepLog]:
@@ -216,7 +216,7 @@ def seen_at(system: System, function, ts: np.ndarray, ys: np.ndarray, scalar: bo
     return jax.tree.map(np.asarray, found)
 
 
-@bounded_jit(what="what is seen at the steps of a run")
+@cached_jit(what="what is seen at the steps of a run")
 def _seen(structure: Structure, function, scalar: bool | None, theta, ts, ys):
     system = structure.system(theta)
     return jax.lax.map(lambda sample: function(system, *sample), (ts, ys), batch_size=64)

@@ -15,19 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.fingerprints import (
-    Traced,
-    combined,
-    known_fingerprint,
-    program_fingerprint,
-    value_fingerprint,
-)
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.contacts import crossings, memory_after_step
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.start.assembly import as_ideal, assembly_residuals
+from spherejax.program_cache.fingerprints import (
+    Traced,
+    combined,
+    known_fingerprint,
+    program_fingerprint,
+    value_fingerprint,
+)
 
 Build = Callable[..., Scene]
 """Makes a scene from the parameters of one run."""
@@ -54,7 +54,7 @@ class Known:
         """What the function answers."""
         return self.function(*arguments, **named)
 
-    def told_by(self) -> Any:
+    def __cache_key__(self) -> Any:
         """What `fingerprints` takes for the function."""
         return self.fingerprint if self.itself is None and self.is_all else self.function
 

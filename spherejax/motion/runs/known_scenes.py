@@ -17,7 +17,6 @@ import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.kept.by_value import own, own_arrays, remembered, values_of
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system, with_laws_by_factor
@@ -26,6 +25,7 @@ from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+from spherejax.program_cache.values import lru_get, own, own_arrays, value_key
 
 N_SCENES = 64
 """Scenes that are remembered; those not used for longest are let go."""
@@ -110,8 +110,8 @@ class PreparedScene:
         return self._once("jumps", (ts,), lambda: jump_conditions(self._seen, ts))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
-        key = None if self.unknown else values_of(numbers)
-        return make() if key is None else remembered(self._answers, self._lock, N_ANSWERS, (what, key), make)
+        key = None if self.unknown else value_key(numbers)
+        return make() if key is None else lru_get(self._answers, self._lock, N_ANSWERS, (what, key), make)
 
 
 def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
@@ -120,10 +120,10 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
     Raises:
         SceneError: for a scene that cannot be simulated.
     """
-    key = values_of(scene)
+    key = value_key(scene)
     if key is None:
         return PreparedScene(scene, track_work, scalar)
-    return remembered(
+    return lru_get(
         _scenes, _lock, N_SCENES, (key, track_work, scalar), lambda: PreparedScene(scene, track_work, scalar)
     )
 
@@ -136,8 +136,8 @@ def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], An
     """
     if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return make()
-    key = values_of((scene, ts, options))
-    return make() if key is None else remembered(_calls, _lock, N_CALLS, key, make)
+    key = value_key((scene, ts, options))
+    return make() if key is None else lru_get(_calls, _lock, N_CALLS, key, make)
 
 
 class _Mark:

@@ -18,8 +18,6 @@ from spherejax.foundations.behind_tracers import LOOKS, place_of
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.own_code import looked_at_once
 from spherejax.foundations.types import Numeric
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
@@ -38,6 +36,8 @@ from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
 from spherejax.motion.solvers.automatic import stiffest
 from spherejax.motion.start.start_now import StartWarning, changed_starts
+from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache.user_code import looked_at_once
 from spherejax.runtime import require_float64
 
 NO_DERIVATIVE_OF_MANY = (
@@ -224,7 +224,7 @@ def with_sensitivities(
     return method._replace(by=by, derivative_rtol=None if derivative_rtol is None else float(derivative_rtol))
 
 
-@bounded_jit(what="runs in lanes")
+@cached_jit(what="runs in lanes")
 def many(build: Build, method: LaneMethod, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     scenes: list[Scene] = []

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete, is_tracing, shown
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
-from spherejax.foundations.kept.own_code import looked_at_once
 from spherejax.foundations.lanes import rows_at
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
@@ -39,6 +38,7 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import controller_for, tolerances_of
+from spherejax.program_cache.user_code import looked_at_once
 from spherejax.runtime import require_float64
 
 SMALLEST_TOLERANCE = 1e-14

@@ -18,10 +18,10 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import System
 from spherejax.physics.functions.base import AbstractFunction
+from spherejax.program_cache.jit import cached_jit
 
 N_INTERVALS = 4096
 """Intervals of a run that are bisected; two jumps within one, a pulse, may pass as none."""
@@ -127,7 +127,7 @@ def _with_marks(function: AbstractFunction, grid: np.ndarray) -> np.ndarray:
     return np.concatenate([every, np.full(max(0, N_INTERVALS + 2 * MOST_MARKS - len(every)), grid[-1])])
 
 
-@bounded_jit
+@cached_jit
 def _jumps(function: AbstractFunction, grid: Float[Array, " n"]) -> Jumps:
     def value(t):
         return jnp.ravel(jnp.asarray(function(t), jnp.float64))

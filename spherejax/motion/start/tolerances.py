@@ -17,9 +17,9 @@ import optimistix
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.model.system import Structure, System, example_of
+from spherejax.program_cache.jit import cached_jit
 
 ABSOLUTE_SHARE = 1e-2
 """Absolute tolerance of a component as a share of the relative one times its scale."""
@@ -141,7 +141,7 @@ def _numbers(system: System, rtol: Number) -> _Numbers:
     return _Numbers(rtol, fine, length, speed, rtol * relative, ABSOLUTE_SHARE * rtol * scales)
 
 
-@bounded_jit(what="tolerances")
+@cached_jit(what="tolerances")
 def _traced_numbers(system: System, rtol) -> _Numbers:
     """The same of numbers that are traced, as one program: under `jax.vmap` each operation would be one, fifty in all,
     which took a tenth of the first call of many runs."""

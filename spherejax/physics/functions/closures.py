@@ -8,7 +8,7 @@ scene. To call the function, the placeholders are replaced by the present values
 
 Tracers are searched for in closures, default arguments, attributes of functions and objects, arguments of
 `functools.partial`, containers, and whatever these refer to. They are not searched for in global variables, modules
-and classes, which belong to the whole process: `foundations.kept.fingerprints.traced_parts` reports those.
+and classes, which belong to the whole process: `program_cache.fingerprints.traced_parts` reports those.
 
 Only tracers are converted. A concrete value may decide a branch (`if n > 2:`) and stays part of the structure.
 """
@@ -64,7 +64,7 @@ class Template:
         """
         return _replaced(self._frame, lambda one: isinstance(one, Placeholder), lambda one: _restored(one, values))
 
-    def told_by(self) -> Any:
+    def __cache_key__(self) -> Any:
         """What `fingerprints` takes for it."""
         return self._frame
 

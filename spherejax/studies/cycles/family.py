@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
@@ -25,6 +24,7 @@ from spherejax.motion.integration.spans import Jobs, SpanKind, over_spans
 from spherejax.motion.runs.known_builds import built, known_build
 from spherejax.motion.runs.simulate import check_tolerances, choice_for, tolerances_of
 from spherejax.motion.solvers.traits import can_step_in_lanes
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.linear.tangent import Geometry, held, held_along, masses, size_of
 
 N_CLOSING = 4
@@ -151,7 +151,7 @@ class Looked(NamedTuple):
     rate: Any
 
 
-@bounded_jit(what="the constraints of a cycle")
+@cached_jit(what="the constraints of a cycle")
 def _looked_at(structure: Structure, scalar: bool | None, theta, t, y) -> Looked:
     layout = structure.system(theta[0]).layout
     size = size_of(layout)
@@ -171,7 +171,7 @@ def _looked_at(structure: Structure, scalar: bool | None, theta, t, y) -> Looked
     return jax.lax.map(of_one, (theta, t, y))
 
 
-@bounded_jit(what="how the constraints of a cycle change")
+@cached_jit(what="how the constraints of a cycle change")
 def _held_slope(structure: Structure, scalar: bool | None, theta, t, y, slope):
     here = program_for(held, structure, scalar, is_quiet=True)
     return jax.jvp(lambda theta: here(theta, t, y), (theta,), (slope,))[1]
@@ -192,11 +192,11 @@ def _theta_of(build, parameters):
     return jnp.where(legal, jnp.asarray(theta), jnp.nan)
 
 
-@bounded_jit(what="the numbers of a scene")
+@cached_jit(what="the numbers of a scene")
 def _numbers_of(build, parameters):
     return jax.vmap(partial(_theta_of, build))(parameters)
 
 
-@bounded_jit(what="how the numbers of a scene change")
+@cached_jit(what="how the numbers of a scene change")
 def _numbers_along(build, parameters, along):
     return jax.vmap(lambda p, dp: jax.jvp(partial(_theta_of, build), (p,), (dp,))[1])(parameters, along)

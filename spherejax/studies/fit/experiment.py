@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
@@ -35,6 +34,7 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.motion.start.tolerances import controller_for
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
 from spherejax.studies.fit.parameters import FitUnknowns
@@ -333,15 +333,15 @@ def _run_of(frame: Frame, setting: Setting, values, ys, assembly) -> Trajectory:
     )
 
 
-_predicted_with_slopes = bounded_jit(_with_slopes, what="the predictions of a fit")
+_predicted_with_slopes = cached_jit(_with_slopes, what="the predictions of a fit")
 
 
-@bounded_jit(what="the predictions of a fit")
+@cached_jit(what="the predictions of a fit")
 def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     return jax.vmap(lambda each: _with_slopes(frame, setting, each))(numbers)
 
 
-@bounded_jit(what="a prediction of a fit")
+@cached_jit(what="a prediction of a fit")
 def _predicted_alone(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     outcome: Outcome = run_of(
         frame.plan, setting.options, numbers.values, setting.known, setting.ts, setting.start, numbers.are_legal
@@ -351,7 +351,7 @@ def _predicted_alone(frame: Frame, setting: Setting, numbers: TracedNumbers) -> 
     return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps)
 
 
-@bounded_jit(what="the gradient of a fit")
+@cached_jit(what="the gradient of a fit")
 def _cost_and_slopes(frame: Frame, setting: Setting, values, run: KeptRun, data, weights):
     """Half the sum of squares of a run, and its derivatives by the traced numbers and by the sampled states."""
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.body_motions import body_motions
@@ -17,6 +16,7 @@ from spherejax.motion.equations.projection import least_correction
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import VELOCITY_SIZE, pack, unpack
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.rig.bench import N_INPUTS, moved, with_inputs
 from spherejax.studies.rig.kinematics import Statics, statics_of
 
@@ -71,7 +71,7 @@ def rig_displaced(system: System, t: Scalar, numbers) -> Float[Array, " size"]:
     return pack(state._replace(position=position, quaternion=quaternion))
 
 
-@bounded_jit(what="balls at the wall")
+@cached_jit(what="balls at the wall")
 def depths(structure: Structure, names: tuple[str, ...], theta, forces):
     """How far balls with clearance lie off their sockets' centers under forces [m], and by how many clearances they are
     pressed in; two numbers for each joint."""

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
 from spherejax.motion.equations.programs import path_of
@@ -28,6 +27,7 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.motion.start.tolerances import controller_for
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
 
@@ -171,10 +171,10 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
     return RunWithSlopes(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
 
 
-_integrated = bounded_jit(integrate_along, what="a run and its derivatives")
+_integrated = cached_jit(integrate_along, what="a run and its derivatives")
 
 
-@bounded_jit(what="the derivatives of what is observed")
+@cached_jit(what="the derivatives of what is observed")
 def _observed(prepared: PreparedStudy, wanted: tuple[WantedObservables, ...], values, directions, ys, slopes):
     """What is observed, and its derivatives by the chain rule; their last axis are the parameters."""
 

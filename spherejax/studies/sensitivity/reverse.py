@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.motion.derivatives.adjoint import gradients, kept_run
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.sensitivity.forward import (
     PreparedStudy,
     RunMethod,
@@ -48,7 +48,7 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
     return RunWithSlopes(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
 
 
-@bounded_jit(what="the gradient of what is observed")
+@cached_jit(what="the gradient of what is observed")
 def _value_and_slopes(prepared: PreparedStudy, wanted: WantedObservables, values, ys):
     """The number, and its derivatives by the numbers of the system and by the sampled states."""
 

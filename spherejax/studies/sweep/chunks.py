@@ -18,12 +18,12 @@ from jaxtyping import Float
 
 from spherejax.files.fields.code import modules_in, run_again
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.known_builds import Build
 from spherejax.motion.runs.many import many
 from spherejax.motion.runs.one_of_many import LaneMethod
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.sweep.records import Record
 
 
@@ -130,7 +130,7 @@ def made(work: ChunkWork, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
     return work.record.of(runs), outcome
 
 
-_program = bounded_jit(made, what="the runs of a sweep")
+_program = cached_jit(made, what="the runs of a sweep")
 
 
 # In other processes ------------------------------------------------------------------------------------------------

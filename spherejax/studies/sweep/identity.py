@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.kept.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.known_builds import Known, built, known, numbers_fingerprint
 from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
+from spherejax.program_cache.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Kept, Record
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.laws.wear import WearContact, approach, foundation_depth, surface_sliding
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.wear.sphere import cell_width, corners, sampled
 
 SEARCH_RINGS, SEARCH_PASSES = 8, 2
@@ -190,14 +190,14 @@ def _rubbing(n: int, rings: int, wear: Maps, contact: WearContact, rise: Scalar,
 # All of them ----------------------------------------------------------------------------------------------------------
 
 
-@bounded_jit(what="the edges of patches")
+@cached_jit(what="the edges of patches")
 def _edges(n: int, is_worn: bool, wear: Maps, contacts: WearContact, joint: Joint):
     deepest = jnp.max(wear.socket) + jnp.max(wear.ball)
     passes = SEARCH_PASSES if is_worn else 0
     return jax.lax.map(lambda one: _edge(n, passes, wear, deepest, one, joint), contacts, batch_size=AT_ONCE)
 
 
-@bounded_jit(what="the wear of a run")
+@cached_jit(what="the wear of a run")
 def _shared_out(n: int, rings: int, work: Maps, wear: Maps, contacts: WearContact, durations, rises, joint: Joint):
     def some(work: Maps, chunk):
         contact, lasting, rise = chunk

@@ -18,12 +18,12 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.collecting import collecting_later
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes.engine import run_in_lanes
 from spherejax.motion.integration.lanes.lane import Block, LaneOutcome, LaneProblem
+from spherejax.program_cache import disk_cache
+from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache.jit import cached_jit
 
 ONE_AFTER_THE_OTHER = (
     "jax.vmap of runs whose sample times, max_steps or numbers of the solver differ: they are made one after the "
@@ -86,12 +86,12 @@ def runs(
 def _made(*operands: Array, form: _Form) -> tuple[Array, ...]:
     ts, *shared = operands[: form.n_shared]
     parameters, y0, may_run, status = jax.tree.unflatten(form.own, operands[form.n_shared :])
-    with collecting_later():  # JAX traces this while it lowers a caller's program
+    with gc_paused():  # JAX traces this while it lowers a caller's program
         problem = form.kind.problem(ts, jax.tree.unflatten(form.shared, shared))
         return tuple(run_in_lanes(problem, parameters, y0, ts, may_run, status, form.block))
 
 
-@bounded_jit(what="runs in lanes")
+@cached_jit(what="runs in lanes")
 def _made_now(form: _Form, operands: tuple[Array, ...]) -> tuple[Array, ...]:
     return _made(*operands, form=form)
 
@@ -124,7 +124,7 @@ def _batched(operands, dims, *, form: _Form):
     n = next(x.shape[dim] for x, dim in zip(operands, dims, strict=True) if dim is not None)
     front = [jnp.moveaxis(x, dim, 0) if mapped else x for x, dim, mapped in zip(operands, dims, is_mapped, strict=True)]
     if any(is_mapped[: form.n_shared]):
-        kept_on_disk.note_warning()
+        disk_cache.note_warning()
         warnings.warn(ONE_AFTER_THE_OTHER, SerialRunsWarning, stacklevel=2)
 
         def one(mapped):

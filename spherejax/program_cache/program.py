@@ -14,14 +14,10 @@ import jax
 import jax.monitoring
 from jax.experimental import serialize_executable
 
-from spherejax import runtime
-from spherejax.foundations.checks import exits_as_errors
-from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.collecting import collecting_later
-from spherejax.foundations.kept.of_jax import calls_python, make_lapack_known
-from spherejax.foundations.kept.one_operation import Operation
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.terminals import waiting_for
+from spherejax.program_cache import disk_cache, settings
+from spherejax.program_cache.call import Operation
+from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache.jaxprs import calls_python, make_lapack_known
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
 """Programs of one function that are kept: of a mechanism such as the four-bar about half a gigabyte.
@@ -80,7 +76,7 @@ class KeptProgram:
 
         def run(*leaves: Any) -> Any:
             positional, named = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
-            with exits_as_errors():
+            with settings.current().tracing():
                 arrays, static = eqx.partition(function(*positional, **named), eqx.is_array)
             found, found_tree = jax.tree.flatten(arrays)
             said.results = (found_tree, static)
@@ -97,10 +93,10 @@ class KeptProgram:
             return self._run(*leaves)
         if self.has_been_called:
             return self.program(*leaves)
-        with waiting_for(self._what[0], self.name):
+        with settings.current().compiling(self._what[0], self.name):
             program = self.program
             # JAX traces and compiles what is not kept at this call.
-            with collecting_later() if program is self.jitted else nullcontext():
+            with gc_paused() if program is self.jitted else nullcontext():
                 found = program(*leaves)
         self.has_been_called = True
         return found
@@ -141,7 +137,7 @@ class KeptProgram:
     @property
     def program(self) -> Any:
         """The program for numbers: loaded, or compiled and kept, at its first use."""
-        with self._lock, collecting_later():
+        with self._lock, gc_paused():
             if self._program is None:
                 self._program = self._loaded() or self._compiled()
         return self._program
@@ -152,7 +148,7 @@ class KeptProgram:
         program = self.program
         with self._lock:
             if self._program is self.jitted:
-                with collecting_later():
+                with gc_paused():
                     self._program = program.lower(*self.examples).compile()
             return self._program
 
@@ -171,7 +167,9 @@ class KeptProgram:
         return self._key_now()
 
     def _key_now(self) -> str | None:
-        return kept_on_disk.key_for(*self.made_from, runtime.kind_of_processor(), machine_code.is_available())
+        return disk_cache.key_for(
+            *self.made_from, settings.current().processor(), settings.extra_blobs().is_available()
+        )
 
     @property
     def examples(self) -> list:
@@ -181,7 +179,7 @@ class KeptProgram:
 
     def _loaded(self) -> Any:
         """The program that another process has left; None where there is none."""
-        found = kept_on_disk.load(self._key)
+        found = disk_cache.load(self._key)
         if found is None:
             return None
         try:
@@ -190,7 +188,7 @@ class KeptProgram:
                 make_lapack_known()
             # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
             trees = jax.tree.structure((tuple(self.examples), {})), jax.tree.structure(tuple(shapes))
-            machine_code.make_known(codes)
+            settings.extra_blobs().load(codes)
             program = serialize_executable.deserialize_and_load(content, *trees)
         except Exception:  # whatever is wrong with it: it is compiled anew
             return None
@@ -206,7 +204,7 @@ class KeptProgram:
         # Named by the key, so that JAX's own cache knows it only where our file of it has been lost. What JAX has
         # loaded from there cannot be written again: it would lack functions, and fail when it runs.
         for part in (self._key, uuid4().hex):
-            with kept_on_disk.listened() as has_warned, machine_code.listened() as lowered_codes:
+            with disk_cache.listened() as has_warned, settings.extra_blobs().record() as lowered_codes:
                 traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self.examples)
                 lowered = traced.lower()
             with found_by_jax() as found:
@@ -222,7 +220,7 @@ class KeptProgram:
     def _keep(self, program: Any, codes: dict[str, bytes], shapes: Any) -> None:
         with suppress(ValueError, NotImplementedError):  # JAX cannot write it
             content, *_ = serialize_executable.serialize(program)
-            kept_on_disk.save(self._key, (content, codes, jax.tree.leaves(shapes), self.static))
+            disk_cache.save(self._key, (content, codes, jax.tree.leaves(shapes), self.static))
 
     @property
     def static(self) -> Any:

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.collecting import collecting_later
+from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache.jit import cached_jit
 
 
 @pytest.fixture(autouse=True)
@@ -19,9 +19,9 @@ def collects():
 
 
 def test_collection_waits_and_goes_on():
-    with collecting_later():
+    with gc_paused():
         assert not gc.isenabled()
-        with collecting_later():
+        with gc_paused():
             assert not gc.isenabled()
         assert not gc.isenabled()
     assert gc.isenabled()
@@ -29,13 +29,13 @@ def test_collection_waits_and_goes_on():
 
 def test_what_is_switched_off_stays_off():
     gc.disable()
-    with collecting_later():
+    with gc_paused():
         pass
     assert not gc.isenabled()
 
 
 def test_an_error_does_not_leave_it_off():
-    with pytest.raises(ZeroDivisionError), collecting_later():
+    with pytest.raises(ZeroDivisionError), gc_paused():
         1 / 0  # noqa: B018
     assert gc.isenabled()
 
@@ -44,12 +44,12 @@ def test_threads_share_the_pause():
     inside, go = threading.Event(), threading.Event()
 
     def other():
-        with collecting_later():
+        with gc_paused():
             inside.set()
             assert go.wait(10)
 
     thread = threading.Thread(target=other)
-    with collecting_later():
+    with gc_paused():
         thread.start()
         assert inside.wait(10)
     assert not gc.isenabled()  # the other thread is still at it
@@ -61,7 +61,7 @@ def test_threads_share_the_pause():
 def test_programs_are_traced_and_compiled_without_it():
     seen = []
 
-    @bounded_jit
+    @cached_jit
     def doubled(x):
         seen.append(gc.isenabled())
         return 2 * x

@@ -2,7 +2,7 @@
 
 A user's function around `simulate` is traced and lowered in every process: nobody can tell what is in it. The runs in
 it are most of that, and they are known. So each is an operation of which only its results' shapes are needed while the
-user's function is traced; it is traced and lowered apart, once for all processes (see `kept_on_disk`), and the user's
+user's function is traced; it is traced and lowered apart, once for all processes (see `disk_cache`), and the user's
 program takes it in as a function that it calls. Then the program as a whole is the same as in the process before, and
 JAX finds what it has compiled of it.
 
@@ -24,10 +24,9 @@ from jax.extend.mlir import ir, passmanager
 from jax.extend.mlir.dialects import func
 from jax.interpreters import ad, batching, mlir
 
-from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.collecting import collecting_later
-from spherejax.foundations.kept.of_jax import calls_python, make_lapack_known
-from spherejax.foundations.machine import code as machine_code
+from spherejax.program_cache import disk_cache, settings
+from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache.jaxprs import calls_python, make_lapack_known
 
 
 class Operable(Protocol):
@@ -87,7 +86,7 @@ class Operation:
         """The results, within another program."""
         return _within.bind(*leaves, operation=self)
 
-    def told_by(self) -> tuple:
+    def __cache_key__(self) -> tuple:
         """What `fingerprints` takes for it: not what has been found out about it."""
         return self.function.made_from
 
@@ -124,7 +123,7 @@ class Operation:
             return self._read() if self._lower() else None
 
     def _load(self) -> bool:
-        found = kept_on_disk.load(self._key_within)
+        found = disk_cache.load(self._key_within)
         try:
             lowered, static = found
             self._lowered, self.function.static = _Lowered(*lowered), static
@@ -136,14 +135,14 @@ class Operation:
         def to_be_lowered(*leaves: Any) -> tuple:  # its name is heard
             return self.function.traced(*leaves)
 
-        with kept_on_disk.listened() as has_warned, collecting_later():
+        with disk_cache.listened() as has_warned, gc_paused():
             self._traced = jax.jit(to_be_lowered, keep_unused=True).trace(*self.function.examples)
         self._has_warned = has_warned()
 
     def _lower(self) -> bool:
         if self.calls_python:
             return False
-        with kept_on_disk.listened() as has_warned, machine_code.listened() as codes, collecting_later():
+        with disk_cache.listened() as has_warned, settings.extra_blobs().record() as codes, gc_paused():
             module: Any = self._traced.lower().compiler_ir("stablehlo")
         with module.context:
             passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
@@ -156,7 +155,7 @@ class Operation:
         module.operation.write_bytecode(content)
         self._lowered = _Lowered(content.getvalue(), codes(), jax.tree.leaves(self._traced.out_info))
         if not (self._has_warned or has_warned()):
-            kept_on_disk.save(self._key_within, (tuple(self._lowered), self.function.static))
+            disk_cache.save(self._key_within, (tuple(self._lowered), self.function.static))
         self._traced = None
         return True
 
@@ -164,8 +163,8 @@ class Operation:
         assert self._lowered is not None
         content, codes, _ = self._lowered
         module = ir.Module.parse(content)
-        machine_code.make_known(codes)
-        machine_code.note_called(codes)
+        settings.extra_blobs().load(codes)
+        settings.extra_blobs().note(codes)
         if b"lapack_" in content:
             make_lapack_known()
         return module

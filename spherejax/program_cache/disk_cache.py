@@ -21,7 +21,6 @@ import stat
 import sys
 import tempfile
 import threading
-import time
 import types
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -33,13 +32,11 @@ from typing import Any
 import jax
 from jax.extend.core import Primitive
 
-from spherejax import runtime
-from spherejax.foundations.kept.fingerprints import VERSIONED, is_installed, known_fingerprint
-from spherejax.foundations.kept.own_code import once
+from spherejax.program_cache import settings
+from spherejax.program_cache.fingerprints import is_installed, known_fingerprint
+from spherejax.program_cache.user_code import once
 
 _MARK = b"spherejax kept 2\n"
-_began = time.time()
-_PACKAGE = Path(__file__).resolve().parents[2]
 _tracing = threading.local()
 
 
@@ -47,8 +44,8 @@ def key_for(*what: Any) -> str | None:
     """The key of what is made from some values; None where it must not be kept.
 
     Args:
-        *what: all that goes into it: functions of this package, values and static parts of arguments. Constants of the
-            folders in `ROOMS` are part of the key as they are now, those of studies as they stand in the sources.
+        *what: all that goes into it: functions of this package, values and static parts of arguments. Constants of
+            `Settings.constant_folders` are part of the key as they are now, others as they stand in the sources.
     """
     if _folder() is None or is_debugging():
         return None
@@ -113,8 +110,7 @@ def note_warning() -> None:
 
 
 def _folder() -> Path | None:
-    folder = runtime.cache_folder()
-    return None if folder is None else folder / runtime.KEPT
+    return settings.current().folder()
 
 
 def _is_own(file: os.stat_result) -> bool:
@@ -132,7 +128,8 @@ def is_debugging() -> bool:
 
 @lru_cache(maxsize=1)
 def _sources() -> tuple[Path, ...]:
-    return tuple(sorted(_PACKAGE.rglob("*.py")))
+    folder = settings.current().sources
+    return () if folder is None else tuple(sorted(folder.rglob("*.py")))
 
 
 def _package() -> str | None:
@@ -143,21 +140,26 @@ def _package() -> str | None:
 
 def _has_changed() -> bool:
     """Whether what is on disk may be something else than what was imported."""
-    return any(file.stat().st_mtime >= _began for file in _sources())
+    return any(file.stat().st_mtime >= settings.current().began for file in _sources())
 
 
 def _are_versions_true() -> bool:
     """Whether packages that versions tell are installed: a checkout of JAX changes, and its version does not."""
-    return all(is_installed(name, None) for name in VERSIONED if name in sys.modules)
+    return all(is_installed(name, None) for name in settings.current().versioned if name in sys.modules)
 
 
 @lru_cache(maxsize=1)
 def _code() -> str:
     """The sources of this package and the versions of the others."""
     words = hashlib.sha256()
+    told = settings.current()
     for file in _sources():
-        words.update(str(file.relative_to(_PACKAGE)).encode() + b"\0" + file.read_bytes() + b"\0")
-    words.update("\0".join([sys.version, *(f"{name} {_version(name)}" for name in sorted(VERSIONED))]).encode())
+        words.update(str(file.relative_to(told.sources or "")).encode() + b"\0" + file.read_bytes() + b"\0")
+    words.update(
+        "\0".join(
+            [sys.version, *(f"{name} {_version(name)}" for name in sorted({told.package, *told.versioned}))]
+        ).encode()
+    )
     return words.hexdigest()
 
 
@@ -171,24 +173,21 @@ def _version(name: str) -> str:
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion")
 
 
-ROOMS = frozenset({"foundations", "physics", "model", "motion"})
-"""Folders whose modules are always loaded, and hold what every program is made of."""
-
-
 def _constants() -> str | None:
     """Settings of JAX and constants of this package as they are; None where a function of it has been replaced."""
     words = hashlib.sha256(os.environ.get("XLA_FLAGS", "").encode())
     words.update(repr([getattr(jax.config, name) for name in _SETTINGS]).encode())
+    told = settings.current()
     # A list: another thread may be importing something.
-    for name in sorted(name for name in list(sys.modules) if name.startswith("spherejax.")):
+    for name in sorted(name for name in list(sys.modules) if name.startswith(f"{told.package}.")):
         folder = name.split(".")[1]
-        if folder not in ROOMS and folder != "studies":
+        if folder not in told.constant_folders and folder not in told.watched_folders:
             continue
         module, found = sys.modules.get(name), _seen.get(name)
         if module is None:
             continue
         if found is None or not found.is_still_so(vars(module)):
-            found = _seen[name] = _SeenModule(name, vars(module), with_constants=folder in ROOMS)
+            found = _seen[name] = _SeenModule(name, vars(module), with_constants=folder in told.constant_folders)
         if found.words is None:
             return None
         words.update(found.words)

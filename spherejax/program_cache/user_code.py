@@ -17,13 +17,13 @@ from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
-from spherejax.foundations.kept.fingerprints import code_fingerprint, own_parts
+from spherejax.program_cache.fingerprints import code_fingerprint, own_parts
 
 N_TREES = 1024
 """Trees of which it is remembered whether there is code of a user's own in them."""
 
 
-def own_code(tree: Any) -> str:
+def user_code_fingerprint(tree: Any) -> str:
     """The fingerprint of the code of a user's own that the tree of a pytree holds; empty where there is none.
 
     Args:
@@ -121,7 +121,7 @@ class _Same:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Same) and self.value is other.value
 
-    def told_by(self) -> Any:
+    def __cache_key__(self) -> Any:
         """What `fingerprints` takes for it."""
         return self.value
 

@@ -9,14 +9,15 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 import jax
+import jax.core
 import numpy as np
 
-from spherejax.foundations.checks import is_concrete, is_tracing
-from spherejax.foundations.kept.collecting import collecting_later
-from spherejax.foundations.kept.own_code import own_code
+from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache.jaxprs import is_tracing
+from spherejax.program_cache.user_code import user_code_fingerprint
 
 
-def values_of(tree: Any) -> Hashable | None:
+def value_key(tree: Any) -> Hashable | None:
     """All there is in a pytree, to be compared, code of a user's own as it is now; None where something in it is
     traced, or cannot be compared."""
     leaves, structure = jax.tree.flatten(tree)
@@ -29,7 +30,9 @@ def values_of(tree: Any) -> Hashable | None:
         if kind is int or kind is bool:
             values.append((kind, leaf))
             continue
-        if not is_concrete(leaf) or not isinstance(leaf, bool | int | float | np.ndarray | np.generic | jax.Array):
+        if isinstance(leaf, jax.core.Tracer) or not isinstance(
+            leaf, bool | int | float | np.ndarray | np.generic | jax.Array
+        ):
             return None
         array = np.asarray(leaf)
         if array.dtype.hasobject:
@@ -40,7 +43,7 @@ def values_of(tree: Any) -> Hashable | None:
         hash(structure)
     except TypeError:  # something static in it is not hashable
         return None
-    return structure, own_code(structure), tuple(values)
+    return structure, user_code_fingerprint(structure), tuple(values)
 
 
 def own_arrays(tree: Any) -> Any:
@@ -53,14 +56,14 @@ def own(leaf: Any) -> Any:
     return leaf.copy() if isinstance(leaf, np.ndarray) else leaf
 
 
-def remembered(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Callable[[], Any]) -> Any:
+def lru_get(found: OrderedDict, lock: Any, n: int, key: Hashable, make: Callable[[], Any]) -> Any:
     """What was made for this key before, else what `make` makes now, which is remembered with the n most recent."""
     with lock:
         if key in found:
             found.move_to_end(key)
             return found[key]
     # Without the lock: it may take seconds, and two threads that make the same do no harm.
-    with collecting_later():
+    with gc_paused():
         made = make()
     if is_tracing():
         return made  # under `jax.jit` arrays belong to its trace, also those of known numbers

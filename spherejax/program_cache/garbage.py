@@ -36,7 +36,7 @@ _pauses = _Pauses()
 
 
 @contextmanager
-def collecting_later() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """No cyclic garbage is looked for in this context; afterwards as before. May be nested, and used by threads."""
     _pauses.begin()
     try:

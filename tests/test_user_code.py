@@ -15,8 +15,8 @@ import pytest
 import xarray
 
 import spherejax as sj
-from spherejax.foundations.kept.own_code import own_code
 from spherejax.model.system import compile_scene, flatten_system
+from spherejax.program_cache.user_code import user_code_fingerprint
 
 TS = np.linspace(0.0, 0.1, 4)
 GAIN = 3.0
@@ -216,7 +216,7 @@ def test_code_that_cannot_be_looked_into_is_named(monkeypatch):
     def fail(*_, **__):
         raise RecursionError("too deep")
 
-    monkeypatch.setattr("spherejax.foundations.kept.own_code.code_fingerprint", fail)
+    monkeypatch.setattr("spherejax.program_cache.user_code.code_fingerprint", fail)
     with pytest.warns(RuntimeWarning, match=r"Own cannot be looked into \(RecursionError: too deep\)"):
         assert height() == expected()
 
@@ -291,6 +291,6 @@ def test_whatever_code_looks_up_a_run_is_made_and_is_not_traced_again(what, monk
 def test_scenes_without_such_code_have_none():
     for made in (sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall())), sj.gallery.car_axis()):
         structure, _ = flatten_system(compile_scene(made).system)
-        assert structure.code == own_code(jax.tree.structure(made)) == ""
+        assert structure.code == user_code_fingerprint(jax.tree.structure(made)) == ""
     structure, _ = flatten_system(compile_scene(scene()).system)
-    assert structure.code == own_code(jax.tree.structure(scene())) != ""
+    assert structure.code == user_code_fingerprint(jax.tree.structure(scene())) != ""

@@ -14,12 +14,12 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.fingerprints import program_fingerprint, value_fingerprint
 from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.one_run import gone_on_with, integrated, started
 from spherejax.motion.runs.many import many, simulate_many
+from spherejax.program_cache.fingerprints import program_fingerprint, value_fingerprint
+from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.sweep.chunks import _program
 
 PACKAGE = Path(sj.__file__).parent
@@ -35,7 +35,7 @@ class Shift:
 def shifting(n_programs):
     traced = []
 
-    @bounded_jit(n_programs=n_programs)
+    @cached_jit(n_programs=n_programs)
     def shifted(shift, x):
         traced.append(shift.by)
         return {"x": x + shift.by, "by": shift}
@@ -150,7 +150,7 @@ def _n_traces_of(name: str) -> int:
 
 
 def test_every_cache_is_bounded():
-    """What compiles goes through `bounded_jit`, or hangs on an object that is let go; tables say how long they are."""
+    """What compiles goes through `cached_jit`, or hangs on an object that is let go; tables say how long they are."""
     for path in PACKAGE.rglob("*.py"):
         text = path.read_text()
         assert not re.search(r"^[^#`\n]*(@|= )eqx\.filter_jit", text, re.M), path

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from spherejax.foundations.checks import is_tracing
-from spherejax.foundations.kept.bounded_jit import BoundedJit
+from spherejax.program_cache.jit import CachedJit
 
 ALIGNMENT = 64
 """Bytes on whose multiples an array begins that JAX takes as it is; others it copies."""
@@ -84,7 +84,7 @@ def placed_rows(parts: Iterator[tuple[int, Any]], n: int) -> Any:
         return jax.device_put(rows, may_alias=True)
 
 
-def in_blocks(function: BoundedJit, fixed: tuple, size: int, *arrays: Any) -> Any:
+def in_blocks(function: CachedJit, fixed: tuple, size: int, *arrays: Any) -> Any:
     """A compiled function of rows, evaluated block after block: one program for any number of rows.
 
     Args:

@@ -15,10 +15,10 @@ import pytest
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.fingerprints import program_fingerprint
 from spherejax.motion.integration import one_run
+from spherejax.program_cache import disk_cache
+from spherejax.program_cache.fingerprints import program_fingerprint
+from spherejax.program_cache.jit import cached_jit
 
 TS = jnp.linspace(0.0, 0.01, 4)
 
@@ -95,7 +95,7 @@ def n_lowered():
 
 def keys_of_lowered(folder):
     """Of what was kept in a folder."""
-    kept = {file.name: kept_on_disk.load(file.name) for file in (folder / "kept").iterdir()}
+    kept = {file.name: disk_cache.load(file.name) for file in (folder / "kept").iterdir()}
     return [key for key, each in kept.items() if isinstance(each, tuple) and len(each) == 2 and _is_lowered(each[0])]
 
 
@@ -155,8 +155,8 @@ def test_what_cannot_be_read_is_lowered_anew(folder, n_lowered, damage):
     jax.jit(lambda length: place(length))(2.0)
     (key,) = keys_of_lowered(folder)
     if damage is None:
-        (_, codes, shapes), static = kept_on_disk.load(key)
-        kept_on_disk.save(key, ((b"ML", codes, shapes), static))
+        (_, codes, shapes), static = disk_cache.load(key)
+        disk_cache.save(key, ((b"ML", codes, shapes), static))
     else:
         (folder / "kept" / key).write_bytes(damage)
     forget()
@@ -188,9 +188,9 @@ def digest(text):
 @pytest.fixture
 def operation(folder, monkeypatch):
     """A function of a number and a vector, with something static among its results, that is an operation."""
-    monkeypatch.setattr(kept_on_disk, "key_for", lambda *what: digest(str(what)))  # as if it were ours
+    monkeypatch.setattr(disk_cache, "key_for", lambda *what: digest(str(what)))  # as if it were ours
 
-    @bounded_jit(many="many")
+    @cached_jit(many="many")
     def scaled(a, x, word):
         return {"product": a * x, "word": word, "largest": jnp.max(x)}
 
@@ -238,7 +238,7 @@ def test_an_operation_is_its_function_under_every_transformation(operation, way)
 def test_where_nothing_can_be_kept_any_more_many_are_computed_all_the_same(operation, monkeypatch):
     """A source file that is written while a program is traced, say."""
     keys = iter(["1" * 64])
-    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: next(keys, None))
+    monkeypatch.setattr(disk_cache, "key_for", lambda *_: next(keys, None))
     found = jax.jit(jax.vmap(lambda a: in_whole(operation, a, X)))(X)
     np.testing.assert_array_equal(found, X * jnp.sum(X) + 1.0)
 
@@ -264,7 +264,7 @@ def test_what_calls_python_stays_in_its_process(folder, monkeypatch):
     def called(x):
         return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), jnp.float64), x)
 
-    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: "0" * 64)  # as if it were of this package
-    sine = bounded_jit(called, many="sines")
+    monkeypatch.setattr(disk_cache, "key_for", lambda *_: "0" * 64)  # as if it were of this package
+    sine = cached_jit(called, many="sines")
     assert float(jax.jit(lambda x: sine(x) + 1)(0.5)) == 1 + np.sin(0.5)
     assert not (folder / "kept").exists()

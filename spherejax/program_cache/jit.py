@@ -3,7 +3,7 @@
 JAX keeps what it has compiled for as long as the process lives: 15 to 30 MB for a program of a four-bar, for each
 structure, each builder, each number of samples where that matters. A study that varies them grows until it is killed.
 
-What was compiled is kept on disk too (`kept_on_disk`): another process neither traces nor compiles it again.
+What was compiled is kept on disk too (`disk_cache`): another process neither traces nor compiles it again.
 """
 
 import threading
@@ -17,10 +17,10 @@ import equinox as eqx
 import jax
 import jax.core
 
-from spherejax.foundations.kept.collecting import collecting_later
-from spherejax.foundations.kept.own_code import own_code
-from spherejax.foundations.kept.program import N_PROGRAMS, KeptProgram, Options
-from spherejax.foundations.terminals import waiting_for
+from spherejax.program_cache import settings
+from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache.program import N_PROGRAMS, KeptProgram, Options
+from spherejax.program_cache.user_code import user_code_fingerprint
 
 
 class _Key:
@@ -38,8 +38,8 @@ class _Key:
         return self is other or (isinstance(other, _Key) and self.parts == other.parts)
 
 
-class BoundedJit:
-    """A compiled function; see `bounded_jit`."""
+class CachedJit:
+    """A compiled function; see `cached_jit`."""
 
     def __init__(self, function: Callable, n_programs: int, what: tuple[str, ...], options: Options):
         self._function, self._n_programs, self._what, self._options = function, n_programs, what, options
@@ -70,14 +70,14 @@ class BoundedJit:
 
     def _called(self, entry: KeptProgram, leaves: list) -> Any:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            with collecting_later():
+            with gc_paused():
                 return entry.results(entry.within(*leaves))
         return entry.results(entry.now(*leaves))
 
     def compiled(self, *arguments: Any) -> Callable:
         """The program for arguments like these, compiled now: threads that share it do not compile it again."""
         entry, _ = self._entry_for(arguments, {})
-        with waiting_for(self._what[0], entry.name):
+        with settings.current().compiling(self._what[0], entry.name):
             program = entry.compiled
 
         def run(*arguments: Any) -> Any:
@@ -111,7 +111,7 @@ class BoundedJit:
         leaves, tree = jax.tree.flatten(arrays)
         static, static_tree = jax.tree.flatten(rest)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
-        key = _Key(static_tree, own_code(static_tree), tuple(static), tree, kinds)
+        key = _Key(static_tree, user_code_fingerprint(static_tree), tuple(static), tree, kinds)
 
         def made() -> KeptProgram:
             return KeptProgram.of(self._function, rest, tree, kinds, self._what, self._options)
@@ -134,7 +134,7 @@ class BoundedJit:
         entry.clear()
 
 
-def bounded_jit(
+def cached_jit(
     function: Callable | None = None,
     *,
     n_programs: int = N_PROGRAMS,
@@ -152,13 +152,13 @@ def bounded_jit(
             it is asked for again.
         what: what whoever waits is told to wait for, e.g. `"a run"`; by default the name of the function.
         many: the same of many at once, under `jax.vmap`. Where it is given, a call within another program is one
-            operation (see `one_operation`), unless code of a user's own is in it.
+            operation (see `call`), unless code of a user's own is in it.
         options: of XLA, or a function that says them for the arguments of a call, its arrays left out.
     """
     if function is None:
-        return partial(bounded_jit, n_programs=n_programs, what=what, many=many, options=options)
+        return partial(cached_jit, n_programs=n_programs, what=what, many=many, options=options)
     said = what or getattr(function, "__name__", "a program")
-    return BoundedJit(function, n_programs, (said, many) if many else (said,), options)
+    return CachedJit(function, n_programs, (said, many) if many else (said,), options)
 
 
 def inlined(function: Callable) -> Callable:

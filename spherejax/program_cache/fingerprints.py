@@ -30,6 +30,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core as jex
 
+from spherejax.program_cache import settings
+
 NOT_COMPUTED = frozenset({
     "name", "debug_info", "ctx_mesh",
     "jvp_jaxpr_fun", "fwd_jaxpr_thunk", "fwd", "bwd", "out_trees", "call", "jvp", "transpose_rule",
@@ -75,7 +77,7 @@ def value_fingerprint(value: Any) -> str:
 
 
 def known_fingerprint(value: Any) -> str | None:
-    """The fingerprint of what versions of packages tell (those of `VERSIONED`); None for all else.
+    """The fingerprint of what versions of packages tell (those of the settings); None for all else.
 
     What is a user's is not looked into any further: it may be large, and may be anything.
     """
@@ -303,8 +305,8 @@ class _Words:
         return fingerprint
 
     def _object(self, value: Any) -> None:
-        if hasattr(type(value), "told_by"):  # it knows better than its fields
-            self.value((type(value).__name__, value.told_by()))
+        if hasattr(type(value), "__cache_key__"):  # it knows better than its fields
+            self.value((type(value).__name__, value.__cache_key__()))
             return
         wrapped = getattr(value, "__wrapped__", None)
         if callable(wrapped):  # jax.jit, functools.lru_cache and their like
@@ -359,7 +361,7 @@ class _Words:
             return
         if self._is_told(function.__module__, function.__code__.co_filename):
             self.word("function", _name_of(function))
-            if _top(function.__module__) == _OWN:
+            if _top(function.__module__) == settings.current().package:
                 self._closed_over(function)
             return
         self._look_into()
@@ -378,7 +380,7 @@ class _Words:
         """Whether code is told by its name: that of Python, and of packages.
 
         Raises:
-            _ForeignError: for a package of `VERSIONED` that is not installed, such as a checkout of JAX, where versions
+            _ForeignError: for a versioned package that is not installed, such as a checkout of JAX, where versions
                 shall tell: its version does not. Within a process it stays what it is.
         """
         if is_installed(module, file):
@@ -477,20 +479,14 @@ def _is_of_jax(value: Any) -> bool:
     )
 
 
-_OWN = __name__.split(".")[0]
-
-VERSIONED = frozenset({
-    _OWN, "jax", "jaxlib", "equinox", "diffrax", "lineax", "optimistix", "optax", "jaxtyping", "numpy",
-})  # fmt: skip
-"""What runs are made of: packages whose versions tell their code, besides Python's own."""
-
-
 def _top(module: str | None) -> str:
     return (module or "").split(".")[0]
 
 
 def _is_versioned(module: str | None) -> bool:
-    return _top(module) in VERSIONED or (_top(module) in sys.stdlib_module_names and _top(module) != "__main__")
+    """Whether a version tells code: of the package, of those that it stands on, and of Python."""
+    told, top = settings.current(), _top(module)
+    return top == told.package or top in told.versioned or (top in sys.stdlib_module_names and top != "__main__")
 
 
 @functools.lru_cache(maxsize=1)
@@ -503,7 +499,7 @@ def _installed_folders() -> tuple[str, ...]:
 def is_installed(module: str | None, file: str | None) -> bool:
     """Whether code belongs to Python, an installed package or this one: their versions tell them."""
     top = _top(module)
-    if top == _OWN or top in sys.builtin_module_names or top in sys.stdlib_module_names:
+    if top == settings.current().package or top in sys.builtin_module_names or top in sys.stdlib_module_names:
         return top != "__main__"
     file = file or getattr(sys.modules.get(module or ""), "__file__", None)
     if file is None or file.startswith(("<frozen", *_installed_folders())):

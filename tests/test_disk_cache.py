@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -18,16 +19,16 @@ import pytest
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations.kept import kept_on_disk
-from spherejax.foundations.kept.bounded_jit import bounded_jit
-from spherejax.foundations.kept.fingerprints import known_fingerprint, value_fingerprint
-from spherejax.foundations.kept.program import found_by_jax
 from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration import jobs, one_run
 from spherejax.motion.integration.lanes import landing
+from spherejax.program_cache import disk_cache, settings
+from spherejax.program_cache.fingerprints import known_fingerprint, value_fingerprint
+from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache.program import found_by_jax
 
 RUN = """
 import sys, jax
@@ -101,9 +102,9 @@ jax.monitoring.register_event_duration_secs_listener(
 )
 import jax.numpy as jnp
 import spherejax
-from spherejax.foundations.kept import bounded_jit
+from spherejax.program_cache.jit import cached_jit
 from spherejax.foundations.linear import general_solve
-solve = bounded_jit.bounded_jit(general_solve._by_lapack)
+solve = cached_jit(general_solve._by_lapack)
 print(solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.ones((2, 1)))[1, 0], any("_by_lapack" in str(name) for name in traced))
 """
 
@@ -171,20 +172,20 @@ def test_code_of_a_users_own_is_never_kept(tmp_path):
 def test_the_key_is_over_all_that_goes_in(folder, monkeypatch, pendulum):
     structure, _ = pendulum
     other, _ = flatten_system(compile_scene(sj.gallery.four_bar()).system)
-    key = kept_on_disk.key_for(state_rate, structure)
+    key = disk_cache.key_for(state_rate, structure)
     assert key is not None
-    assert key == kept_on_disk.key_for(state_rate, structure)
-    assert len({key, kept_on_disk.key_for(state_rate, other), kept_on_disk.key_for(jobs.job_of, structure)}) == 3
+    assert key == disk_cache.key_for(state_rate, structure)
+    assert len({key, disk_cache.key_for(state_rate, other), disk_cache.key_for(jobs.job_of, structure)}) == 3
     monkeypatch.setattr(landing, "SAFETY", 0.8)
-    assert kept_on_disk.key_for(state_rate, structure) not in (None, key)
+    assert disk_cache.key_for(state_rate, structure) not in (None, key)
     with jax.numpy_dtype_promotion("strict"):
-        assert kept_on_disk.key_for(state_rate, structure) != key
+        assert disk_cache.key_for(state_rate, structure) != key
 
 
 def test_nothing_is_kept_where_something_cannot_be_told(folder, monkeypatch, pendulum):
     structure, _ = pendulum
-    assert kept_on_disk.key_for(state_rate, structure, lambda: 1) is None
-    assert kept_on_disk.key_for(state_rate, structure, object()) is None
+    assert disk_cache.key_for(state_rate, structure, lambda: 1) is None
+    assert disk_cache.key_for(state_rate, structure, object()) is None
 
     class Endless:
         """Whatever is asked for, there is another one."""
@@ -193,23 +194,23 @@ def test_nothing_is_kept_where_something_cannot_be_told(folder, monkeypatch, pen
             return Endless()
 
     endless = Endless()
-    assert kept_on_disk.key_for(state_rate, structure, lambda: endless) is None
+    assert disk_cache.key_for(state_rate, structure, lambda: endless) is None
     with jax.debug_nans(True):
-        assert kept_on_disk.key_for(state_rate, structure) is None
+        assert disk_cache.key_for(state_rate, structure) is None
     with monkeypatch.context() as patched:
         patched.setattr(landing, "own_time", lambda share, bend: share)
-        assert kept_on_disk.key_for(state_rate, structure) is None
+        assert disk_cache.key_for(state_rate, structure) is None
     with monkeypatch.context() as patched:
         patched.setattr(landing.Landing, "judge", lambda self, *step: step)
-        assert kept_on_disk.key_for(state_rate, structure) is None
+        assert disk_cache.key_for(state_rate, structure) is None
     with monkeypatch.context() as patched:
         # As after an edit of a source: this process may hold what the file said before.
-        patched.setattr(kept_on_disk, "_began", 0.0)
-        assert kept_on_disk.key_for(state_rate, structure) is None
+        patched.setattr(settings, "_settings", replace(settings.current(), began=0.0))
+        assert disk_cache.key_for(state_rate, structure) is None
     with monkeypatch.context() as patched:
         patched.setattr(runtime, "_kept", [])
-        assert kept_on_disk.key_for(state_rate, structure) is None
-    assert kept_on_disk.key_for(state_rate, structure) is not None
+        assert disk_cache.key_for(state_rate, structure) is None
+    assert disk_cache.key_for(state_rate, structure) is not None
 
 
 def test_functions_of_this_package_are_told_by_what_they_close_over():
@@ -254,30 +255,30 @@ def test_a_tree_that_cannot_be_made_of_numbers_is_told_by_its_text():
 
 
 def test_a_full_disk_and_what_cannot_be_written_leave_nothing(folder, monkeypatch, pendulum):
-    key = kept_on_disk.key_for("something")
-    kept_on_disk.save(key, lambda: 1)
-    assert kept_on_disk.load(key) is None
-    kept_on_disk.save(key, "kept")
-    assert kept_on_disk.load(key) == "kept"
+    key = disk_cache.key_for("something")
+    disk_cache.save(key, lambda: 1)
+    assert disk_cache.load(key) is None
+    disk_cache.save(key, "kept")
+    assert disk_cache.load(key) == "kept"
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    kept_on_disk.save(kept_on_disk.key_for("other"), "lost")
-    assert kept_on_disk.load(kept_on_disk.key_for("other")) is None
+    disk_cache.save(disk_cache.key_for("other"), "lost")
+    assert disk_cache.load(disk_cache.key_for("other")) is None
     assert [file.name for file in (folder / "kept").iterdir()] == [key]
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners here")
 def test_files_of_others_are_not_opened(folder, monkeypatch):
     """They are pickles, which can hold code."""
-    kept_on_disk.save("key", "kept")
-    assert kept_on_disk.load("key") == "kept"
+    disk_cache.save("key", "kept")
+    assert disk_cache.load("key") == "kept"
     assert (folder / "kept").stat().st_mode & 0o077 == 0
     me = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: me + 1)
-    assert kept_on_disk.load("key") is None
+    assert disk_cache.load("key") is None
 
 
 def test_nobodys_home_is_done_without(monkeypatch):
@@ -308,7 +309,7 @@ def test_processors_are_told_by_the_first_of_a_machine(monkeypatch):
 
 def keyed_by(monkeypatch, key):
     """A function of a test is not told by any version: as if it were."""
-    monkeypatch.setattr(kept_on_disk, "key_for", lambda *_: key)
+    monkeypatch.setattr(disk_cache, "key_for", lambda *_: key)
 
 
 @pytest.mark.parametrize("warns", [False, True])
@@ -319,11 +320,11 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
     def doubled(x):
         traced.append(x)
         if warns:
-            kept_on_disk.note_warning()
+            disk_cache.note_warning()
         return 2 * x
 
     for _ in range(2):
-        assert float(bounded_jit(doubled)(jnp.asarray(2.0))) == 4.0
+        assert float(cached_jit(doubled)(jnp.asarray(2.0))) == 4.0
     assert len(traced) == 1 + warns
 
 
@@ -331,16 +332,16 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
 def test_only_what_was_compiled_here_is_kept(folder, monkeypatch, found, n_traced, is_kept):
     """What JAX has loaded from its own cache cannot be written again: it is compiled under another name."""
     keyed_by(monkeypatch, "key")
-    monkeypatch.setattr("spherejax.foundations.kept.program.found_by_jax", lambda: nullcontext(lambda: found))
+    monkeypatch.setattr("spherejax.program_cache.program.found_by_jax", lambda: nullcontext(lambda: found))
     traced = []
 
     def halved(x):
         traced.append(x)
         return x / 2
 
-    assert float(bounded_jit(halved)(jnp.asarray(2.0))) == 1.0
+    assert float(cached_jit(halved)(jnp.asarray(2.0))) == 1.0
     assert len(traced) == n_traced
-    assert (kept_on_disk.load("key") is not None) == is_kept
+    assert (disk_cache.load("key") is not None) == is_kept
 
 
 def test_jax_says_whether_it_has_found_a_program():
@@ -359,7 +360,7 @@ def test_jax_says_whether_it_has_found_a_program():
 
 def test_options_of_a_compiler_that_does_not_know_them_are_done_without(folder, monkeypatch):
     keyed_by(monkeypatch, "key")
-    tripled = bounded_jit(lambda x: 3 * x, options={"xla_has_no_such_option": True})
+    tripled = cached_jit(lambda x: 3 * x, options={"xla_has_no_such_option": True})
     assert float(tripled(jnp.asarray(2.0))) == 6.0
 
 
@@ -376,9 +377,9 @@ def test_what_calls_python_is_not_kept(monkeypatch):
         )  # fmt: skip
 
     for n in (1, 2):
-        assert float(bounded_jit(counted)(jnp.asarray(2.0))) == 2.0
+        assert float(cached_jit(counted)(jnp.asarray(2.0))) == 2.0
         assert len(called) == n
-        assert kept_on_disk.load("key") is None
+        assert disk_cache.load("key") is None
 
 
 def test_the_folder_stays_small(tmp_path, monkeypatch):
@@ -449,7 +450,7 @@ def _pickled(value) -> bytes:
     import io
 
     buffer = io.BytesIO()
-    kept_on_disk._Pickler(buffer).dump(value)
+    disk_cache._Pickler(buffer).dump(value)
     return buffer.getvalue()
 
 
@@ -475,7 +476,7 @@ def test_options_of_the_compiler_serve_programs_that_are_not_kept(monkeypatch):
         jax.stages.Lowered, "compile", lambda self, compiler_options=None: given.append(compiler_options) or lower(self)
     )
     options = {"xla_llvm_enable_noalias_metadata": False}
-    assert bounded_jit(lambda x: 5 * x, options=options)(jnp.float64(2.0)) == 10.0
+    assert cached_jit(lambda x: 5 * x, options=options)(jnp.float64(2.0)) == 10.0
     assert given == [options]
 
 
@@ -495,7 +496,7 @@ def test_other_threads_may_import_while_a_key_is_made(folder):
     sys.setswitchinterval(1e-6)
     thread.start()
     try:
-        keys = {kept_on_disk.key_for("something") for _ in range(50)}
+        keys = {disk_cache.key_for("something") for _ in range(50)}
     finally:
         is_done.set()
         thread.join()
@@ -505,16 +506,16 @@ def test_other_threads_may_import_while_a_key_is_made(folder):
 
 
 def test_a_module_is_looked_at_again_when_a_name_in_it_stands_for_something_else(folder, monkeypatch):
-    before = kept_on_disk.key_for("something")
-    assert kept_on_disk.key_for("something") == before
+    before = disk_cache.key_for("something")
+    assert disk_cache.key_for("something") == before
     with monkeypatch.context() as patched:
         patched.setattr(landing, "SAFETY", landing.SAFETY / 2)
-        assert kept_on_disk.key_for("something") not in (before, None)
-    assert kept_on_disk.key_for("something") == before
+        assert disk_cache.key_for("something") not in (before, None)
+    assert disk_cache.key_for("something") == before
     with monkeypatch.context() as patched:  # within a class
         patched.setattr(landing.Landing, "judge", lambda *given: None)
-        assert kept_on_disk.key_for("something") is None
+        assert disk_cache.key_for("something") is None
     with monkeypatch.context() as patched:
         patched.setattr(landing, "in_lanes", lambda function: function)
-        assert kept_on_disk.key_for("something") is None
-    assert kept_on_disk.key_for("something") == before
+        assert disk_cache.key_for("something") is None
+    assert disk_cache.key_for("something") == before

@@ -1,0 +1,56 @@
+"""Joins the program cache, the native compiler and this package: the one file that tells each of them of the others.
+
+Neither the cache nor the compiler imports anything of the package. What they need of it is passed in here, by functions
+that import what takes long when they are first called.
+"""
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from spherejax import runtime
+from spherejax.program_cache import settings
+
+
+def connect() -> None:
+    """Tell the program cache of this package. It imports no JAX."""
+    settings.configure(
+        settings.Settings(
+            package=__name__.split(".")[0],
+            sources=Path(__file__).resolve().parent,
+            folder=_folder,
+            processor=runtime.kind_of_processor,
+            versioned=frozenset({
+                "jax", "jaxlib", "equinox", "diffrax", "lineax", "optimistix", "optax", "jaxtyping", "numpy",
+            }),
+            # What every program is made of. Which studies are loaded depends on the user's program, so their constants
+            # would make other keys of the same run.
+            constant_folders=frozenset({"program_cache", "compiler", "foundations", "physics", "model", "motion"}),
+            watched_folders=frozenset({"studies"}),
+            compiling=_compiling,
+            tracing=_tracing,
+            extra_blobs=_object_code,
+        )
+    )  # fmt: skip
+
+
+def _folder() -> Path | None:
+    folder = runtime.cache_folder()
+    return None if folder is None else folder / runtime.KEPT
+
+
+def _compiling(what: str, name: str) -> AbstractContextManager:
+    from spherejax.foundations.terminals import waiting_for
+
+    return waiting_for(what, name)
+
+
+def _tracing() -> AbstractContextManager:
+    from spherejax.foundations.checks import exits_as_errors
+
+    return exits_as_errors()
+
+
+def _object_code() -> settings.ExtraBlobs:
+    from spherejax.foundations.machine import code
+
+    return settings.ExtraBlobs(code.is_available, code.listened, code.make_known, code.note_called)
