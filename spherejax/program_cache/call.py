@@ -27,6 +27,7 @@ from jax.interpreters import ad, batching, mlir
 from spherejax.program_cache import disk_cache, settings
 from spherejax.program_cache.garbage import gc_paused
 from spherejax.program_cache.jaxprs import calls_python, make_lapack_known
+from spherejax.program_cache.several_devices import is_partitioned, lowered_replicated
 
 
 class Operable(Protocol):
@@ -204,6 +205,8 @@ def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: Operatio
 
 
 def _lowering(context: Any, *operands: Any, operation: Operation) -> Sequence:
+    if is_partitioned(context):  # what is kept was lowered for one device
+        return lowered_replicated(operation.function.traced)(context, *operands)
     outer = context.module_context.module
     if tuple(context.module_context.platforms) == ("cpu",):
         with outer.context:

@@ -18,6 +18,7 @@ from spherejax.program_cache import disk_cache, settings
 from spherejax.program_cache.call import Operation
 from spherejax.program_cache.garbage import gc_paused
 from spherejax.program_cache.jaxprs import calls_python, make_lapack_known
+from spherejax.program_cache.several_devices import gathered
 
 N_PROGRAMS = int(os.environ.get("SPHEREJAX_PROGRAMS", "24"))
 """Programs of one function that are kept: of a mechanism such as the four-bar about half a gigabyte.
@@ -89,6 +90,7 @@ class KeptProgram:
 
     def now(self, *leaves: Any) -> Sequence:
         """The results' leaves, from numbers; who has to wait for a compiler is told."""
+        leaves = gathered(leaves)
         if jax.config.values["jax_disable_jit"]:  # compiled ones refuse it
             return self._run(*leaves)
         if self.has_been_called:

@@ -32,6 +32,7 @@ from spherejax.foundations.machine.loops import INLINED, looped
 from spherejax.foundations.scalar.interpreter import counts_of_loop
 from spherejax.foundations.scalar.rules import ELEMENTWISE, STRUCTURAL
 from spherejax.foundations.scalar.straight_line import is_called
+from spherejax.program_cache.several_devices import is_partitioned
 
 SMALLEST_KERNEL = 2
 """Operations that are worth a function; XLA makes about one kernel of fewer by itself."""
@@ -426,6 +427,8 @@ def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Se
     def whole(*arguments: Any) -> list:
         return [*function(*arguments), *_witnesses(arguments)]
 
+    if is_partitioned(context):  # a native function cannot hold the collective operations that XLA would put into it
+        return mlir.lower_fun(function, multiple_results=True)(context, *values)
     found = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
     (first, *_) = found
     call = first.owner

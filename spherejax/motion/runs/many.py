@@ -114,7 +114,6 @@ def simulate_many(
     check_tolerances(rtol, atol, derivative_rtol)
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
     n_runs = count_of_runs(parameters)
-    _refuse_spread_arrays(parameters)
     if not all(map(is_concrete, jax.tree.leaves((parameters, ts)))):
         parameters, ts = without_derivative((parameters, ts), NO_DERIVATIVE_OF_MANY)
     with looked_at_once():
@@ -128,17 +127,6 @@ def simulate_many(
     if is_concrete(stats.audit) and (said := cautions(np.asarray(stats.audit)[np.asarray(status) == Status.SUCCEEDED])):
         warnings.warn(said, OutOfRangeWarning, stacklevel=2)
     return runs
-
-
-def _refuse_spread_arrays(parameters: Any) -> None:
-    """Raise `SceneError` for arrays that lie on several devices: XLA cannot part the loop over lanes among them."""
-    for leaf in jax.tree.leaves(parameters):
-        n_devices = len(leaf.sharding.device_set) if isinstance(leaf, jax.Array) and is_concrete(leaf) else 1
-        if n_devices > 1:
-            raise SceneError(
-                f"the parameters lie on {n_devices} devices, and the lanes of many runs on one. Give them as NumPy "
-                "arrays (np.asarray(...)); sj.sweep uses all devices by itself"
-            )
 
 
 def count_of_runs(parameters: Any) -> int:

@@ -24,6 +24,7 @@ from spherejax.motion.integration.lanes.lane import Block, LaneOutcome, LaneProb
 from spherejax.program_cache import disk_cache
 from spherejax.program_cache.garbage import gc_paused
 from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache.several_devices import lowered_replicated
 
 ONE_AFTER_THE_OTHER = (
     "jax.vmap of runs whose sample times, max_steps or numbers of the solver differ: they are made one after the "
@@ -146,4 +147,4 @@ _runs.multiple_results = True
 _runs.def_impl(lambda *operands, form: _made_now(form, operands))
 _runs.def_abstract_eval(_shapes)
 batching.primitive_batchers[_runs] = _batched
-mlir.register_lowering(_runs, mlir.lower_fun(_made, multiple_results=True))
+mlir.register_lowering(_runs, lowered_replicated(_made))
