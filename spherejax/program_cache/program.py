@@ -90,7 +90,7 @@ class KeptProgram:
 
     def now(self, *leaves: Any) -> Sequence:
         """The results' leaves, from numbers; who has to wait for a compiler is told."""
-        leaves = gathered(leaves)
+        leaves = tuple(gathered(leaves))
         if jax.config.values["jax_disable_jit"]:  # compiled ones refuse it
             return self._run(*leaves)
         if self.has_been_called:
