@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import io
 import os
 import re
 import sys
@@ -48,6 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed the help or the error
         return stop.code if isinstance(stop.code, int) else BAD_REQUEST
     if runtime.is_command():
+        _print_any_name()
         warnings.formatwarning = _in_one_line
         runtime.set_up()
     from spherejax.files.fields.code import described_error, line_of
@@ -203,6 +205,16 @@ def _in_one_line(message: Any, category: type, filename: str, lineno: int, line:
 
 
 _as_python_does = warnings.formatwarning
+
+
+def _print_any_name() -> None:
+    """Names of a scene may have letters that the output's encoding lacks: cp1252 in a file or pipe on Windows.
+
+    A command would end in a UnicodeEncodeError after all of its work. Such letters are written as escapes, as Python
+    does in errors.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _leave(code: int) -> None:

@@ -295,25 +295,50 @@ def _sized(files: list[Path]) -> Iterator[tuple[Path, os.stat_result]]:
             yield file, file.stat()
 
 
+_WORDS_OF_PROCESSORS = frozenset(
+    ["processor", "model name", "flags", "Features", "CPU implementer", "CPU architecture", "CPU variant", "CPU part"]
+)
+"""Fields of /proc/cpuinfo that tell processors apart: x86 has a name and flags, ARM features and numbers for a name."""
+
+
+def _name_of_apples() -> str:
+    """The processor of a Mac, e.g. "Apple M2"; `platform.processor` says "arm" of all of them.
+
+    A home that was copied from an M4 to an M1 contains programs that an M1 cannot run.
+    """
+    import subprocess
+
+    command = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=10, check=True).stdout
+    except (OSError, subprocess.SubprocessError):
+        return platform.processor()
+
+
 @cache
 def kind_of_processor() -> str:
     """A short name of what the compiler makes its code for."""
     words = {"machine": platform.machine(), "system": platform.system()}
     try:
-        with open("/proc/cpuinfo") as file:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
             for line in file:  # one processor after the other, each in as many lines; all are of a kind
                 name = line.partition(":")[0].strip()
                 if name == "processor" and name in words:
                     break
-                if name in ("processor", "model name", "flags", "Features"):
+                if name in _WORDS_OF_PROCESSORS:
                     words[name] = line
     except OSError:
-        words["name"] = platform.processor()
+        words["name"] = platform.processor() if sys.platform != "darwin" else _name_of_apples()
     return hashlib.sha256(repr(sorted(words.items())).encode()).hexdigest()[:8]
 
 
 AGAIN_AFTER = 0.01
 """When a lost interrupt is raised again [s]."""
+
+
+LONGEST_WAIT = 0.5 if os.name == "nt" else None
+"""Timeout of a wait for other threads [s]. Windows delivers Ctrl-C after a wait, not during it (bpo-35935); other
+systems need no timeout."""
 
 
 @contextmanager

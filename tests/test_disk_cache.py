@@ -295,7 +295,7 @@ def test_nobodys_home_is_done_without(monkeypatch):
 
 def test_processors_are_told_by_the_first_of_a_machine(monkeypatch):
     def kind_with(text):
-        monkeypatch.setattr("builtins.open", lambda *_: io.StringIO(text))
+        monkeypatch.setattr("builtins.open", lambda *_, **__: io.StringIO(text))
         try:
             return runtime.kind_of_processor.__wrapped__()
         finally:

@@ -26,6 +26,7 @@ from spherejax import cli
 from spherejax.foundations.scalar.c_source import PRELUDE
 from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.motion.runs.pieces import Pieces
+from spherejax.output.fmu import native
 
 if not any(map(shutil.which, ("cc", "gcc", "clang"))):
     pytest.skip("no C compiler (Debian: apt-get install gcc)", allow_module_level=True)
@@ -508,7 +509,7 @@ def test_products_and_sums_are_not_contracted(ideal, tmp_path):
     from spherejax.output.fmu.native import OPTIONS
 
     assert "-ffp-contract=off" in OPTIONS
-    if "fma" not in Path("/proc/cpuinfo").read_text().split():
+    if not Path("/proc/cpuinfo").exists() or "fma" not in Path("/proc/cpuinfo").read_text().split():
         pytest.skip("this processor has no fused multiply-add")
     asked = ("-mfma", "-ffp-contract=fast")
     for number, (change, contracts) in enumerate(
@@ -519,6 +520,92 @@ def test_products_and_sums_are_not_contracted(ideal, tmp_path):
         made.slave.instantiate(logMessage=made.log, loggingOn=True)
         assert ("fused multiply-add" in "".join(made.logged)) == contracts
         made.slave.freeInstance()
+
+
+# Other systems --------------------------------------------------------------------------------------------------------
+
+
+def named_compiler(folder, answer):
+    """A compiler that says what it compiles for, and compiles nothing."""
+    if sys.platform == "win32":
+        pytest.skip("its stand-in is a script of a POSIX shell")
+    script = folder / "cc"
+    script.write_text(f"#!/bin/sh\n{answer}\n")
+    script.chmod(0o755)
+    return str(script)
+
+
+@pytest.mark.parametrize(
+    ("triple", "platform", "suffix"),
+    [
+        ("x86_64-linux-gnu", "x86_64-linux", ".so"),
+        ("x86_64-pc-linux-musl", "x86_64-linux", ".so"),
+        ("aarch64-linux-gnu", "aarch64-linux", ".so"),
+        ("arm-linux-gnueabihf", "aarch32-linux", ".so"),
+        ("i686-linux-gnu", "x86-linux", ".so"),
+        ("arm64-apple-darwin23.6.0", "aarch64-darwin", ".dylib"),
+        ("x86_64-apple-darwin22.1.0", "x86_64-darwin", ".dylib"),
+        ("x86_64-w64-mingw32", "x86_64-windows", ".dll"),
+        ("x86_64-pc-windows-msvc", "x86_64-windows", ".dll"),
+        ("aarch64-w64-windows-gnu", "aarch64-windows", ".dll"),
+    ],
+)
+def test_the_library_is_named_after_what_the_compiler_compiles_for(triple, platform, suffix, tmp_path):
+    target = native.target_of(named_compiler(tmp_path, f"echo {triple}"))
+    assert (target.platform, target.suffix) == (platform, suffix)
+    # Clang for Windows refuses -fPIC, and has no library m.
+    assert ("-fPIC" in target.options) == (suffix != ".dll")
+    assert ("-lm" in target.libraries) == ("msvc" not in triple and "windows-gnu" not in triple)
+
+
+@pytest.mark.parametrize("triple", ["x86_64-pc-cygwin", "sparc64-linux-gnu", "x86_64-unknown-freebsd14"])
+def test_a_system_that_fmi_has_no_name_for_is_refused(triple, tmp_path):
+    with pytest.raises(sj.SceneError, match=rf"{triple}.*CC"):
+        native.target_of(named_compiler(tmp_path, f"echo {triple}"))
+
+
+@pytest.mark.parametrize("answer", ["exit 1", "echo no such option; exit 0"])
+@pytest.mark.parametrize(
+    ("machine", "system", "platform"),
+    [("AMD64", "win32", "x86_64-windows"), ("arm64", "darwin", "aarch64-darwin"), ("x86_64", "linux", "x86_64-linux")],
+)
+def test_a_compiler_that_does_not_say_compiles_for_this_machine(
+    answer, machine, system, platform, tmp_path, monkeypatch
+):
+    compiler = named_compiler(tmp_path, answer)
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr(native, "sys", SimpleNamespace(platform=system))
+    assert native.target_of(compiler).platform == platform
+
+
+def numbers_of(path, folder, compiler, *emulator):
+    """What the library of an FMU computes in a process of its own system."""
+    folder.mkdir()
+    unzipped = Path(fmpy.extract(path, folder / "unzipped"))
+    (library,) = (each for each in (unzipped / "binaries").rglob("*") if each.is_file())
+    host = folder / "host"
+    subprocess.run([compiler, "-o", host, Path(__file__).with_name("fmu_host.c"), "-ldl"], check=True)
+    told = fmpy.read_model_description(path)
+    references = [str(each.valueReference) for each in told.modelVariables if each.causality == "output"]
+    command = [*emulator, host, library, told.guid, *references]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return library.parent.name, done.stdout.split()
+
+
+def test_an_fmu_of_a_cross_compiler_has_the_same_numbers(dry, tmp_path, monkeypatch):
+    """On ARM, to the last bit, although fused multiply-add is what GCC makes there by default."""
+    compiler, emulator = "aarch64-linux-gnu-gcc", "qemu-aarch64"
+    if not (shutil.which(compiler) and shutil.which(emulator)):
+        pytest.skip("no cross compiler (Debian: apt-get install gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user)")
+    monkeypatch.setenv("CC", compiler)
+    parameters = ["joints.pivot.model.clearance", "gravity.z"]
+    path = sj.export_fmu(
+        pendulum(DRY), tmp_path / "knocking pendulum.fmu", outputs=["position.rod.z"], parameters=parameters
+    )
+    platform, found = numbers_of(path, tmp_path / "arm", compiler, emulator, "-L", "/usr/aarch64-linux-gnu")
+    assert platform == "aarch64-linux"
+    assert len(found) == 20
+    assert found == numbers_of(dry, tmp_path / "here", "cc")[1]
 
 
 def test_names_are_no_code(tmp_path):

@@ -20,7 +20,7 @@ def kebab(name: str) -> str:
 
 def laws_in(file: str) -> list[str]:
     """Names of the classes of a file of the package that someone can make, in its order; read as text, without JAX."""
-    tree = ast.parse((PACKAGE / file).read_text())
+    tree = ast.parse((PACKAGE / file).read_text(encoding="utf-8"))
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef) and node.bases]
     of_family = [c.name for c in classes if isinstance(c.bases[0], ast.Name) and c.bases[0].id.startswith("Abstract")]
     return [name for name in of_family if not name.startswith(("Abstract", "_"))]
@@ -28,7 +28,7 @@ def laws_in(file: str) -> list[str]:
 
 def names_in(file: str) -> list[str]:
     """The public names of a file of the package: its `__all__`, read as text."""
-    tree = ast.parse((PACKAGE / file).read_text())
+    tree = ast.parse((PACKAGE / file).read_text(encoding="utf-8"))
     assigned = {ast.unparse(node.targets[0]): node.value for node in tree.body if isinstance(node, ast.Assign)}
     return ast.literal_eval(assigned["__all__"])
 

@@ -6,6 +6,8 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from spherejax import runtime
+
 Report = Callable[[str, float], None]
 """Called with what has just been done and the share of the work that is done."""
 
@@ -72,7 +74,7 @@ class Pool:
         futures = {self.executor.submit(piece.work): at for at, piece in enumerate(pieces)}
         waiting, has_more, is_idle = set(futures), meanwhile is not None, False
         while waiting:
-            timeout = 0 if has_more and not is_idle else None
+            timeout = 0 if has_more and not is_idle else runtime.LONGEST_WAIT
             found, waiting = wait(waiting, timeout=timeout, return_when=FIRST_COMPLETED)
             for future in found:
                 heard(futures[future], future.result())

@@ -6,6 +6,7 @@ It needs neither Python nor this package where it runs.
 import hashlib
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -14,7 +15,7 @@ import zipfile
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import numpy as np
@@ -38,10 +39,10 @@ from spherejax.output.fmu.programs import Written, n_crossings, written
 from spherejax.output.search_path import program_on_path
 
 OPTIONS = (
-    "-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wno-unused-function"
+    "-std=c11", "-O2", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-Wall", "-Wno-unused-function"
 )  # fmt: skip
 """No -ffast-math, and no fused multiply-add: the order and the roundings of the arithmetic are those of the scalar
-program."""
+program. GCC fuses by default wherever the processor can: on aarch64 always, on x86-64 with -march=native."""
 
 LANDING_WINDOW = 1e-9
 """Steps end within this of a contact's surface, in its crossing function, as in `motion/solvers/landing.py`."""
@@ -73,6 +74,7 @@ def write_native(
         SceneError: where there is no C compiler, or the scene cannot be written in C.
     """
     compiler = compiler_of()
+    target = target_of(compiler)  # before the programs are traced: it may be refused
     programs = written(scene, ports)
     explicit = choice.solver if is_explicit(choice.solver) else None
     indicators = _indicators(programs.system)
@@ -84,17 +86,17 @@ def write_native(
     kinds = Kinds(True, explicit is not None)
     xml = description(identifier, token, words, kinds, experiment, ports, states, indicators)
     with tempfile.TemporaryDirectory(prefix="spherejax_fmu_") as folder:
-        library = _compiled(compiler, Path(folder), source, instance)
+        library = _compiled(compiler, target, Path(folder), source, instance)
         with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as file:
             file.writestr("modelDescription.xml", xml)
             file.writestr("sources/model.c", source)
             file.writestr("sources/instance.c", instance)
             file.writestr("sources/buildDescription.xml", _build_description(identifier))
-            file.write(library, f"binaries/{platform_name()}/{identifier}{_suffix()}")
+            file.write(library, f"binaries/{target.platform}/{identifier}{target.suffix}")
 
 
 def compiler_of() -> str:
-    """The C compiler: that of the variable CC, or cc, gcc or clang.
+    """The C compiler: that of the variable CC, or cc, gcc or clang. A cross compiler makes an FMU for its own system.
 
     Raises:
         SceneError: where there is none.
@@ -103,8 +105,9 @@ def compiler_of() -> str:
     found = next(filter(None, map(program_on_path, names)), None)
     if found is None:
         raise SceneError(
-            f"export_fmu: no C compiler ({', '.join(names)}) is on the PATH; install one (on Debian: apt install gcc), "
-            'or export with kind="python"'
+            f"export_fmu: no C compiler ({', '.join(names)}) is on the PATH; install one (Debian: apt install gcc; "
+            "macOS: xcode-select --install; Windows: MinGW-w64 or LLVM, not Microsoft's cl), or export with "
+            'kind="python"'
         )
     return found
 
@@ -199,17 +202,62 @@ def state_ports(system: System) -> list[Port]:
     return found
 
 
-def platform_name() -> str:
-    """The folder of binaries after FMI 3.0, e.g. `x86_64-linux`."""
-    machine = {"amd64": "x86_64", "arm64": "aarch64", "i686": "x86"}.get(
-        platform.machine().lower(), platform.machine().lower()
+class Target(NamedTuple):
+    """The system that a compiler writes code for.
+
+    Attributes:
+        platform: the folder of its library in the FMU, as FMI 3.0 names it: `x86_64-linux`, `aarch64-darwin`, ...
+        suffix: of the library's file name.
+        options: of the compiler, besides `OPTIONS`.
+        libraries: what is linked.
+    """
+
+    platform: str
+    suffix: str
+    options: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ("-lm",)
+
+
+ARCHITECTURES = {
+    "x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64", "i386": "x86", "i486": "x86",
+    "i586": "x86", "i686": "x86", "x86": "x86", "arm": "aarch32", "armv6l": "aarch32", "armv7l": "aarch32",
+    "riscv64": "riscv64", "ppc64le": "ppc64le", "powerpc64le": "ppc64le",
+}  # fmt: skip
+"""Names of FMI 3.0 by those of compilers and operating systems."""
+
+
+def target_of(compiler: str) -> Target:
+    """The system that a C compiler writes code for, which is not this machine where the compiler is a cross compiler.
+
+    Args:
+        compiler: its path. GCC and Clang say by `-dumpmachine` what they compile for; of a compiler that does not, it
+            is taken to be this machine.
+
+    Raises:
+        SceneError: where FMI 3.0 has no name for it.
+    """
+    asked = subprocess.run([compiler, "-dumpmachine"], capture_output=True, text=True, errors="replace", check=False)
+    triple = asked.stdout.strip().lower() if asked.returncode == 0 else ""
+    if not re.fullmatch(r"[\w.]+(-[\w.]+)+", triple):
+        triple = f"{platform.machine().lower()}-{sys.platform}"
+    architecture, _, rest = triple.partition("-")
+    architecture = ARCHITECTURES.get(architecture)
+    # x87 registers round to 64 bits whenever they please; SSE rounds each operation to 53.
+    options = ("-msse2", "-mfpmath=sse") if architecture == "x86" else ()
+    if architecture and any(word in rest for word in ("mingw", "windows", "win32")):
+        # Without GCC's run-time library, which other machines lack. MSVC's C library contains the mathematics.
+        is_gcc = "mingw" in rest
+        more = (*options, "-static-libgcc") if is_gcc else options
+        return Target(f"{architecture}-windows", ".dll", more, ("-lm",) if is_gcc else ())
+    if architecture and ("darwin" in rest or "macos" in rest):
+        return Target(f"{architecture}-darwin", ".dylib", (*options, "-fPIC"))
+    if architecture and "linux" in rest:
+        return Target(f"{architecture}-linux", ".so", (*options, "-fPIC"))
+    raise SceneError(
+        f"export_fmu: the C compiler {compiler!r} compiles for {triple!r}, for which FMI 3.0 has no name. Libraries in "
+        "FMUs are for Linux, macOS (darwin) and Windows (by MinGW-w64 or Clang; Cygwin's need Cygwin). Choose another "
+        'compiler by the environment variable CC, or export with kind="python"'
     )
-    kind = {"linux": "linux", "darwin": "darwin", "win32": "windows"}.get(sys.platform, sys.platform)
-    return f"{machine}-{kind}"
-
-
-def _suffix() -> str:
-    return {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
 def _indicators(system: System) -> list[str]:
@@ -221,12 +269,13 @@ def _indicators(system: System) -> list[str]:
     return [f"events.{name}" for name in [*system.contact_joints, *touches]]
 
 
-def _compiled(compiler: str, folder: Path, source: str, instance: str) -> Path:
+def _compiled(compiler: str, target: Target, folder: Path, source: str, instance: str) -> Path:
     (folder / "model.c").write_text(source, encoding="utf-8")
     (folder / "instance.c").write_text(instance, encoding="utf-8")
-    library = folder / "model.so"
-    command = [compiler, *OPTIONS, "-o", str(library), str(folder / "model.c"), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+    library = folder / f"model{target.suffix}"
+    command = [compiler, *OPTIONS, *target.options, "-o", str(library), str(folder / "model.c"), *target.libraries]
+    # What a compiler says may be in the language, and the encoding, of the system.
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, cwd=folder)
     if done.returncode:
         raise SceneError(f"export_fmu: {' '.join(command[:1])} failed:\n{done.stderr[:2000]}")
     return library

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 
+from spherejax import runtime
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.chunks import (
     ChunkResult,
@@ -127,7 +128,7 @@ def work_off(results: Results, crew: Crew, report: Report) -> None:
                         except Exception as error:
                             _keep_finished(results, under_way)
                             raise _told(error, results, chunks[0], attempts[chunks[0]]) from error
-                    for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                    for future in wait(under_way, runtime.LONGEST_WAIT, return_when=FIRST_COMPLETED).done:
                         chunks = under_way.pop(future)
                         error = _error_of(future)
                         if error is None:

@@ -15,8 +15,8 @@ class StoreWarning(UserWarning):
     """Something about a store that could not be verified."""
 
 
-NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""The disk, the quota, or the largest file."""
+NO_SPACE = tuple(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
+"""Error numbers for a full disk, a used quota and the largest file; Windows need not have one for quotas."""
 
 
 @contextmanager

@@ -12,8 +12,9 @@ from pathlib import Path
 from spherejax.foundations.errors import SceneError
 from spherejax.studies.sweep.failures import StoreWarning, writing
 
-NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
-"""What file systems answer that have no locks."""
+_NAMES = ("ENOLCK", "ENOTSUP", "EOPNOTSUPP", "ENOSYS")
+NO_LOCKS = tuple(getattr(errno, name) for name in _NAMES if hasattr(errno, name))
+"""Error numbers of file systems that have no locks; not every system has a number of each name."""
 
 
 @contextmanager
@@ -38,6 +39,9 @@ def held(path: Path | None) -> Iterator[None]:
         with suppress(OSError):
             beside.unlink()
         os.close(descriptor)
+        if os.name == "nt":  # Windows deletes no file that is open, nor, so, one that somebody else has opened since
+            with suppress(OSError):
+                beside.unlink()
 
 
 def _opened(path: Path, beside: Path) -> int:
