@@ -15,12 +15,12 @@ from machine import write
 CODE = """
 import sys, time, jax, jax.numpy as jnp
 import spherejax as sj
-from spherejax.foundations.machine import few_kernels
-from spherejax.foundations.machine.array_text import NotWrittenError
+from spherejax.compiler.native import loop_fusion
+from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 def refused(*_):
     raise NotWrittenError("for comparison")
 if {refuses}:
-    few_kernels.looped = refused
+    loop_fusion.looped = refused
 [getattr(sj, name) for name in sj.__all__]
 ts = jnp.linspace(0.0, 0.2, 21)
 height = lambda x: sj.simulate(sj.gallery.four_bar({joint}), ts).ys[-1, 2]

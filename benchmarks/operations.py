@@ -17,15 +17,16 @@ import jax
 from machine import write
 
 import spherejax as sj
-from spherejax.foundations.scalar import scalarize, straight_line
-from spherejax.foundations.scalar.derivatives import Forward
-from spherejax.foundations.scalar.interpreter import Interpreter
+from spherejax.compiler import primitive
+from spherejax.compiler import program as scalar_program
+from spherejax.compiler.autodiff import Forward
+from spherejax.compiler.trace import Interpreter
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 
 PACKAGE = Path(sj.__file__).parent
-FOUNDATIONS = PACKAGE / "foundations"
+UNDER_THE_EQUATIONS = PACKAGE / "compiler", PACKAGE / "foundations"
 STATE = 2
 """Place of the state among the arguments of a right-hand side."""
 
@@ -64,7 +65,7 @@ def asking_for(equation) -> str:
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         path = Path(frame.file_name)
-        if path.is_relative_to(PACKAGE) and not path.is_relative_to(FOUNDATIONS):
+        if path.is_relative_to(PACKAGE) and not any(map(path.is_relative_to, UNDER_THE_EQUATIONS)):
             return f"{path.relative_to(PACKAGE)}:{frame.function_name.rsplit('.', 1)[-1]}"
     return ""
 
@@ -110,8 +111,8 @@ def rows_of(name: str, scene: sj.Scene) -> list[dict[str, object]]:
 
 
 def main() -> None:
-    scalarize.Interpreter = Noting
-    straight_line.Forward = NotingForward
+    scalar_program.Interpreter = Noting
+    primitive.Forward = NotingForward
     scenes = {name: getattr(sj.gallery, name) for name in sys.argv[1:]} or {"four_bar, dry with friction": dry}
     rows = [row for name, make in scenes.items() for row in rows_of(name, make())]
     for row in rows:

@@ -27,7 +27,7 @@ extensions = [
 exclude_patterns = ["_build", "extensions"]
 source_suffix = {".md": "markdown"}
 nitpicky = True
-NOT_PUBLIC = "physics|motion|model|foundations|studies|output|files"
+NOT_PUBLIC = "physics|motion|model|compiler|foundations|studies|output|files"
 nitpick_ignore_regex = [
     # The documentation of other packages is not there without a network.
     ("py:.*", r"(?!spherejax\.).*"),

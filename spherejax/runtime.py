@@ -2,14 +2,14 @@
 
 The first flag lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
 does so for tiny loops only. The second lets one fusion have several outputs. Together with the scalar program of
-`foundations.scalar.scalarize` they make a right-hand side 15 to 30 times faster; neither helps code that calls LAPACK
+`compiler.program` they make a right-hand side 15 to 30 times faster; neither helps code that calls LAPACK
 or multiplies matrices inside the loop.
 
 A third one lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which
 takes a tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse.
 
 The fourth keeps XLA from handing sums and products of matrices to a library (YNNPACK). It does so also within what is
-to be one kernel (`foundations.few_kernels`), and then cannot write it (jaxlib 0.10).
+to be one kernel (`compiler.native.loop_fusion`), and then cannot write it (jaxlib 0.10).
 
 Compiled programs are kept in the user's cache folder, so that the next process need not compile them again.
 """

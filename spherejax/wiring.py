@@ -6,13 +6,16 @@ that import what takes long when they are first called.
 
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 from spherejax import runtime
+from spherejax.compiler import hooks
 from spherejax.program_cache import settings
 
 
 def connect() -> None:
-    """Tell the program cache of this package. It imports no JAX."""
+    """Tell the program cache of this package, and the compiler of the program cache. It imports no JAX."""
+    hooks.attach(hooks.Hooks(_lookup, _save, runtime.ConfigurationWarning, _tracing))
     settings.configure(
         settings.Settings(
             package=__name__.split(".")[0],
@@ -50,7 +53,19 @@ def _tracing() -> AbstractContextManager:
     return exits_as_errors()
 
 
-def _object_code() -> settings.ExtraBlobs:
-    from spherejax.foundations.machine import code
+def _lookup(name: str) -> Any:
+    from spherejax.program_cache import disk_cache
 
-    return settings.ExtraBlobs(code.is_available, code.listened, code.make_known, code.note_called)
+    return disk_cache.load(name)
+
+
+def _save(name: str, content: bytes) -> None:
+    from spherejax.program_cache import disk_cache
+
+    disk_cache.save(name, content)
+
+
+def _object_code() -> settings.ExtraBlobs:
+    from spherejax.compiler.native import compile as native
+
+    return settings.ExtraBlobs(native.is_available, native.listened, native.make_known, native.note_called)

@@ -12,10 +12,10 @@ from spherejax.program_cache import disk_cache
 
 PACKAGE = Path(spherejax.__file__).parent
 ORDER = [
-    "program_cache", "foundations", "physics", "model", "gallery", "motion", "files", "output", "studies",
+    "compiler", "program_cache", "foundations", "physics", "model", "gallery", "motion", "files", "output", "studies",
     "command_line", "top",
 ]  # fmt: skip
-ALONE = ["program_cache"]
+ALONE = ["compiler", "program_cache"]
 """Buildings that import nothing else of the package, so that they could be published alone."""
 ROOMS = ["equations", "start", "solvers", "integration", "derivatives", "results", "runs"]
 """Of `motion`, in the order of a run."""
@@ -118,7 +118,7 @@ def test_rooms_of_files_go_from_numbers_to_scenes():
 
 
 def test_most_of_the_foundations_stands_in_rooms():
-    """What is read together: scalar programs, their machine code, eliminations, kept programs; the rest is short."""
+    """What is read together (numbers with units) stands in a room; the rest is short."""
     loose = [path for path in FILES if path.parent == PACKAGE / "foundations"]
     assert len(loose) <= 12
     assert sum(len(path.read_text().splitlines()) for path in loose) <= 1200

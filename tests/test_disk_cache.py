@@ -19,7 +19,7 @@ import pytest
 
 import spherejax as sj
 from spherejax import runtime
-from spherejax.foundations.scalar.scalarize import scalarize
+from spherejax.compiler.program import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -103,7 +103,7 @@ jax.monitoring.register_event_duration_secs_listener(
 import jax.numpy as jnp
 import spherejax
 from spherejax.program_cache.jit import cached_jit
-from spherejax.foundations.linear import general_solve
+from spherejax.compiler.linear_algebra import general_solve
 solve = cached_jit(general_solve._by_lapack)
 print(solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.ones((2, 1)))[1, 0], any("_by_lapack" in str(name) for name in traced))
 """

@@ -23,8 +23,8 @@ from scipy.integrate import solve_ivp
 
 import spherejax as sj
 from spherejax import cli
-from spherejax.foundations.scalar.c_source import PRELUDE
-from spherejax.foundations.scalar.scalarize import scalarize
+from spherejax.compiler.emit.c import PRELUDE
+from spherejax.compiler.program import scalarize
 from spherejax.motion.runs.pieces import Pieces
 from spherejax.output.fmu import native
 

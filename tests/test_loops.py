@@ -7,9 +7,9 @@ import pytest
 from jax.extend import core as jex
 
 import spherejax as sj
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine import few_kernels, loops
-from spherejax.foundations.machine.array_text import LARGE, NotWrittenError
+from spherejax.compiler.emit.llvm_arrays import LARGE, NotWrittenError
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native import loop_fusion, loops
 from spherejax.motion.integration import one_run
 
 TS = jnp.linspace(0.0, 0.01, 4)
@@ -91,7 +91,7 @@ def operations_of(*calls):
         return loops.looped(parameters, values)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(few_kernels, "looped", seen)
+        patch.setattr(loop_fusion, "looped", seen)
         for call in calls:
             call()
     return [*found.values()]
@@ -295,7 +295,7 @@ def reading_late(y, n):
 @pytest.fixture
 def loops_call(monkeypatch):
     """Any loop counts as one that calls machine code; others are left alone before anybody looks at them."""
-    monkeypatch.setattr(few_kernels, "_calls", lambda equation: equation.primitive.name == "while")
+    monkeypatch.setattr(loop_fusion, "_calls", lambda equation: equation.primitive.name == "while")
 
 
 @pytest.fixture
@@ -306,7 +306,7 @@ def left_to_xla(loops_call, caplog):
     def left(function, *examples):
         caplog.clear()
         with machine_code.wanted():
-            found = jax.jit(few_kernels.in_few_kernels(function))(*examples)
+            found = jax.jit(loop_fusion.in_few_kernels(function))(*examples)
         return found, caplog.text
 
     return left
@@ -366,7 +366,7 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
     found = []
     for how in (counted, refused):
         with monkeypatch.context() as patch:
-            patch.setattr(few_kernels, "looped", how)
+            patch.setattr(loop_fusion, "looped", how)
             for program in (one_run.started, one_run.gone_on_with, one_run.integrated):
                 program.clear()
             found.append(np.asarray(sj.simulate(scene, ts, rtol=1e-9).ys))
@@ -378,7 +378,7 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
 def test_a_loop_under_vmap_is_made_for_one_after_the_other():
     y, weights = jnp.array([0.3, -1.2, 2.0]), jnp.array([[0.4, 1.0], [-0.8, 2.0]])
     counts = jnp.array([0, 3, 1])
-    made = jax.vmap(lambda n: few_kernels.in_few_kernels(swapping)(y, weights, n))
+    made = jax.vmap(lambda n: loop_fusion.in_few_kernels(swapping)(y, weights, n))
     with machine_code.wanted():
         assert "= loop_in_machine_code[" in str(jax.make_jaxpr(made)(counts))
         found = jax.jit(made)(counts)

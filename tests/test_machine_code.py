@@ -20,13 +20,13 @@ from jax.extend import core as jex
 from jax.flatten_util import ravel_pytree
 
 import spherejax as sj
+from spherejax.compiler import primitive
+from spherejax.compiler.emit import llvm as llvm_text
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native import loop_fusion
+from spherejax.compiler.native.loop_fusion import in_few_kernels
+from spherejax.compiler.program import scalarize
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine import few_kernels
-from spherejax.foundations.machine import text as machine_text
-from spherejax.foundations.machine.few_kernels import in_few_kernels
-from spherejax.foundations.scalar import straight_line
-from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -42,7 +42,7 @@ pytestmark = pytest.mark.skipif(not machine_code.is_available(), reason="no mach
 
 @pytest.fixture
 def small_ones_too(monkeypatch):
-    monkeypatch.setattr(straight_line, "SMALLEST_CALLED", 0)
+    monkeypatch.setattr(primitive, "SMALLEST_CALLED", 0)
 
 
 def n_calls(function, *arguments) -> int:
@@ -185,7 +185,7 @@ def test_a_loop_within_a_loop_takes_the_vectors_of_the_outer_one(small_ones_too)
 
 def kernels(jaxpr):
     for equation in jaxpr.eqns:
-        if equation.primitive.name == "few_kernels":
+        if equation.primitive.name == "loop_fusion":
             yield equation
         for inner in jex.jaxprs_in_params(equation.params):
             yield from kernels(inner)
@@ -197,7 +197,7 @@ def test_what_a_loop_writes_down_is_not_copied_by_kernels(n, small_ones_too):
         found = [*kernels(jax.make_jaxpr(in_few_kernels(wandering(FIELD, n)))(*ARGUMENTS).jaxpr)]
     assert found
     sizes = {out.aval.size for kernel in found for out in kernel.outvars}
-    assert max(sizes) <= few_kernels.LARGEST_JOINED
+    assert max(sizes) <= loop_fusion.LARGEST_JOINED
 
 
 @pytest.mark.parametrize("kind", ["sum", "max", "all", "dot", "squares"])
@@ -241,11 +241,11 @@ def test_arguments_that_nothing_reads_do_not_end_the_process():
     """XLA aborts where a small function has some; here each is returned in part."""
     code = """
 import spherejax, jax, jax.numpy as jnp
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.scalar import straight_line
-from spherejax.foundations.machine.few_kernels import in_few_kernels
-from spherejax.foundations.scalar.scalarize import scalarize
-straight_line.SMALLEST_CALLED = 0
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler import primitive
+from spherejax.compiler.native.loop_fusion import in_few_kernels
+from spherejax.compiler.program import scalarize
+primitive.SMALLEST_CALLED = 0
 double = scalarize(lambda y: 2.0 * y, jnp.ones(3))
 def body(state):
     i, y, z, flag, n = state
@@ -588,7 +588,7 @@ def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch)
 RUN = """
 import sys, time, jax, jax.numpy as jnp
 import spherejax as sj
-from spherejax.foundations.machine import code as machine_code
+from spherejax.compiler.native import compile as machine_code
 scene = sj.gallery.four_bar(sj.Bushing(1e6, 1e-4))
 begin = time.process_time()
 run = sj.simulate(scene, jnp.linspace(0.0, 0.005, 3))
@@ -669,8 +669,8 @@ def test_an_unknown_operation_is_left_to_xla(small_ones_too, monkeypatch):
     with machine_code.wanted():
         assert n_calls(made, x) == 1
     other = scalarize(lambda x: jnp.exp(x) + x**2, x)
-    monkeypatch.setattr(machine_text, "LIBRARY", frozenset())
-    monkeypatch.setattr(machine_text, "_OF_FLOATS", frozenset())
+    monkeypatch.setattr(llvm_text, "LIBRARY", frozenset())
+    monkeypatch.setattr(llvm_text, "_OF_FLOATS", frozenset())
     with machine_code.wanted():
         assert n_calls(other, x) == 0
         np.testing.assert_allclose(jax.jit(other)(x), np.exp(x) + x**2, rtol=1e-14)

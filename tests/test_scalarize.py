@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.foundations.linear.symmetric_solve import symmetric_solve
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.scalar.graph import AS_NUMPY, FLOAT, Graph, NotScalarizable
-from spherejax.foundations.scalar.scalarize import scalarize
-from spherejax.foundations.scalar.solves import _minimum_degree_order
+from spherejax.compiler.graph import AS_NUMPY, FLOAT, Graph, NotScalarizable
+from spherejax.compiler.linear_algebra.symmetric_solve import symmetric_solve
+from spherejax.compiler.linear_algebra.unrolled import _minimum_degree_order
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.program import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.contacts import crossings, memory_after_step, onset_slopes, relative_motions
 from spherejax.motion.equations.dynamics import state_rate

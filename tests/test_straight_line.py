@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.scalar import straight_line
-from spherejax.foundations.scalar.scalarize import scalarize
+from spherejax.compiler import primitive
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.program import scalarize
 from spherejax.program_cache.fingerprints import program_fingerprint
 
 
 @pytest.fixture(autouse=True, params=["by XLA", "machine code"])
 def made(request, monkeypatch):
     """Every test twice: what XLA compiles, and what is machine code of its own, however small."""
-    monkeypatch.setattr(straight_line, "SMALLEST_CALLED", 0)
+    monkeypatch.setattr(primitive, "SMALLEST_CALLED", 0)
     with machine_code.wanted(request.param == "machine code"):
         if request.param == "machine code" and not machine_code.is_on():
             pytest.skip("no machine code with this jaxlib, or without llvmlite")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.loop_fusion import in_few_kernels
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.few_kernels import in_few_kernels
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for

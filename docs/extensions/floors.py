@@ -21,6 +21,7 @@ from sphinx.errors import SphinxError
 
 PACKAGE = Path(__file__).resolve().parents[2] / "spherejax"
 ORDER = (
+    "compiler",
     "program_cache",
     "foundations",
     "physics",

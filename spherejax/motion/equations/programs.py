@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.foundations.scalar.graph import NotScalarizable, TooManyOperations
-from spherejax.foundations.scalar.scalarize import ScalarProgram, scalarize
+from spherejax.compiler.graph import NotScalarizable, TooManyOperations
+from spherejax.compiler.program import ScalarProgram, scalarize
 from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
 from spherejax.motion.equations.dynamics import state_rate

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.loop_fusion import in_few_kernels
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.few_kernels import in_few_kernels
 from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step, onset_slopes

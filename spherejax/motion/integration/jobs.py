@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.machine import code as machine_code
+from spherejax.compiler.native import compile as machine_code
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate

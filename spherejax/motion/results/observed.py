@@ -9,8 +9,8 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from spherejax.compiler.native import compile as machine_code
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.machine import code as machine_code
 from spherejax.foundations.numerics import safe_norm
 from spherejax.motion.equations.observables import Observation, looked_up, observe
 from spherejax.motion.equations.programs import program_for

@@ -19,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.rosenbrock import (
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.explicit import entries_at
+from spherejax.compiler.native.rosenbrock import (
     BEGIN_ROWS,
     FOUND,
     MOVED,
@@ -38,8 +39,7 @@ from spherejax.foundations.machine.rosenbrock import (
     rosenbrock_stages,
     rows_of,
 )
-from spherejax.foundations.machine.stages import entries_at
-from spherejax.foundations.scalar.straight_line import Moves, StraightLine
+from spherejax.compiler.primitive import Moves, StraightLine
 from spherejax.motion.equations.programs import Program
 
 T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6

@@ -13,7 +13,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from spherejax.foundations.scalar.straight_line import Derivative, StraightLine
+from spherejax.compiler.primitive import Derivative, StraightLine
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure
 from spherejax.motion.equations.dynamics import state_rate

@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import diffrax
 import numpy as np
 
+from spherejax.compiler.emit.c import PRELUDE
+from spherejax.compiler.graph import NotScalarizable
 from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.scalar.c_source import PRELUDE
-from spherejax.foundations.scalar.graph import NotScalarizable
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.integration.audit import CONSTRAINT_SHARE, NORM, OUTSIDE, Vitals, limits_of

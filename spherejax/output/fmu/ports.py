@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.compiler.program import scalarize
 from spherejax.files.fields.number_units import unit_at
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number
-from spherejax.foundations.scalar.scalarize import scalarize
 from spherejax.model.numbers import Number, full_path, numbers_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from spherejax.compiler.graph import NotScalarizable, TooManyOperations
+from spherejax.compiler.program import ScalarProgram, scalarize
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.scalar.graph import NotScalarizable, TooManyOperations
-from spherejax.foundations.scalar.scalarize import ScalarProgram, scalarize
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step

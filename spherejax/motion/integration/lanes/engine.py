@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.loop_fusion import in_few_kernels
 from spherejax.foundations.lanes import in_lanes, with_rows_at
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.few_kernels import in_few_kernels
 from spherejax.motion.integration.audit import Watch
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by

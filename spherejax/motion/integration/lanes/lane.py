@@ -7,7 +7,7 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.foundations.scalar.scalarize import ScalarProgram
+from spherejax.compiler.program import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.integration.status import Status

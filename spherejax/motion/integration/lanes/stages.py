@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.explicit import ExplicitMethod, can_be_called, stages
+from spherejax.compiler.program import ScalarProgram
 from spherejax.foundations.lanes import in_lanes
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.stages import ExplicitMethod, can_be_called, stages
-from spherejax.foundations.scalar.scalarize import ScalarProgram
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
 from spherejax.motion.solvers.dop853 import TwoErrors

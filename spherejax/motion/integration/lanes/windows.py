@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.foundations.machine import code as machine_code
-from spherejax.foundations.machine.few_kernels import in_few_kernels
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.loop_fusion import in_few_kernels
 from spherejax.motion.integration.lanes.account import AccountLayout, samples_are_finite, written
 from spherejax.motion.integration.lanes.engine import Queue
 from spherejax.motion.integration.lanes.first_step import Looks

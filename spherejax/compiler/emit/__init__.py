@@ -1,0 +1,1 @@
+"""Programs written out as text for another compiler, or evaluated at once with NumPy."""

@@ -1,0 +1,177 @@
+"""A straight-line scalar program written out as a C function, for machines without Python.
+
+Each operation becomes one statement on doubles (predicates and whole numbers: `int`, `long long`), in the order of the
+program, so that a compiler that does not reorder arithmetic (no -ffast-math) and does not contract it (no fused
+multiply-add: -ffp-contract=off) gives the numbers of the program itself up to the rounding of the mathematical library.
+Compilers that are told to do the former are refused by `#error`; the latter is switched off by pragmas.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from spherejax.compiler.graph import BOOL, FLOAT, Graph, NotScalarizable
+
+PRELUDE = """\
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST) || \\
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__)
+#error "compile without -ffast-math, -Ofast, -ffinite-math-only, -funsafe-math-optimizations (/fp:fast): NaN would pass"
+#endif
+/* No fused multiply-add: where two ways to the same number differ by a rounding, contacts begin and end without end. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#endif
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+/* By its bits, which no option of a compiler takes for granted. */
+static inline int is_finite(double a) {
+  uint64_t bits;
+  memcpy(&bits, &a, sizeof bits);
+  return (bits >> 52 & 0x7ff) != 0x7ff;
+}
+static inline double larger(double a, double b) { return a != a || a > b ? a : b; }   /* NaN wins, as in the library */
+static inline double smaller(double a, double b) { return a != a || a < b ? a : b; }
+static inline double sign_of(double a) { return a > 0 ? 1.0 : a < 0 ? -1.0 : a; }
+static inline double root_guarded_at_zero(double a) { return a == 0 ? 0.0 : sqrt(a); }
+"""
+"""What the functions need in front of them."""
+
+
+def _call(name: str) -> Callable[..., str]:
+    return lambda *arguments: f"{name}({', '.join(arguments)})"
+
+
+def _between(sign: str) -> Callable[..., str]:
+    return lambda a, b: f"{a} {sign} {b}"
+
+
+C: dict[str, Callable[..., str]] = {
+    "add": _between("+"),
+    "sub": _between("-"),
+    "mul": _between("*"),
+    "div": _between("/"),
+    "neg": lambda a: f"-{a}",
+    "select": lambda predicate, on_false, on_true: f"{predicate} ? {on_true} : {on_false}",
+    "root_guarded_at_zero": _call("root_guarded_at_zero"),
+    "max": _call("larger"),
+    "min": _call("smaller"),
+    "clamp": lambda low, a, high: f"smaller(larger({a}, {low}), {high})",
+    "sign": _call("sign_of"),
+    "abs": _call("fabs"),
+    "rsqrt": lambda a: f"1.0 / sqrt({a})",
+    "logistic": lambda a: f"1.0 / (1.0 + exp(-{a}))",
+    "is_finite": lambda a: f"is_finite({a})",
+    "rem": _call("fmod"),
+    "stop_gradient": lambda a: a,
+    "marked": lambda a: a,
+    **{name: _between(sign) for name, sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="))},
+    **{name: _between(sign) for name, sign in (("eq", "=="), ("ne", "!="), ("xor", "^"), ("and", "&"), ("or", "|"))},
+    **{
+        name: _call(name)
+        for name in (
+            "exp", "exp2", "log", "log1p", "expm1", "tanh", "sin", "cos", "tan", "asin", "acos", "atan", "atan2",
+            "sinh", "cosh", "asinh", "acosh", "atanh", "sqrt", "cbrt", "pow", "floor", "ceil", "erf", "erfc",
+            "nextafter",
+        )
+    },
+}  # fmt: skip
+"""How each operation is written."""
+
+
+def c_functions(graph: Graph, outputs: Sequence[int], ahead: Sequence[int], n_arguments: int, name: str) -> str:
+    """Two C functions: what depends on the first argument alone, and the rest.
+
+        enum { NAME_ahead_size = ... };
+        static void NAME_ahead(const double *a0, double *ahead);
+        static void NAME(const double *ahead, const double *a0, const double *a1, ..., double *out);
+
+    Args:
+        graph: the program.
+        outputs: nodes that are returned, flat.
+        ahead: nodes that are evaluated by the first function.
+        n_arguments: of the program.
+        name: of the function.
+
+    Raises:
+        NotScalarizable: for an operation that C does not have.
+    """
+    arguments = "".join(f"const double *a{i}, " for i in range(n_arguments))
+    unused = "".join(f" (void)a{i};" for i in range(n_arguments))
+    place = {node: i for i, node in enumerate(ahead)}
+    first = _statements(graph, ahead, {})
+    rest = _statements(graph, outputs, {node: _read_ahead(graph, node, i) for node, i in place.items()})
+    return "\n".join(
+        [
+            f"enum {{ {name}_ahead_size = {len(ahead)} }};",
+            f"static void {name}_ahead(const double *a0, double *ahead) {{ (void)a0; (void)ahead;",
+            *first,
+            *(f"  ahead[{i}] = {_name(graph, node)};" for node, i in place.items()),
+            "}",
+            f"static void {name}(const double *ahead, {arguments}double *out) {{ (void)ahead;{unused}",
+            *rest,
+            *(f"  out[{i}] = {_name(graph, node)};" for i, node in enumerate(outputs)),
+            "}",
+            "",
+        ]
+    )
+
+
+def _read_ahead(graph: Graph, node: int, place: int) -> str:
+    return f"ahead[{place}] != 0" if graph.dtypes[node] == BOOL else f"ahead[{place}]"
+
+
+def _statements(graph: Graph, outputs: Sequence[int], given: dict[int, str]) -> list[str]:
+    lines = []
+    for node in graph.needed(outputs, given.keys()):
+        operation = graph.operations[node]
+        if operation == "constant":
+            continue
+        if node in given:
+            text = given[node]
+        elif operation == "input":
+            argument, entry = graph.parameters[node]
+            text = f"a{argument}[{entry}]"
+        else:
+            text = _written(graph, node, operation)
+        lines.append(f"  const {_type(graph.dtypes[node])} {_name(graph, node)} = {text};")
+    return lines
+
+
+def _written(graph: Graph, node: int, operation: Any) -> str:
+    word = operation if isinstance(operation, str) else operation.name
+    arguments = [_name(graph, a) for a in graph.arguments[node]]
+    if word == "not":
+        return f"!{arguments[0]}" if graph.dtypes[node] == BOOL else f"~{arguments[0]}"
+    if word == "round":
+        # 0 is away from zero, 1 to the nearest even.
+        return (
+            f"{'round' if int(dict(graph.parameters[node])['rounding_method']) == 0 else 'nearbyint'}({arguments[0]})"
+        )
+    if word not in C or any(graph.dtypes[a] not in (FLOAT, BOOL) for a in graph.arguments[node]):
+        raise NotScalarizable(f"the operation {word!r} is not written in C")
+    return C[word](*arguments)
+
+
+def _name(graph: Graph, node: int) -> str:
+    return _constant(graph.value(node)) if graph.is_constant(node) else f"v{node}"
+
+
+def _constant(value: Any) -> str:
+    if isinstance(value, np.bool_ | bool):
+        return str(int(value))
+    number = float(value)
+    if math.isfinite(number):
+        return f"({number.hex()})"  # every bit of it
+    return "NAN" if math.isnan(number) else "INFINITY" if number > 0 else "(-INFINITY)"
+
+
+def _type(dtype: np.dtype) -> str:
+    return "double" if dtype == FLOAT else "int" if dtype == BOOL else "long long"

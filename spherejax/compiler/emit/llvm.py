@@ -1,0 +1,384 @@
+"""Scalar programs in LLVM's language, as functions that XLA can call.
+
+A function has the binary interface of `jax.ffi` (`xla/ffi/api/c_api.h`, version 0.3, which XLA says it keeps): it gets
+a frame, in which it finds where the numbers of its arguments are, and where its results are to go.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from spherejax.compiler.graph import BOOL, FLOAT, INT
+
+LARGEST_FRAME = 2**18
+"""Bytes of values that a function may have at once, at most: lanes are taken fewer at a time in larger programs, for a
+thread of XLA's pool has a stack of a few megabytes."""
+
+LANES_AT_A_TIME = 8
+"""Numbers in the widest vectors there are, 512 bits."""
+
+LIBRARY = frozenset(
+    [
+        "exp", "exp2", "log", "log1p", "expm1", "tanh", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+        "cosh", "asinh", "acosh", "atanh", "cbrt", "pow", "erf", "erfc", "nextafter", "rem",
+    ]
+)  # fmt: skip
+"""Functions of the mathematical library, by JAX's names."""
+
+INTRINSIC = {
+    "sqrt": "sqrt", "root_guarded_at_zero": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil",
+    "max": "maximum", "min": "minimum",
+}  # fmt: skip
+"""Functions that LLVM has itself; of a maximum, NaN wins."""
+
+COMPARED = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
+COMPARED_WHOLE = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}
+_NOTHING = frozenset(["stop_gradient", "marked"])
+_ARITHMETIC = frozenset(["add", "sub", "mul"])
+_LOGIC = frozenset(["and", "or", "xor"])
+_OF_FLOATS = LIBRARY | INTRINSIC.keys() | {"div", "neg", "rsqrt", "clamp", "sign", "is_finite", "logistic", "round"}
+_OF_ANY = frozenset(["select", *_NOTHING])
+
+
+def can_be_written(line: Any) -> bool:
+    """Whether all operations of a line have a rule here."""
+    graph, given = line.graph, frozenset(line.flat_given)
+    return all(
+        _is_known(graph, node)
+        for node in line.nodes
+        if node not in given and graph.operations[node] not in ("constant", "input")
+    )
+
+
+def _is_known(graph: Any, node: int) -> bool:
+    name = _name(graph.operations[node])
+    dtypes = {graph.dtypes[a] for a in graph.arguments[node]}
+    if name in _OF_ANY:
+        return True
+    if name in _ARITHMETIC:
+        return dtypes <= {FLOAT, INT}
+    if name in COMPARED:
+        return dtypes in ({FLOAT}, {INT}) or (name in ("eq", "ne") and dtypes == {BOOL})
+    if name in _LOGIC or name == "not":
+        return dtypes == {BOOL}
+    return name in _OF_FLOATS and dtypes == {FLOAT}
+
+
+def _name(operation: Any) -> str:
+    return operation if isinstance(operation, str) else operation.name
+
+
+FUNCTION = "PROGRAM"
+"""Stands for the name of the function, which is a digest of the rest."""
+
+# Offsets in bytes of what is read of XLA_FFI_CallFrame and what it points to, and of what is written when XLA asks
+# which version of the interface a function keeps to.
+_HEAD = f"""\
+define ptr @{FUNCTION}(ptr noalias %frame) nounwind {{
+  %p.extension = getelementptr inbounds i8, ptr %frame, i64 8
+  %extension = load ptr, ptr %p.extension
+  %is.plain = icmp eq ptr %extension, null
+  br i1 %is.plain, label %work, label %extended
+extended:
+  %p.kind = getelementptr inbounds i8, ptr %extension, i64 8
+  %kind = load i32, ptr %p.kind
+  %is.asked = icmp eq i32 %kind, 1
+  br i1 %is.asked, label %asked, label %work
+asked:
+  %p.metadata = getelementptr inbounds i8, ptr %extension, i64 24
+  %metadata = load ptr, ptr %p.metadata
+  %p.major = getelementptr inbounds i8, ptr %metadata, i64 24
+  store i32 0, ptr %p.major
+  %p.minor = getelementptr inbounds i8, ptr %metadata, i64 28
+  store i32 3, ptr %p.minor
+  %p.traits = getelementptr inbounds i8, ptr %metadata, i64 32
+  store i32 0, ptr %p.traits
+  ret ptr null
+work:
+  %p.arguments = getelementptr inbounds i8, ptr %frame, i64 72
+  %arguments = load ptr, ptr %p.arguments
+  %p.results = getelementptr inbounds i8, ptr %frame, i64 112
+  %results = load ptr, ptr %p.results
+"""
+DATA = 24
+"""Where a buffer says where its numbers are."""
+
+
+def head(n_arguments: int, n_results: int) -> str:
+    """How a function begins that XLA calls: with pointers to the numbers, `%a0`, ... and `%r0`, ..."""
+    lines = [_HEAD]
+    for letter, of, n in (("a", "arguments", n_arguments), ("r", "results", n_results)):
+        for i in range(n):
+            lines += [
+                f"  %{letter}{i}.place = getelementptr inbounds ptr, ptr %{of}, i64 {i}",
+                f"  %{letter}{i}.buffer = load ptr, ptr %{letter}{i}.place",
+                f"  %{letter}{i}.data = getelementptr inbounds i8, ptr %{letter}{i}.buffer, i64 {DATA}",
+                f"  %{letter}{i} = load ptr, ptr %{letter}{i}.data",
+            ]
+    return "\n".join(lines)
+
+
+def widest_for(*lines: Any) -> int:
+    """Numbers in the vectors that these lines may be evaluated with: their values have to fit a frame."""
+    room = max(1, LARGEST_FRAME // (8 * max(1, *(len(line.nodes) for line in lines))))
+    return min(LANES_AT_A_TIME, 1 << (room.bit_length() - 1))
+
+
+def _element(dtype: np.dtype, in_memory: bool) -> str:
+    return {FLOAT: "double", INT: "i64", BOOL: "i8" if in_memory else "i1"}[dtype]
+
+
+class FunctionText:
+    """The text of a function of LLVM for a line.
+
+    Values over lanes are vectors of `width` lanes; a loop goes over all of them. Where the width does not divide the
+    number of lanes, the last turn begins earlier, and computes some again.
+
+    Args:
+        line: what is evaluated.
+        lanes, axes: as of the operation `straight_line`.
+        n_runs: of a function for several runs at once every value is a vector, of one number for each, and so is each
+            entry of its arguments and results; the loop goes over lanes one by one then.
+    """
+
+    def __init__(self, line: Any, lanes: tuple[int, ...], axes: tuple[int, ...], n_runs: int = 1):
+        self.line, self.graph = line, line.graph
+        self.spread, self.outputs_spread = line.spread(axes)
+        self.axes = axes
+        self.n_lanes = lanes[0] if lanes else 1
+        self.n_runs = n_runs
+        self.width = 1 if n_runs > 1 else min(self.n_lanes, widest_for(line))
+        self.lines: list[str] = []
+        self.declared: set[str] = set()
+        self.values: dict[int, str] = {}
+        self.wide: dict[int, str] = {}
+        self.place: dict[int, tuple[int, int]] = {}
+        for i, group in enumerate(line.given, len(line.shapes)):
+            self.place.update({int(node): (i, entry) for entry, node in enumerate(group.ravel())})
+        for node in line.nodes:
+            if node not in self.place and self.graph.operations[node] == "input":
+                self.place[node] = self.graph.parameters[node]
+        self.in_loop = False
+
+    # Small things -----------------------------------------------------------------------------------------------------
+
+    def _made(self, text: str) -> str:
+        name = f"%v{len(self.lines)}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def _size(self, is_wide: bool) -> int:
+        """Numbers in a value."""
+        return self.n_runs * (self.width if is_wide else 1)
+
+    def _type(self, dtype: np.dtype, is_wide: bool, in_memory: bool = False) -> str:
+        element, size = _element(dtype, in_memory), self._size(is_wide)
+        return f"<{size} x {element}>" if size > 1 else element
+
+    def _constant(self, value: Any, dtype: np.dtype, is_wide: bool) -> str:
+        if dtype == FLOAT:
+            text = f"0x{int(np.float64(value).view(np.uint64)):016X}"
+        else:
+            text = str(int(value)) if dtype == INT else "true" if value else "false"
+        size = self._size(is_wide)
+        return text if size == 1 else "<" + ", ".join([f"{_element(dtype, False)} {text}"] * size) + ">"
+
+    def _over_lanes(self, value: str, dtype: np.dtype) -> str:
+        if self.width == 1:
+            return value
+        element, vector = _element(dtype, False), self._type(dtype, True)
+        first = self._made(f"insertelement {vector} poison, {element} {value}, i64 0")
+        return self._made(f"shufflevector {vector} {first}, {vector} poison, <{self.width} x i32> zeroinitializer")
+
+    def _value(self, node: int, is_wide: bool) -> str:
+        graph = self.graph
+        if node not in self.place and graph.is_constant(node):
+            return self._constant(graph.value(node), graph.dtypes[node], is_wide)
+        if not is_wide or self.spread[node]:
+            return self.values[node]
+        if node not in self.wide:
+            # Read again in the loop: a thousand vectors of one number each would have to wait in memory.
+            one = self._read(node) if self.in_loop and node in self.place else self.values[node]
+            self.wide[node] = self._over_lanes(one, graph.dtypes[node])
+        return self.wide[node]
+
+    def _pointer(self, argument: str, entry: int, dtype: np.dtype, is_wide: bool) -> str:
+        element = self._type(dtype, False, True).replace("<", "[").replace(">", "]")
+        at: Any = entry * self.n_lanes if is_wide else entry
+        if is_wide and self.in_loop:
+            at = self._made(f"add nuw nsw i64 %lane, {at}")
+        return self._made(f"getelementptr inbounds {element}, ptr {argument}, i64 {at}")
+
+    def _read(self, node: int) -> str:
+        argument, entry = self.place[node]
+        dtype, is_wide = self.graph.dtypes[node], bool(self.spread[node])
+        pointer = self._pointer(f"%a{argument}", entry, dtype, is_wide)
+        kind = self._type(dtype, is_wide, True)
+        value = self._made(f"load {kind}, ptr {pointer}, align {1 if dtype == BOOL else 8}")
+        return self._made(f"trunc {kind} {value} to {self._type(dtype, is_wide)}") if dtype == BOOL else value
+
+    def _write(self, node: int, result: int, entry: int, is_wide: bool) -> None:
+        dtype = self.graph.dtypes[node]
+        value, kind = self._value(node, is_wide), self._type(dtype, is_wide, True)
+        if dtype == BOOL:
+            value = self._made(f"zext {self._type(dtype, is_wide)} {value} to {kind}")
+        pointer = self._pointer(f"%r{result}", entry, dtype, is_wide)
+        self.lines.append(f"  store {kind} {value}, ptr {pointer}, align {1 if dtype == BOOL else 8}")
+
+    # Operations -------------------------------------------------------------------------------------------------------
+
+    def _node(self, node: int) -> str:
+        graph, is_wide = self.graph, bool(self.spread[node])
+        name, arguments = _name(graph.operations[node]), graph.arguments[node]
+        values = [self._value(a, is_wide) for a in arguments]
+        dtype, of = graph.dtypes[node], graph.dtypes[arguments[0]]
+        kind, kind_of = self._type(dtype, is_wide), self._type(of, is_wide)
+        if name == "select":
+            predicate, on_false, on_true = values
+            return self._made(f"select {self._type(BOOL, is_wide)} {predicate}, {kind} {on_true}, {kind} {on_false}")
+        if name in _NOTHING:
+            return values[0]
+        if name in _ARITHMETIC:  # as XLA does, a product and a sum may be one operation
+            word = f"f{name} contract" if of == FLOAT else name
+            return self._made(f"{word} {kind} {values[0]}, {values[1]}")
+        if name in COMPARED:
+            word = f"fcmp {COMPARED[name]}" if of == FLOAT else f"icmp {COMPARED_WHOLE[name]}"
+            return self._made(f"{word} {kind_of} {values[0]}, {values[1]}")
+        if name in _LOGIC:
+            return self._made(f"{name} {kind} {values[0]}, {values[1]}")
+        if name == "not":
+            return self._made(f"xor {kind} {values[0]}, {self._constant(True, BOOL, is_wide)}")
+        if name in LIBRARY:
+            return self._of_library("fmod" if name == "rem" else name, values, is_wide)
+        if name in INTRINSIC:
+            return self._intrinsic(INTRINSIC[name], values, is_wide)
+        return self._of_float(name, node, values, is_wide)
+
+    def _of_float(self, name: str, node: int, values: list[str], is_wide: bool) -> str:
+        def number(x: float) -> str:
+            return self._constant(x, FLOAT, is_wide)
+
+        kind, truth = self._type(FLOAT, is_wide), self._type(BOOL, is_wide)
+        (a, *others) = values
+        if name == "div":
+            return self._made(f"fdiv {kind} {a}, {others[0]}")
+        if name == "neg":
+            return self._made(f"fneg {kind} {a}")
+        if name == "rsqrt":
+            return self._made(f"fdiv {kind} {number(1)}, {self._intrinsic('sqrt', [a], is_wide)}")
+        if name == "clamp":
+            low, x, high = values
+            return self._intrinsic("minimum", [self._intrinsic("maximum", [x, low], is_wide), high], is_wide)
+        if name == "sign":  # of NaN and of zeros what they are
+            above = self._made(f"fcmp ogt {kind} {a}, {number(0)}")
+            below = self._made(f"fcmp olt {kind} {a}, {number(0)}")
+            found = self._made(f"select {truth} {below}, {kind} {number(-1)}, {kind} {a}")
+            return self._made(f"select {truth} {above}, {kind} {number(1)}, {kind} {found}")
+        if name == "is_finite":
+            return self._made(f"fcmp olt {kind} {self._intrinsic('fabs', [a], is_wide)}, {number(np.inf)}")
+        if name == "logistic":
+            falling = self._of_library("exp", [self._made(f"fneg {kind} {a}")], is_wide)
+            return self._made(f"fdiv {kind} {number(1)}, {self._made(f'fadd {kind} {number(1)}, {falling}')}")
+        assert name == "round", name  # 0 is away from zero, 1 to the nearest even
+        method = int(dict(self.graph.parameters[node])["rounding_method"])
+        return self._intrinsic("roundeven" if method else "round", [a], is_wide)
+
+    def _intrinsic(self, word: str, values: list[str], is_wide: bool) -> str:
+        kind, size = self._type(FLOAT, is_wide), self._size(is_wide)
+        name = f"@llvm.{word}.{f'v{size}f64' if size > 1 else 'f64'}"
+        self.declared.add(f"declare {kind} {name}({', '.join([kind] * len(values))})")
+        return self._made(f"call {kind} {name}({', '.join(f'{kind} {value}' for value in values)})")
+
+    def _of_library(self, name: str, values: list[str], is_wide: bool) -> str:
+        self.declared.add(
+            f"declare double @{name}({', '.join(['double'] * len(values))}) nounwind willreturn memory(none)"
+        )
+        size = self._size(is_wide)
+        if size == 1:
+            return self._made(f"call double @{name}({', '.join(f'double {value}' for value in values)})")
+        kind, whole = self._type(FLOAT, is_wide), "poison"
+        for i in range(size):
+            each = [self._made(f"extractelement {kind} {value}, i64 {i}") for value in values]
+            found = self._made(f"call double @{name}({', '.join(f'double {value}' for value in each)})")
+            whole = self._made(f"insertelement {kind} {whole}, double {found}, i64 {i}")
+        return whole
+
+    # The whole --------------------------------------------------------------------------------------------------------
+
+    def written(self) -> str:
+        """The text of a function that XLA calls."""
+        body = self._body()
+        return "\n".join(
+            [*sorted(self.declared), head(self.n_arguments, self.n_results), *body, "  ret ptr null", "}", ""]
+        )
+
+    def written_inside(self, name: str) -> tuple[set[str], str]:
+        """What a function that another one calls needs declared, and its text.
+
+        It has pointers to all arguments, then to all results.
+        """
+        pointers = [f"ptr %a{i}" for i in range(self.n_arguments)] + [
+            f"ptr noalias %r{i}" for i in range(self.n_results)
+        ]
+        begin = f"define internal void @{name}({', '.join(pointers)}) nounwind {{\nwork:"
+        body = self._body()
+        return self.declared, "\n".join([begin, *body, "  ret void", "}", ""])
+
+    @property
+    def n_arguments(self) -> int:
+        """Of the line."""
+        return len(self.line.shapes) + len(self.line.given)
+
+    @property
+    def n_results(self) -> int:
+        """Of the line."""
+        return len(self.line.outputs)
+
+    def _body(self) -> list[str]:
+        self._part(is_wide=False)
+        if (self.axes and any(self.spread.values())) or any(self.outputs_spread):
+            self._over_all_lanes()
+        return self.lines
+
+    def _part(self, is_wide: bool) -> None:
+        """What is over lanes, or what is not."""
+        for node in self.line.nodes:
+            if bool(self.spread[node]) != is_wide:
+                continue
+            if node in self.place:
+                self.values[node] = self._read(node)
+            elif self.graph.operations[node] != "constant":
+                self.values[node] = self._node(node)
+        for i, (output, spread) in enumerate(zip(self.line.outputs, self.outputs_spread, strict=True)):
+            if bool(spread) == is_wide:
+                for entry, node in enumerate(output.ravel()):
+                    self._write(int(node), i, entry, is_wide)
+
+    def _over_all_lanes(self) -> None:
+        n_turns = -(-self.n_lanes // self.width)
+        if n_turns == 1:
+            self._part(is_wide=True)
+            return
+        wanted = [a for node in self.line.nodes if self.spread[node] for a in self.graph.arguments[node]]
+        for output, spread in zip(self.line.outputs, self.outputs_spread, strict=True):
+            wanted += map(int, output.ravel()) if spread else []
+        for node in dict.fromkeys(wanted):  # what all lanes share is spread out once
+            if not self.spread.get(node, 1) and node not in self.place:
+                self._value(node, True)
+        last = self.n_lanes - self.width
+        self.lines += [
+            "  br label %loop",
+            "loop:",
+            "  %turn = phi i64 [0, %work], [%next, %loop]",
+            f"  %begin = mul i64 %turn, {self.width}",
+            f"  %is.last = icmp sgt i64 %begin, {last}",
+            f"  %lane = select i1 %is.last, i64 {last}, i64 %begin",
+        ]
+        self.in_loop = True
+        self._part(is_wide=True)
+        self.lines += [
+            "  %next = add i64 %turn, 1",
+            f"  %is.done = icmp sge i64 %next, {n_turns}",
+            "  br i1 %is.done, label %end, label %loop",
+            "end:",
+        ]

@@ -1,0 +1,368 @@
+"""Operations on small arrays in LLVM's language: numbers as they are, arrays in memory, eight entries at a time.
+
+What JAX says of arrays becomes loads, vector operations and stores; LLVM puts together what belongs together. Arrays
+are never changed once they are made, but for large ones (`LARGE`), which stay where they are: who reads one that has
+changed in the meantime is refused.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spherejax.compiler.emit.llvm import LANES_AT_A_TIME
+from spherejax.compiler.emit.llvm_vectors import spread_out
+
+LARGE = 4096
+"""Entries of an array that is changed in place; smaller ones are copied."""
+
+LARGEST_WRITTEN_OUT = 1024
+"""Entries of an array that operations are written out for, at most. With 4,096, a film with three rows of sensitivities
+takes a third longer to compile for a tenth of its time, and Andrews' mechanism more of both."""
+
+LARGEST_STACK = 2**19
+"""Bytes of arrays on the stack, at most: a thread of XLA's pool has a few megabytes."""
+
+
+class NotWrittenError(Exception):
+    """An operation has no rule here; XLA compiles the program instead."""
+
+
+class Memory:
+    """Where an array is.
+
+    Attributes:
+        version: how often it was changed in place.
+        is_own: whether it may be.
+    """
+
+    def __init__(self, is_own: bool):
+        self.version, self.is_own = 0, is_own
+
+
+class Value(NamedTuple):
+    """An array while the text is written.
+
+    Attributes:
+        shape, kind: its shape, and `double`, `i64` or `i1`, as which all numbers are computed.
+        name: of its only entry, or of a pointer to the first one; nothing where there is none.
+        memory, version: where it is, and what of it.
+    """
+
+    shape: tuple[int, ...]
+    kind: str
+    name: str
+    memory: Memory | None = None
+    version: int = 0
+
+    @property
+    def size(self) -> int:
+        """Its number of entries."""
+        return int(np.prod(self.shape, dtype=int))
+
+    def as_shape(self, shape: tuple[int, ...]) -> "Value":
+        """The same entries in another shape."""
+        return self._replace(shape=tuple(shape))
+
+
+def kind_of(dtype: Any) -> str:
+    """As what numbers of a type are computed."""
+    dtype = np.dtype(dtype)
+    if dtype == np.float64:
+        return "double"
+    if dtype in (np.int64, np.int32):
+        return "i64"
+    if dtype == np.bool_:
+        return "i1"
+    raise NotWrittenError(f"numbers of type {dtype}")
+
+
+def stored_as(kind: str) -> str:
+    """How entries of an array are kept in memory."""
+    return "i8" if kind == "i1" else kind
+
+
+def constant(value: Any, kind: str) -> str:
+    """A number, exactly."""
+    if kind == "double":
+        return f"0x{int(np.float64(value).view(np.uint64)):016X}"
+    return str(int(value)) if kind == "i64" else "true" if value else "false"
+
+
+class ArrayText:
+    """Lines of a function, and what is to be declared outside of it."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.room: list[str] = []
+        self.declared: dict[str, None] = {}
+        self.outside: list[str] = []
+        self._n, self._bytes = 0, 0
+        self._constants: dict[tuple, Value] = {}
+
+    # Lines and memory -------------------------------------------------------------------------------------------------
+
+    def new(self, prefix: str = "%n") -> str:
+        """A name that nothing has."""
+        self._n += 1
+        return f"{prefix}{self._n}"
+
+    def made(self, text: str) -> str:
+        """The name of what an instruction gives."""
+        name = self.new()
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def say(self, text: str) -> None:
+        """An instruction that gives nothing."""
+        self.lines.append(f"  {text}")
+
+    def array(self, shape: Sequence[int], kind: str) -> Value:
+        """Room on the stack for an array, which belongs to this place in the text."""
+        size, name = int(np.prod(shape, dtype=int)), self.new("%m")
+        self._bytes += size * (1 if kind == "i1" else 8)
+        if self._bytes > LARGEST_STACK:
+            raise NotWrittenError("arrays that do not fit the stack")
+        self.room.append(f"  {name} = alloca [{max(size, 1)} x {stored_as(kind)}], align 64")
+        return Value(tuple(shape), kind, name, Memory(is_own=True))
+
+    def known(self, value: Any) -> Value:
+        """A constant."""
+        array = np.asarray(value)
+        kind = kind_of(array.dtype)
+        if array.size == 1:
+            return Value(array.shape, kind, constant(array.ravel()[0], kind))
+        key = kind, array.shape, array.tobytes()
+        if key not in self._constants and array.size:
+            name, each = self.new("@known"), stored_as(kind)
+            numbers = (constant(x, "i64" if kind == "i1" else kind) for x in array.ravel())
+            entries = ", ".join(f"{each} {x}" for x in numbers)
+            self.outside.append(f"{name} = private constant [{array.size} x {each}] [{entries}], align 64")
+            self._constants[key] = Value(array.shape, kind, name, Memory(is_own=False))
+        return self._constants[key] if array.size else Value(array.shape, kind, "")
+
+    def checked(self, value: Value) -> Value:
+        """A value that is still what it was.
+
+        Raises:
+            NotWrittenError: if it was changed in place.
+        """
+        if value.memory is not None and value.memory.version != value.version:
+            raise NotWrittenError("a large array that is read after it was changed")
+        return value
+
+    def changed(self, value: Value) -> Value:
+        """A large array that is changed in place from here on; who reads what it was is refused.
+
+        Raises:
+            NotWrittenError: if it belongs to somebody else.
+        """
+        memory = self.checked(value).memory
+        if memory is None or not memory.is_own:
+            raise NotWrittenError("a large array that is not to be changed")
+        memory.version += 1
+        return value._replace(version=memory.version)
+
+    def pointer(self, value: Value, at: int | str = 0) -> str:
+        """To an entry of an array."""
+        if at == 0:
+            return value.name
+        return self.made(f"getelementptr inbounds {stored_as(value.kind)}, ptr {value.name}, i64 {at}")
+
+    def read(self, value: Value, at: int | str = 0, width: int = 1) -> str:
+        """Entries of an array; a number alone for each of them."""
+        kind = value.kind
+        if value.size == 1:
+            return value.name if width == 1 else self.spread(value.name, kind, width)
+        self.checked(value)
+        typed, kept = (f"<{width} x {each}>" if width > 1 else each for each in (kind, stored_as(kind)))
+        found = self.made(f"load {kept}, ptr {self.pointer(value, at)}, align {1 if kind == 'i1' else 8}")
+        return self.made(f"trunc {kept} {found} to {typed}") if kind == "i1" else found
+
+    def write(self, target: Value, at: int | str, name: str, width: int = 1) -> None:
+        """Entries into an array."""
+        kind = target.kind
+        typed, kept = (f"<{width} x {each}>" if width > 1 else each for each in (kind, stored_as(kind)))
+        if kind == "i1":
+            name = self.made(f"zext {typed} {name} to {kept}")
+        self.say(f"store {kept} {name}, ptr {self.pointer(target, at)}, align {1 if kind == 'i1' else 8}")
+
+    def spread(self, name: str, kind: str, width: int) -> str:
+        """A number in each entry of a vector."""
+        if width == 1:
+            return name
+        found, vector = self.new(), f"<{width} x {kind}>"
+        if kind == "double":
+            self.lines.append(spread_out(found, name, vector))
+            return found
+        first = self.made(f"insertelement {vector} poison, {kind} {name}, i64 0")
+        return self.made(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
+
+    def copy(self, source: Value, target: Value) -> None:
+        """All entries of an array into another one."""
+        if source.name == target.name or not source.size:
+            return
+        if source.size == 1:
+            self.write(target, 0, source.name)
+        elif source.size > LARGEST_WRITTEN_OUT:
+            self.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
+            n = source.size * (1 if source.kind == "i1" else 8)
+            self.checked(source)
+            self.say(f"call void @llvm.memcpy.p0.p0.i64(ptr align 8 {target.name}, ptr align 8 {source.name}, "
+                     f"i64 {n}, i1 false)")  # fmt: skip
+        else:
+            for at, width in chunks(source.size):
+                self.write(target, at, self.read(source, at, width), width)
+
+    # Entry by entry ---------------------------------------------------------------------------------------------------
+
+    def entrywise(self, shape: Sequence[int], kind: str, values: Sequence[Value], write: Callable[..., str]) -> Value:
+        """An array, a few entries at a time.
+
+        Args:
+            shape, kind: of the result.
+            values: of this shape, or of one that spreads over it.
+            write: from a width and the entries of each value to those of the result.
+        """
+        size = int(np.prod(shape, dtype=int))
+        if size == 0:
+            return Value(tuple(shape), kind, "")
+        values = [self.broadcast(value, shape) for value in values]
+        if size == 1:
+            return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
+        if size > LARGEST_WRITTEN_OUT:
+            raise NotWrittenError(f"an operation on {size} numbers")
+        target = self.array(shape, kind)
+        for at, width in chunks(size):
+            self.write(target, at, write(width, *(self.read(value, at, width) for value in values)), width)
+        return target
+
+    def broadcast(self, value: Value, shape: Sequence[int]) -> Value:
+        """A value in a shape; one number stays alone."""
+        if value.size == 1 or value.size == int(np.prod(shape, dtype=int)):
+            return value
+        places = np.broadcast_to(np.arange(value.size).reshape(value.shape), tuple(shape))
+        return self.moved([value], places, value.kind)
+
+    def moved(self, sources: Sequence[Value], entries: np.ndarray, kind: str) -> Value:
+        """An array of entries of others, which are counted through; one that stands in one piece stays where it is."""
+        flat, begins = entries.ravel(), np.cumsum([0, *(each.size for each in sources)])
+        if flat.size == 0:
+            return Value(entries.shape, kind, "")
+        of = np.searchsorted(begins, flat, side="right") - 1
+        within = flat - begins[of]
+        first = self.checked(sources[of[0]])
+        if flat.size == 1:
+            return Value(entries.shape, kind, self.read(first, int(within[0])))
+        is_whole = np.all(of == of[0]) and np.array_equal(within, within[0] + np.arange(flat.size))
+        if is_whole:
+            return first._replace(shape=entries.shape, name=self.pointer(first, int(within[0])))
+        if flat.size > LARGEST_WRITTEN_OUT:
+            raise NotWrittenError(f"{flat.size} numbers that are moved")
+        target, at = self.array(entries.shape, kind), 0
+        while at < flat.size:
+            source, begin, n = sources[of[at]], int(within[at]), 1
+            step = 0 if at + 1 < flat.size and within[at + 1] == begin and of[at + 1] == of[at] else 1
+            while at + n < flat.size and of[at + n] == of[at] and within[at + n] == begin + n * step:
+                n += 1
+            for part, width in chunks(n):
+                if step:
+                    found = self.read(source, begin + part, width)
+                else:
+                    found = self.spread(self.read(source, begin), kind, width)
+                self.write(target, at + part, found, width)
+            at += n
+        return target
+
+    def picked(self, source: Value, begin: str, offsets: np.ndarray) -> Value:
+        """Entries of an array at distances from one that is found when the program runs."""
+        flat = offsets.ravel()
+        self.checked(source)
+        at = source._replace(name=self.pointer(source, begin)) if source.size > 1 else source
+        if flat.size == 1 or source.size == 1:
+            return Value(offsets.shape, source.kind, self.read(at, int(flat[0])))
+        if np.array_equal(flat, np.arange(flat.size)):
+            return at.as_shape(offsets.shape)
+        target = self.array(offsets.shape, source.kind)
+        for i, offset in enumerate(flat):
+            self.write(target, i, self.read(at, int(offset)))
+        return target
+
+    def put(self, target: Value, begin: str, offsets: np.ndarray, source: Value) -> None:
+        """The reverse of `picked`, in place."""
+        at, flat = target._replace(name=self.pointer(target, begin)), offsets.ravel()
+        if np.array_equal(flat, np.arange(flat.size)):
+            for i, width in chunks(flat.size):
+                self.write(at, i, self.read(source, i, width), width)
+            return
+        for i, offset in enumerate(flat):
+            self.write(at, int(offset), self.read(source, i))
+
+    # Numbers ----------------------------------------------------------------------------------------------------------
+
+    def intrinsic(self, word: str, kind: str, width: int, *names: str, flags: str = "") -> str:
+        """A function that LLVM has itself."""
+        typed, mark = vector(kind, width), {"double": "f64", "i64": "i64", "i1": "i1"}[kind]
+        name = f"@llvm.{word}.{f'v{width}{mark}' if width > 1 else mark}"
+        self.declared[f"declare {typed} {name}({', '.join([typed] * len(names))})"] = None
+        return self.made(f"call {flags}{typed} {name}({', '.join(f'{typed} {each}' for each in names)})")
+
+    def library(self, word: str, width: int, *names: str) -> str:
+        """A function of the mathematical library, of one number after the other."""
+        needs = ", ".join(["double"] * len(names))
+        self.declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
+        if width == 1:
+            return self.made(f"call double @{word}({', '.join(f'double {each}' for each in names)})")
+        typed, whole = vector("double", width), "poison"
+        for i in range(width):
+            each = [self.made(f"extractelement {typed} {name}, i64 {i}") for name in names]
+            found = self.made(f"call double @{word}({', '.join(f'double {x}' for x in each)})")
+            whole = self.made(f"insertelement {typed} {whole}, double {found}, i64 {i}")
+        return whole
+
+    def clamped(self, name: str, low: int, high: int) -> str:
+        """A whole number within bounds."""
+        return self.intrinsic("smin", "i64", 1, self.intrinsic("smax", "i64", 1, name, str(low)), str(high))
+
+    def folded(self, value: Value, entries: Sequence[int], start: str, join: Callable[..., str]) -> str:
+        """Entries of an array put together, in vectors where they stand in one piece.
+
+        Args:
+            value, entries: the array, and which of its entries.
+            start: what to begin with.
+            join: from a width and two names to what they make together.
+        """
+        total, at, n, step = start, 0, len(entries), LANES_AT_A_TIME
+        begin = int(entries[0])
+        if n >= step and np.array_equal(entries, begin + np.arange(n)):
+            several = self.read(value, begin, step)
+            for at in range(step, n - step + 1, step):
+                several = join(step, several, self.read(value, begin + at, step))
+            total, at = join(1, start, self._across(several, value.kind, join)), n // step * step
+        for entry in entries[at:]:
+            total = join(1, total, self.read(value, int(entry)))
+        return total
+
+    def _across(self, name: str, kind: str, join: Callable[..., str]) -> str:
+        """The entries of a vector put together, by halves."""
+        size = LANES_AT_A_TIME
+        while size > 1:
+            typed, half = vector(kind, size), size // 2
+            places = (", ".join(f"i32 {i}" for i in each) for each in (range(half), range(half, size)))
+            parts = [
+                self.made(f"shufflevector {typed} {name}, {typed} poison, <{half} x i32> <{each}>") for each in places
+            ]
+            if half == 1:
+                parts = [self.made(f"extractelement <1 x {kind}> {part}, i64 0") for part in parts]
+            name, size = join(half, *parts), half
+        return name
+
+
+def vector(kind: str, width: int) -> str:
+    """The type of some numbers."""
+    return f"<{width} x {kind}>" if width > 1 else kind
+
+
+def chunks(size: int) -> list[tuple[int, int]]:
+    """Where vectors begin that cover so many entries, and how wide they are."""
+    return [(at, min(LANES_AT_A_TIME, size - at)) for at in range(0, size, LANES_AT_A_TIME)]

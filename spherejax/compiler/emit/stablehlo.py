@@ -1,0 +1,158 @@
+"""Writes the operations of scalar programs in the compiler's language, StableHLO, lanes included."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend.mlir import ir
+from jax.extend.mlir.dialects import stablehlo
+from jax.interpreters import mlir
+
+from spherejax.compiler.graph import BOOL, FLOAT, INT
+
+Shape = tuple[int, ...]
+
+
+def sizes(lanes: Shape, axes: int) -> Shape:
+    """Sizes of a set of axes of lanes, an integer with a bit for each."""
+    return tuple(n for axis, n in enumerate(lanes) if axes >> axis & 1)
+
+
+class Writer:
+    """Writes the operations of a line as StableHLO.
+
+    A node has the axes of what it depends on, and is spread over more where it meets a node that has them.
+    """
+
+    def __init__(self, context: Any, line: Any, lanes: Shape, axes: tuple[int, ...], arguments: Sequence):
+        self.context, self.line, self.graph, self.lanes = context, line, line.graph, lanes
+        self.axes, (self.spread, self.outputs_spread) = axes, line.spread(axes)
+        self.elements = {
+            FLOAT: ir.F64Type.get(), BOOL: ir.IntegerType.get_signless(1), INT: ir.IntegerType.get_signless(64),
+        }  # fmt: skip
+        self.types: dict[tuple[np.dtype, int], Any] = {}
+        self.flat = [self._flat(i, x) for i, x in enumerate(arguments[: len(line.shapes)])]
+        self.values: dict[int, Any] = {}
+        for i, (group, x) in enumerate(zip(line.given, arguments[len(line.shapes) :], strict=True), len(line.shapes)):
+            if group.shape == ():
+                self.values[int(group)] = x
+                continue
+            for at, node in enumerate(group):
+                self.values[int(node)] = self._row(x, at, line.graph.dtypes[int(node)], axes[i])
+        self.wide: dict[tuple[int, int], Any] = {}
+
+    def written(self) -> list:
+        """The outputs."""
+        for node in self.line.nodes:
+            if node not in self.values:
+                self.values[node] = self._node(node)
+        return [self._output(*each) for each in zip(self.line.outputs, self.outputs_spread, strict=True)]
+
+    def _node(self, node: int) -> Any:
+        graph, operation = self.graph, self.graph.operations[node]
+        if operation == "constant":
+            return mlir.ir_constant(np.asarray(graph.value(node), graph.dtypes[node]))
+        if operation == "input":
+            return self._entry(*graph.parameters[node])
+        arguments = [self._over(self.spread[node], a) for a in graph.arguments[node]]
+        name = operation if isinstance(operation, str) else operation.name
+        write = WRITE.get(name)
+        if write is not None and not (name in _OF_FLOATS and graph.dtypes[graph.arguments[node][0]] != FLOAT):
+            return write(*arguments)
+        return self._by_jax(node, operation, arguments)
+
+    def _by_jax(self, node: int, operation: Any, arguments: list) -> Any:
+        """An operation as JAX writes it."""
+        graph, shape = self.graph, sizes(self.lanes, self.spread[node])
+        primitive = partial(operation.bind, **dict(graph.parameters[node]))
+        avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
+        context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])
+        (found,) = mlir.lower_fun(primitive, multiple_results=False)(context, *arguments)
+        return found
+
+    def _type(self, dtype: np.dtype, axes: int) -> Any:
+        if (dtype, axes) not in self.types:
+            self.types[dtype, axes] = ir.RankedTensorType.get(sizes(self.lanes, axes), self.elements[dtype])
+        return self.types[dtype, axes]
+
+    def _over(self, axes: int, node: int) -> Any:
+        """The value of a node over a set of axes."""
+        own = self.spread[node]
+        if own == axes:
+            return self.values[node]
+        if (node, axes) not in self.wide:
+            among = [axis for axis in range(len(self.lanes)) if axes >> axis & 1]
+            dims = ir.DenseI64ArrayAttr.get([at for at, axis in enumerate(among) if own >> axis & 1])
+            kind = self._type(self.graph.dtypes[node], axes)
+            self.wide[node, axes] = stablehlo.broadcast_in_dim(kind, self.values[node], dims)
+        return self.wide[node, axes]
+
+    def _flat(self, argument: int, x: Any) -> Any:
+        shape = int(np.prod(self.line.shapes[argument])), *sizes(self.lanes, self.axes[argument])
+        return stablehlo.reshape(ir.RankedTensorType.get(shape, self.elements[FLOAT]), x)
+
+    def _entry(self, argument: int, index: int) -> Any:
+        return self._row(self.flat[argument], index, FLOAT, self.axes[argument])
+
+    def _row(self, array: Any, index: int, dtype: np.dtype, axes: int) -> Any:
+        """One entry of a flat argument, with its lanes."""
+        lanes = sizes(self.lanes, axes)
+        begin, end = [index, *(0 for _ in lanes)], [index + 1, *lanes]
+        attributes = [ir.DenseI64ArrayAttr.get(each) for each in (begin, end, [1] * len(begin))]
+        return stablehlo.reshape(self._type(dtype, axes), stablehlo.slice(array, *attributes))
+
+    def _output(self, output: np.ndarray, axes: int) -> Any:
+        lanes, element = sizes(self.lanes, axes), self.elements[self.line.dtype(output)]
+        if output.size == 0:
+            return mlir.ir_constant(np.zeros(output.shape))
+        one = ir.RankedTensorType.get((1, *lanes), element)
+        nodes = [int(node) for node in output.ravel()]
+        rows = {node: stablehlo.reshape(one, self._over(axes, node)) for node in dict.fromkeys(nodes)}
+        parts = [rows[node] for node in nodes]
+        whole = parts[0] if len(parts) == 1 else stablehlo.concatenate(parts, mlir.i64_attr(0))
+        return stablehlo.reshape(ir.RankedTensorType.get((*output.shape, *lanes), element), whole)
+
+
+def _compared(direction: str) -> Callable:
+    def write(a, b):
+        kind = stablehlo.ComparisonTypeAttr.get("FLOAT")
+        return stablehlo.compare(a, b, stablehlo.ComparisonDirectionAttr.get(direction), compare_type=kind)
+
+    return write
+
+
+def _root_guarded_at_zero(a: Any) -> Any:
+    # Its value is the root's; what is guarded is the derivative, which is not taken of what is written here.
+    return stablehlo.sqrt(a)
+
+
+WRITE: dict[str, Callable] = {
+    "add": stablehlo.add,
+    "sub": stablehlo.subtract,
+    "mul": stablehlo.multiply,
+    "div": stablehlo.divide,
+    "neg": stablehlo.negate,
+    "sqrt": stablehlo.sqrt,
+    "pow": stablehlo.power,
+    "root_guarded_at_zero": _root_guarded_at_zero,
+    "marked": lambda a: a,
+    "select": lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
+    "max": stablehlo.maximum,
+    "min": stablehlo.minimum,
+    "abs": stablehlo.abs,
+    "and": stablehlo.and_,
+    "or": stablehlo.or_,
+    "not": stablehlo.not_,
+    "lt": _compared("LT"),
+    "le": _compared("LE"),
+    "gt": _compared("GT"),
+    "ge": _compared("GE"),
+    "eq": _compared("EQ"),
+    "ne": _compared("NE"),
+}
+"""How the most frequent operations are written; JAX writes the others."""
+
+_OF_FLOATS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "max", "min", "abs"})
+"""Those that are written differently for integers and booleans."""

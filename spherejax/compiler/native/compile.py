@@ -1,0 +1,258 @@
+"""Scalar programs as machine code of their own, which XLA calls.
+
+XLA takes a millisecond for each operation of a large straight line: it cuts it into hundreds of fusions with buffers
+between them. LLVM itself, asked for one function, takes a twentieth of that. So where a program is large (a film's
+linear systems, its derivatives, a robot arm), its operations are written in LLVM's language, compiled by llvmlite, and
+given to XLA as the target of a custom call, by the binary interface of `jax.ffi` (`xla/ffi/api/c_api.h`).
+
+A loop that calls something is no longer one native function; `loop_fusion` sees to what is between the calls.
+
+Programs are made so inside `wanted()`, on the processor, and with the versions of jaxlib that this is known to work
+with; anywhere else XLA compiles them as before. `SPHEREJAX_MACHINE_CODE=0` switches it off.
+"""
+
+import ctypes
+import hashlib
+import os
+import threading
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.ffi
+
+from spherejax.compiler.emit.llvm import FUNCTION, FunctionText
+from spherejax.compiler.hooks import attached
+
+KNOWN_JAXLIB = (0, 10), (0, 12)
+"""First and last version (major, minor) of jaxlib that this has been tested with; with another one XLA compiles all."""
+
+
+# Whether --------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def is_available() -> bool:
+    """Whether programs can be made so in this process; where the installation is why not, one warning says so."""
+    if os.environ.get("SPHEREJAX_MACHINE_CODE", "1") == "0" or jax.default_backend() != "cpu":
+        return False
+    if why := _what_is_missing():
+        known = " to ".join(f"{major}.{minor}" for major, minor in KNOWN_JAXLIB)
+        # Compiled anew with jaxlib 0.6.1: a dry run 1.9, of many 2.3, with its derivative 6.8 times as long.
+        warnings.warn(
+            f"spherejax cannot compile its own machine code: {why}. XLA compiles everything instead: the numbers are "
+            "the same up to rounding, but first calls take two to eight times as long, and films and sweeps run up to "
+            f"twice as long. Install jax and jaxlib {known}, or set SPHEREJAX_MACHINE_CODE=0 to hear no more of it.",
+            attached().warning,
+            stacklevel=2,
+        )
+    return not why
+
+
+def _what_is_missing() -> str:
+    installed = version("jaxlib")
+    first, last = KNOWN_JAXLIB
+    if not first <= tuple(int(part) for part in installed.split(".")[:2]) <= last:
+        return f"it has not been tried with jaxlib {installed}"
+    if not hasattr(jax, "make_user_context"):
+        return f"jax {jax.__version__} has no make_user_context"
+    try:
+        import llvmlite.binding as llvm
+
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+    except Exception as error:  # not installed, or not for this processor
+        return f"llvmlite cannot be used ({type(error).__name__}: {error})"
+    return ""
+
+
+# JAX traces again what it has traced in another context.
+_context: Any = jax.make_user_context(False) if hasattr(jax, "make_user_context") else None
+_wanted = threading.local()
+
+
+@contextmanager
+def wanted(is_wanted: bool = True) -> Iterator[None]:
+    """Programs that are traced within become machine code, or they do not; without `jax.jit` none could be called."""
+    before = is_on()
+    now = is_wanted and is_available() and not jax.config.values["jax_disable_jit"]
+    if now == before:
+        yield
+        return
+    with _context(now):
+        _wanted.now = now
+        try:
+            yield
+        finally:
+            _wanted.now = before
+
+
+def is_on() -> bool:
+    """Whether programs that are traced now become machine code."""
+    return getattr(_wanted, "now", False)
+
+
+# Compiling ------------------------------------------------------------------------------------------------------------
+
+_lock = threading.RLock()
+_loaded: dict[str, tuple[Any, bytes]] = {}
+_listening = threading.local()
+
+
+def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...]) -> str:
+    """The target of a custom call that evaluates a line: compiled, or found where another process has left it."""
+    return called_text((lanes, axes), line, lambda: FunctionText(line, lanes, axes).written(), is_wide=bool(lanes))
+
+
+def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: bool, is_optimised: bool = True) -> str:
+    """As `called`, for what is written for a line.
+
+    Args:
+        key: tells what is written from other things for the same line.
+        line: for which it is.
+        written: the text.
+
+    Other args:
+        is_wide: most of it are long vectors.
+        is_optimised: whether LLVM goes through it before it writes code.
+    """
+    with _lock:
+        if key not in line.called:
+            line.called[key] = target_of(written(), is_wide=is_wide, is_optimised=is_optimised)
+        name = line.called[key]
+    note_called([name])
+    return name
+
+
+def target_of(text: str, *, is_wide: bool, is_optimised: bool, prefix: str = "spherejax_") -> str:
+    """The target of a custom call for a text: compiled, or found where another process has left it.
+
+    Args:
+        text: of a function, and of all that it needs but other targets that it calls.
+
+    Other args:
+        is_wide, is_optimised: as of `called_text`.
+        prefix: of the name.
+    """
+    text = _with_widths(text, is_wide)
+    facts = "\0".join([text, str(is_optimised), *_machine(is_wide, is_optimised)])
+    name = prefix + hashlib.sha256(facts.encode()).hexdigest()[:32]
+    with _lock:
+        if name not in _loaded:
+            kept = attached().lookup(name)
+            if isinstance(kept, bytes):
+                with suppress(Exception):  # whatever is wrong with it: it is compiled anew
+                    _load(name, kept)
+        if name not in _loaded:
+            content = _compiled(text.replace(f"@{FUNCTION}", f"@{name}"), is_wide, is_optimised)
+            attached().save(name, content)
+            _load(name, content)
+    return name
+
+
+TARGETS: dict[str, Callable[..., str]] = {}
+"""Operations that are calls of machine code: of each the target, from what its arguments are and its parameters."""
+
+
+def note_called(names: Iterable[str]) -> None:
+    """Programs that what is lowered now calls; see `listened`."""
+    heard = getattr(_listening, "names", None)
+    if heard is not None:
+        heard.update(names)
+
+
+@contextmanager
+def listened() -> Iterator[Callable[[], dict[str, bytes]]]:
+    """A function that gives the machine code of all programs that were lowered in the context, by name."""
+    before, _listening.names = getattr(_listening, "names", None), set()
+    names = _listening.names
+    try:
+        yield lambda: {name: _loaded[name][1] for name in sorted(names)}
+    finally:
+        _listening.names = before
+        if before is not None:
+            before |= names
+
+
+def make_known(codes: dict[str, bytes]) -> None:
+    """Machine code that another process has made, for a compiled program that calls it."""
+    if codes and not is_available():
+        raise RuntimeError("this process cannot run machine code of another one")
+    with _lock:
+        for name, content in codes.items():
+            if name not in _loaded:
+                _load(name, content)
+
+
+@cache
+def _machine(is_wide: bool, is_optimised: bool) -> tuple[str, ...]:
+    """What code is made for, and by what.
+
+    Vectors of 512 bits are left out where most numbers stand alone: with a few of them among the others (the sums
+    over stages) single runs of a four-bar take a tenth (dry) to a quarter (bushing) longer on an Intel Xeon, and their
+    derivatives a fifth to a third. Groups of eight runs take a tenth less with them. The 32 registers that come with
+    them are used all the same, by vectors of 256 bits: 2 to 5 percent less for a run, 4 to 10 for derivatives. Not in
+    what is not optimised: it takes a twelfth longer to compile, and gains 2.
+    """
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    features = llvm.get_host_cpu_features()
+    if not (is_wide or is_optimised):
+        features.update({name: False for name in features if name.startswith("avx512")})
+    return llvm.get_host_cpu_name(), features.flatten(), llvmlite.__version__
+
+
+_PLAIN, _OF_256_BITS = " nounwind {", ' nounwind "prefer-vector-width"="256" "min-legal-vector-width"="256" {'
+"""How functions begin."""
+
+
+def _with_widths(text: str, is_wide: bool) -> str:
+    """A text whose functions say how long their vectors may be."""
+    return text if is_wide else text.replace(_PLAIN, _OF_256_BITS)
+
+
+def _target_machine(is_wide: bool, is_optimised: bool = True) -> Any:
+    import llvmlite.binding as llvm
+
+    name, features, _ = _machine(is_wide, is_optimised)
+    target = llvm.Target.from_default_triple()
+    how = {"opt": 1, "reloc": "pic", "codemodel": "jitdefault", "jit": True}
+    return target.create_target_machine(cpu=name, features=features, **how)
+
+
+def _compiled(text: str, is_wide: bool, is_optimised: bool) -> bytes:
+    """Machine code of a text, by LLVM with few optimisations: more of them take longer and give nothing here."""
+    import llvmlite.binding as llvm
+
+    module = llvm.parse_assembly(text)
+    machine = _target_machine(is_wide, is_optimised)
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    if is_optimised:
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+        builder.getModulePassManager().run(module, builder)
+    return machine.emit_object(module)
+
+
+def _load(name: str, content: bytes) -> None:
+    import llvmlite.binding as llvm
+
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(is_wide=True))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    engine.finalize_object()
+    address = engine.get_function_address(name)
+    if not address:
+        raise RuntimeError(f"no function {name} in its machine code")
+    llvm.add_symbol(name, address)  # for what calls it without XLA
+    jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu", api_version=1)
+    _loaded[name] = engine, content  # for as long as the process lives: XLA does not forget targets
+
+
+def _capsule(address: int) -> Any:
+    make = ctypes.pythonapi.PyCapsule_New
+    make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    return make(address, None, None)

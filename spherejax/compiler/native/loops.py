@@ -1,0 +1,436 @@
+"""A loop of a single run as one function of machine code, with all that is done in a turn.
+
+XLA calls a kernel for each few operations of a loop that calls machine code, and compiles each of them: half of a first
+call of a dry joint, and a sixth of its run time. A run on its own is a few arrays and many numbers. Here its loop is
+written in LLVM's language as a whole: loops and branches as they are, operations by `array_rules`, and calls of other
+machine code (stages of a step) by the frame that XLA would give them.
+
+What has no rule is left to XLA, as a whole loop (`loop_fusion`).
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.ffi
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend import core as jex
+from jax.interpreters import batching, mlir
+
+from spherejax.compiler.emit.array_rules import RULES
+from spherejax.compiler.emit.llvm import DATA, FunctionText, head
+from spherejax.compiler.emit.llvm_arrays import (
+    LARGE,
+    ArrayText,
+    Memory,
+    NotWrittenError,
+    Value,
+    kind_of,
+    stored_as,
+)
+from spherejax.compiler.lanes import by_a_loop
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.primitive import is_called
+from spherejax.compiler.trace import counts_of_loop
+
+INLINED = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "eval_jaxpr": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+}
+"""Operations that stand for a program, and where it is."""
+
+_loop = jex.Primitive("loop_in_machine_code")
+_loop.multiple_results = True
+
+
+def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
+    """The results of `jax.lax.while_loop`, by one call.
+
+    Args:
+        parameters, values: of the operation `while`.
+
+    Raises:
+        NotWrittenError: if something in it has no rule.
+    """
+    arrays = [jax.numpy.asarray(value) for value in values]
+    avals = [ShapedArray(x.shape, x.dtype) for x in arrays]
+    results = [ShapedArray(v.aval.shape, v.aval.dtype) for v in parameters["body_jaxpr"].jaxpr.outvars]
+    text = LoopText(parameters, avals, results)
+    return _loop.bind(*arrays, written=WrittenLoop(text.written(), tuple(text.called)), results=tuple(results))
+
+
+class WrittenLoop(NamedTuple):
+    """The text of a loop, and names of other machine code that it calls."""
+
+    text: str
+    called: tuple[str, ...]
+
+
+ARGUMENTS, RESULTS = 72, 112
+"""Offsets in bytes, in a frame, of pointers to tables of buffers; `text` has the others."""
+
+PREFIX = "spherejaxloop_"
+"""Of the names of these functions; they come behind those that they call."""
+
+
+@_loop.def_abstract_eval
+def _shapes(*_: Any, results: tuple, **__: Any) -> list:
+    return list(results)
+
+
+def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple) -> Sequence:
+    del results
+    name = machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=PREFIX)
+    machine_code.note_called([*written.called, name])
+    return jax.ffi.ffi_lowering(name)(context, *arguments)
+
+
+def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
+    return by_a_loop(partial(_loop.bind, **how), arguments, dims)
+
+
+batching.primitive_batchers[_loop] = _batched
+mlir.register_lowering(_loop, _lowered, platform="cpu")
+
+
+class LoopText:
+    """The text of a loop.
+
+    Attributes:
+        called: names of other machine code that is called.
+    """
+
+    def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any]):
+        self.parameters, self.avals, self.results = parameters, avals, results
+        self.text = ArrayText()
+        self.called: dict[str, None] = {}
+        self._functions: list[str] = []
+        self._at_begin: list[str] = []
+
+    def written(self) -> str:
+        """The text of a function that XLA calls."""
+        text = self.text
+        values = [self._given(aval, f"%a{i}") for i, aval in enumerate(self.avals)]
+        n_conditions, n_fixed = self.parameters["cond_nconsts"], self.parameters["body_nconsts"]
+        begin = n_conditions + n_fixed
+        slots = []
+        for i, (value, aval) in enumerate(zip(values[begin:], self.results, strict=True)):
+            if value.size < LARGE:
+                slots.append(None)
+                continue
+            slot = Value(aval.shape, value.kind, f"%r{i}", Memory(is_own=True))
+            text.copy(value, slot)
+            slots.append(slot)
+        found = self.loop(self.parameters, values, slots)
+        for i, (value, aval) in enumerate(zip(found, self.results, strict=True)):
+            self._result(value, aval, f"%r{i}")
+        body = [*text.room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
+        begin_of_all = head(len(self.avals), len(self.results))
+        return "\n".join([*text.declared, *text.outside, *self._functions, begin_of_all, *body])
+
+    def _given(self, aval: Any, pointer: str) -> Value:
+        kind = kind_of(aval.dtype)
+        if not aval.size:
+            return Value(aval.shape, kind, "")
+        if np.dtype(aval.dtype) == np.int32:
+            if aval.size > 1:
+                raise NotWrittenError("an array of 32-bit numbers that is given")
+            return Value(
+                aval.shape, kind, self.text.made(f"sext i32 {self.text.made(f'load i32, ptr {pointer}')} to i64")
+            )
+        value = Value(aval.shape, kind, pointer, Memory(is_own=False))
+        if aval.size > 1:
+            return value
+        # Read as an array of one entry.
+        kept = stored_as(kind)
+        found = self.text.made(f"load {kept}, ptr {pointer}, align 1")
+        return Value(aval.shape, kind, self.text.made(f"trunc i8 {found} to i1") if kind == "i1" else found)
+
+    def _result(self, value: Value, aval: Any, pointer: str) -> None:
+        if np.dtype(aval.dtype) == np.int32:
+            raise NotWrittenError("32-bit numbers that are returned")
+        self.text.copy(value, Value(aval.shape, value.kind, pointer, Memory(is_own=True)))
+
+    # Programs ---------------------------------------------------------------------------------------------------------
+
+    def program(self, closed: Any, values: Sequence[Value]) -> list[Value]:
+        """The results of a program."""
+        jaxpr, constants = getattr(closed, "jaxpr", closed), getattr(closed, "consts", ())
+        known: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.text.known, constants), strict=True))
+        known.update(zip(jaxpr.invars, values, strict=True))
+
+        def read(atom: Any) -> Value:
+            if not isinstance(atom, jex.Literal):
+                return known[atom]
+            aval: Any = atom.aval
+            return self.text.known(np.asarray(atom.val, aval.dtype))
+
+        for equation in jaxpr.eqns:
+            given = [read(atom) for atom in equation.invars]
+            found = self.equation(equation, given)
+            known.update(zip(equation.outvars, found, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def equation(self, equation: Any, values: list[Value]) -> list[Value]:
+        """The results of an operation."""
+        name, parameters = equation.primitive.name, equation.params
+        avals = [out.aval for out in equation.outvars]
+        if equation.effects:
+            raise NotWrittenError(f"the operation {name!r} has an effect")
+        if name in INLINED:
+            return self.program(parameters[INLINED[name]], values)
+        if name == "while":
+            return self.loop(parameters, values, [None] * len(avals))
+        if name == "scan":
+            return self.scan(parameters, values, avals)
+        if name == "cond":
+            return self.branch(parameters["branches"], values)
+        if name == "platform_index":
+            platforms = parameters["platforms"]
+            here = next(i for i, each in enumerate(platforms) if each is None or "cpu" in each)
+            return [self.text.known(np.int64(here))]
+        if name == "straight_line":
+            return self.line(parameters, values, avals)
+        if name in machine_code.TARGETS:
+            return self.call(machine_code.TARGETS[name]([a.aval for a in equation.invars], **parameters), values, avals)
+        if name not in RULES:
+            raise NotWrittenError(f"the operation {name!r} has no rule")
+        return RULES[name](self.text, values, parameters, avals)
+
+    # Loops and branches -----------------------------------------------------------------------------------------------
+
+    def loop(self, parameters: Any, values: Sequence[Value], slots: Sequence[Value | None]) -> list[Value]:
+        """`jax.lax.while_loop`; what is carried is in slots, large arrays in those of their own."""
+        text = self.text
+        n_conditions, n_fixed = parameters["cond_nconsts"], parameters["body_nconsts"]
+        given, fixed, begin = (
+            values[:n_conditions],
+            values[n_conditions : n_conditions + n_fixed],
+            values[n_conditions + n_fixed :],
+        )
+        carried = [self._slot(value) if slot is None else slot for value, slot in zip(begin, slots, strict=True)]
+        look, turn, end = (text.new(word) for word in ("look", "turn", "end"))
+        text.say(f"br label %{look}")
+        text.lines.append(f"{look}:")
+        (goes_on,) = self.program(parameters["cond_jaxpr"], [*given, *map(self._held, carried)])
+        if goes_on.size != 1:
+            raise NotWrittenError("a loop whose lanes end one by one")
+        text.say(f"br i1 {text.read(goes_on)}, label %{turn}, label %{end}")
+        text.lines.append(f"{turn}:")
+        found = self.program(parameters["body_jaxpr"], [*fixed, *map(self._held, carried)])
+        self._carry(found, carried)
+        text.say(f"br label %{look}")
+        text.lines.append(f"{end}:")
+        return [self._held(slot) for slot in carried]
+
+    def _slot(self, value: Value) -> Value:
+        """Where a loop carries a value: a large array stays where it is."""
+        if not value.size:
+            return value
+        if value.size >= LARGE:
+            return self.text.changed(value)
+        slot = self.text.array(value.shape, value.kind)
+        self.text.copy(value, slot)
+        return slot
+
+    def _held(self, slot: Value) -> Value:
+        """What is in a slot now."""
+        if not slot.size or slot.memory is None:
+            return slot
+        slot = slot._replace(version=slot.memory.version)
+        if slot.size > 1:
+            return slot
+        kept = stored_as(slot.kind)
+        found = self.text.made(f"load {kept}, ptr {slot.name}, align 1")
+        return Value(slot.shape, slot.kind, self.text.made(f"trunc i8 {found} to i1") if slot.kind == "i1" else found)
+
+    def _carry(self, found: Sequence[Value], carried: Sequence[Value]) -> None:
+        """What the next turn begins with; nothing is overwritten that is still to be read."""
+        places = {id(slot.memory) for slot in carried}
+        safe = []
+        for value, slot in zip(found, carried, strict=True):
+            if value.size != slot.size:
+                raise NotWrittenError("a loop that carries another shape")
+            if value.size <= 1 or value.name == slot.name or id(value.memory) not in places:
+                safe.append(value)
+                continue
+            if value.size >= LARGE:
+                raise NotWrittenError("a large array that changes its place")
+            apart = self.text.array(value.shape, value.kind)
+            self.text.copy(value, apart)
+            safe.append(apart)
+        for value, slot in zip(safe, carried, strict=True):
+            if value.size:
+                self.text.checked(value)
+                self.text.copy(value, slot)
+
+    def scan(self, parameters: Any, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
+        """`jax.lax.scan`, as a loop that counts."""
+        text, n = self.text, parameters["length"]
+        n_fixed, n_carried = counts_of_loop(parameters)
+        fixed, begin, columns = values[:n_fixed], values[n_fixed : n_fixed + n_carried], values[n_fixed + n_carried :]
+        carried = [self._slot(value) for value in begin]
+        rows = [self._room(aval) for aval in avals[n_carried:]]
+        counter = text.array((), "i64")
+        text.say(f"store i64 0, ptr {counter.name}, align 8")
+        if n == 0:
+            return [*map(self._held, carried), *rows]
+        turn, end = text.new("turn"), text.new("end")
+        text.say(f"br label %{turn}")
+        text.lines.append(f"{turn}:")
+        i = text.made(f"load i64, ptr {counter.name}, align 8")
+        at = text.made(f"sub i64 {n - 1}, {i}") if parameters["reverse"] else i
+        slices = [self._row(column, at) for column in columns]
+        found = self.program(parameters["jaxpr"], [*fixed, *map(self._held, carried), *slices])
+        for row, value in zip(rows, found[n_carried:], strict=True):
+            if value.size:
+                place = text.made(f"mul nsw i64 {at}, {value.size}")
+                text.put(row, place, np.arange(value.size), value)
+        self._carry(found[:n_carried], carried)
+        following = text.made(f"add nsw i64 {i}, 1")
+        text.say(f"store i64 {following}, ptr {counter.name}, align 8")
+        text.say(f"br i1 {text.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
+        text.lines.append(f"{end}:")
+        return [*map(self._held, carried), *(self._held(row) for row in rows)]
+
+    def _room(self, aval: Any) -> Value:
+        kind = kind_of(aval.dtype)
+        return self.text.array(aval.shape, kind) if aval.size else Value(aval.shape, kind, "")
+
+    def _row(self, column: Value, at: str) -> Value:
+        shape = column.shape[1:]
+        size = int(np.prod(shape, dtype=int))
+        if not size:
+            return Value(shape, column.kind, "")
+        return self.text.picked(column, self.text.made(f"mul nsw i64 {at}, {size}"), np.arange(size).reshape(shape))
+
+    def branch(self, branches: Sequence[Any], values: Sequence[Value]) -> list[Value]:
+        """`jax.lax.switch`."""
+        text, (which, *given) = self.text, values
+        if which.name.lstrip("-").isdigit():
+            at = int(which.name)
+            return self.program(branches[at if 0 <= at < len(branches) else -1], given)
+        index = text.read(which)
+        labels, end = [text.new("branch") for _ in branches], text.new("end")
+        cases = " ".join(f"i64 {i}, label %{label}" for i, label in enumerate(labels[:-1]))
+        text.say(f"switch i64 {index}, label %{labels[-1]} [{cases}]")
+        memories = {id(v.memory): v.memory for v in given if v.memory is not None and v.size >= LARGE}
+        before = {key: memory.version for key, memory in memories.items()}
+        latest = dict(before)
+        outs: list[list[Value]] = []
+        targets: list[Value | None] = []
+        for label, closed in zip(labels, branches, strict=True):
+            text.lines.append(f"{label}:")
+            for key, memory in memories.items():
+                memory.version = before[key]
+            found = self.program(closed, given)
+            if not targets:
+                targets = [None if v.size >= LARGE or not v.size else text.array(v.shape, v.kind) for v in found]
+            for value, target in zip(found, targets, strict=True):
+                if target is not None:
+                    text.copy(text.checked(value), target)
+            outs.append(found)
+            for key, memory in memories.items():
+                latest[key] = max(latest[key], memory.version)
+            text.say(f"br label %{end}")
+        text.lines.append(f"{end}:")
+        for key, memory in memories.items():
+            memory.version = latest[key]
+        merged = []
+        for at, target in enumerate(targets):
+            if target is not None:
+                merged.append(self._held(target))
+                continue
+            first = outs[0][at]
+            if first.size and any(out[at].name != first.name for out in outs):
+                raise NotWrittenError("branches that return large arrays")
+            merged.append(first._replace(version=first.memory.version) if first.memory else first)
+        return merged
+
+    # Calls ------------------------------------------------------------------------------------------------------------
+
+    def line(self, parameters: Any, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
+        """A scalar program: machine code of its own, or a function of this text."""
+        line, lanes, axes = (parameters[name] for name in ("line", "lanes", "axes"))
+        if is_called(line, lanes):
+            return self.call(machine_code.called(line, lanes, axes), values, avals)
+        if len(lanes) > 1 or 0 in lanes or not line.can_be_called:
+            raise NotWrittenError("a scalar program that is none of machine code")
+        name = f"line{len(self._functions)}"
+        declared, function = FunctionText(line, lanes, axes).written_inside(name)
+        self.text.declared.update(dict.fromkeys(sorted(declared)))
+        self._functions.append(function)
+        results = [self._room(aval) for aval in avals]
+        pointers = [self._address(value) for value in values] + [each.name or "null" for each in results]
+        self.text.say(f"call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})")
+        return [self._held(each) for each in results]
+
+    def call(self, name: str, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
+        """Machine code that XLA could call as well: it finds what it needs in a frame."""
+        text = self.text
+        self.called[name] = None
+        text.declared[f"declare ptr @{name}(ptr)"] = None
+        results = [self._room(aval) for aval in avals]
+        frame = self._frame(len(values), len(results))
+        for pointers, parts in (
+            (frame.arguments, [*map(self._address, values)]),
+            (frame.results, [r.name for r in results]),
+        ):
+            for pointer, part in zip(pointers, parts, strict=True):
+                text.say(f"store ptr {part or 'null'}, ptr {pointer}, align 8")
+        text.made(f"call ptr @{name}(ptr {frame.name})")
+        return [self._held(each) for each in results]
+
+    def _address(self, value: Value) -> str:
+        """Where a value is; a number is put somewhere."""
+        if not value.size:
+            return "null"
+        if value.size > 1:
+            return self.text.checked(value).name
+        place = self.text.array(value.shape, value.kind)
+        self.text.write(place, 0, value.name)
+        return place.name
+
+    def _frame(self, n_arguments: int, n_results: int) -> "_Frame":
+        """A frame with places for pointers to numbers, made when the function begins."""
+        text, begin = self.text, self._at_begin
+        frame = text.new("%frame")
+        text.room.append(f"  {frame} = alloca [16 x i64], align 64")
+        text.declared["declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"] = None
+        begin.append(f"  call void @llvm.memset.p0.i64(ptr align 8 {frame}, i8 0, i64 128, i1 false)")
+        places = []
+        for offset, n in ((ARGUMENTS, n_arguments), (RESULTS, n_results)):
+            table, buffers = text.new("%table"), text.new("%buffers")
+            text.room += [
+                f"  {table} = alloca [{max(n, 1)} x ptr], align 64",
+                f"  {buffers} = alloca [{max(4 * n, 1)} x i64], align 64",
+            ]
+            at = text.new("%at")
+            begin += [
+                f"  {at} = getelementptr inbounds i8, ptr {frame}, i64 {offset}",
+                f"  store ptr {table}, ptr {at}, align 8",
+            ]
+            data = []
+            for i in range(n):
+                entry, buffer, number = text.new("%at"), text.new("%at"), text.new("%at")
+                begin += [
+                    f"  {entry} = getelementptr inbounds ptr, ptr {table}, i64 {i}",
+                    f"  {buffer} = getelementptr inbounds i8, ptr {buffers}, i64 {32 * i}",
+                    f"  store ptr {buffer}, ptr {entry}, align 8",
+                    f"  {number} = getelementptr inbounds i8, ptr {buffer}, i64 {DATA}",
+                ]
+                data.append(number)
+            places.append(data)
+        return _Frame(frame, *places)
+
+
+class _Frame:
+    """A frame of a call: its name, and where pointers to arguments and results go."""
+
+    def __init__(self, name: str, arguments: list[str], results: list[str]):
+        self.name, self.arguments, self.results = name, arguments, results

@@ -1,0 +1,445 @@
+"""A scalar program as one operation of JAX, written straight into the compiler's language.
+
+To JAX two thousand scalar operations are two thousand objects to trace, to batch and to lower, at a tenth of a
+millisecond each for every time that the program is used. As one operation (`straight_line`) they are none of this until
+the program is compiled: the lowering rule writes them as StableHLO, lanes and all. Derivatives, forward and back, are
+straight lines again; see `derivatives`.
+
+Mapped by `jax.vmap`, the operation gets axes of lanes. They stand last in the arguments that have them, in the order of
+the mappings; a set of axes is an integer with a bit for each.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial, reduce
+from operator import or_
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+from spherejax.compiler.autodiff import Forward, Transposed
+from spherejax.compiler.emit.llvm import can_be_written
+from spherejax.compiler.emit.stablehlo import Shape, Writer, sizes
+from spherejax.compiler.graph import FLOAT, Graph
+from spherejax.compiler.lanes import by_a_loop, in_first_lanes, inside_a_loop, narrowed, widened
+from spherejax.compiler.native import compile as machine_code
+
+
+class StraightLine:
+    """Part of a graph, from arrays to arrays (static: it is told by its identity).
+
+    Attributes:
+        graph: the nodes.
+        outputs: names of the nodes that are returned, in arrays.
+        shapes: of the arguments whose entries are the graph's inputs.
+        given: nodes whose values are arguments too, behind the arrays: numbers, or vectors of them.
+        in_machine_code: whether it is called as machine code of its own, where that can be; see `machine.code`. Then
+            what it gives to its derivatives are vectors: each argument of a call costs time.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        outputs: Sequence[np.ndarray],
+        shapes: Sequence[Shape],
+        given: Sequence[np.ndarray],
+        in_machine_code: bool = False,
+    ):
+        self.graph, self.outputs, self.shapes, self.given = graph, tuple(outputs), tuple(shapes), tuple(given)
+        self.flat_given = tuple(int(node) for group in self.given for node in group.ravel())
+        self.in_machine_code = in_machine_code
+        self.called: dict[tuple, str] = {}  # names of its machine code, which go when it goes
+        self._spread: dict = {}
+        self._jitted: dict = {}
+        self._derivatives: dict[tuple[Moves, ...], Derivative] = {}
+        self._transposes: dict[tuple[tuple[bool, ...], tuple[bool, ...]], StraightLine] = {}
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Evaluate; arrays first, then what is given."""
+        return _straight_line.bind(*arguments, line=self, lanes=(), axes=(0,) * len(arguments))
+
+    def __repr__(self) -> str:
+        """What it does, so that a printed program still says which operations it has."""
+        counts = self.graph.count(self._flat, self.flat_given)
+        return f"StraightLine({', '.join(f'{name} {n}' for name, n in sorted(counts.items()))})"
+
+    def __cache_key__(self) -> tuple:
+        """What it computes, for fingerprints of programs."""
+        graph, nodes = self.graph, self._with_slopes
+        place = {node: at for at, node in enumerate(nodes)}
+        given = {node: at for at, node in enumerate(self.flat_given)}
+        lines = tuple(
+            (given[node],)
+            if node in given
+            else (
+                str(graph.operations[node]),
+                tuple(place[a] for a in graph.arguments[node]),
+                repr(
+                    place.get(graph.parameters[node]) if graph.operations[node] == "marked" else graph.parameters[node]
+                ),
+                str(graph.dtypes[node]),
+            )
+            for node in nodes
+        )
+        outputs = tuple((o.shape, tuple(place[int(n)] for n in o.ravel())) for o in self.outputs)
+        return lines, outputs, self.shapes, tuple(group.shape for group in self.given), self.in_machine_code
+
+    @cached_property
+    def _flat(self) -> list[int]:
+        return [int(node) for output in self.outputs for node in output.ravel()]
+
+    @cached_property
+    def nodes(self) -> list[int]:
+        """What is needed, in an order in which it can be evaluated."""
+        return self.graph.needed(self._flat, self.flat_given)
+
+    @cached_property
+    def _with_slopes(self) -> list[int]:
+        return self.graph.needed(self._flat, self.flat_given, with_slopes=True)
+
+    @cached_property
+    def n_operations(self) -> int:
+        """How many operations it has."""
+        return self.graph.count(self._flat, self.flat_given).total()
+
+    @cached_property
+    def can_be_called(self) -> bool:
+        """Whether there is machine code for all its operations."""
+        return can_be_written(self)
+
+    def dtype(self, output: np.ndarray) -> np.dtype:
+        """Of the entries of an output."""
+        return self.graph.dtypes[int(output.flat[0])] if output.size else FLOAT
+
+    def spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
+        """The axes of all nodes, and of the outputs, for arguments with these axes."""
+        if axes not in self._spread:
+            self._spread[axes] = self._found_spread(axes)
+        return self._spread[axes]
+
+    def _found_spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
+        graph, groups = self.graph, zip(self.given, axes[len(self.shapes) :], strict=True)
+        given = {int(node): over for group, over in groups for node in group.ravel()}
+        found: dict[int, int] = {}
+        for node in self.nodes:
+            if node in given:
+                found[node] = given[node]
+            elif graph.operations[node] == "input":
+                found[node] = axes[graph.parameters[node][0]]
+            else:
+                found[node] = _joined(found[argument] for argument in graph.arguments[node])
+        return found, tuple(_joined(found[int(node)] for node in output.ravel()) for output in self.outputs)
+
+    def one_by_one(self, lanes: Shape, axes: tuple[int, ...]) -> Callable[..., list[Array]]:
+        """`by_operations` with axes of lanes."""
+        function, (_, spread) = self.by_operations, self.spread(axes)
+        for axis in range(len(lanes)):  # the mapping that comes last is the outermost, and finds its axis last
+            inwards, outwards = ([-1 if over >> axis & 1 else None for over in each] for each in (axes, spread))
+            function = jax.vmap(function, tuple(inwards), outwards)
+        return function
+
+    def derivative(self, moves: tuple["Moves", ...]) -> "Derivative":
+        """Along tangents of the arguments that move, all of their entries or some."""
+        if moves not in self._derivatives:
+            self._derivatives[moves] = self._derived(moves)
+        return self._derivatives[moves]
+
+    def _derived(self, moves: tuple["Moves", ...]) -> "Derivative":
+        entries = self._entries(moves, self._with_slopes)
+        moving = [
+            nodes if some is True else [nodes[entry] for entry in some]
+            for nodes, some in zip(entries, moves, strict=True)
+            if some
+        ]
+        tangents = {
+            node: (i, place) for i, nodes in enumerate(moving) for place, node in enumerate(nodes) if node is not None
+        }
+        forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_given))
+        zero = forward.slopes.constant(0, FLOAT)
+        found = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
+        follows = tuple(any(each is not None for each in slopes) for slopes in found)
+        slopes = [
+            np.array([zero if each is None else each for each in slopes], np.int64).reshape(output.shape)
+            for output, slopes, has_some in zip(self.outputs, found, follows, strict=True)
+            if has_some
+        ]
+        needed = set(forward.needed([int(node) for output in slopes for node in output.ravel()]))
+        given = {node: name for node, name in forward.given.items() if name in needed}
+        coefficients = grouped([*given], forward.values, self.in_machine_code)
+        names = [np.array([given[int(node)] for node in each.ravel()]).reshape(each.shape) for each in coefficients]
+        values = [*self.outputs, *coefficients]
+        shapes = [
+            shape if some is True else (len(some),) for shape, some in zip(self._all_shapes, moves, strict=True) if some
+        ]
+        return Derivative(
+            StraightLine(forward.values, values, self.shapes, self.given, self.in_machine_code),
+            StraightLine(forward.slopes, slopes, shapes, names, self.in_machine_code),
+            follows,
+        )
+
+    @property
+    def _all_shapes(self) -> list[Shape]:
+        return [*self.shapes, *(group.shape for group in self.given)]
+
+    def transposed(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
+        """Of a line that is linear in some of its arguments: from numbers along its outputs to numbers along these.
+
+        Args:
+            linear: which arguments these are.
+            told: the outputs along which there are numbers, among those that depend on the linear arguments.
+
+        Returns:
+            A line whose arguments are the numbers along these outputs, then the arguments that are not linear; its
+            outputs belong to the arguments that are.
+
+        Raises:
+            NotScalarizable: if it is not linear, as far as its operations show.
+        """
+        if (linear, told) not in self._transposes:
+            self._transposes[linear, told] = self._made_transpose(linear, told)
+        return self._transposes[linear, told]
+
+    def _made_transpose(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
+        followed = [*itertools.compress(self.outputs, told)]
+        still = [i for i in range(len(self.shapes)) if not linear[i]]
+        number = {i: -1 - i for i in range(len(self.shapes))} | {i: at for at, i in enumerate(still, len(followed))}
+        graph = self.graph.copy(number)
+        moving = self._entries(linear, self.nodes)
+        along: dict[int, list[tuple[int, int]]] = {}
+        for i, output in enumerate(followed):
+            for entry, node in enumerate(output.ravel()):
+                along.setdefault(int(node), []).append((i, entry))
+        leaves = {node for entries in moving for node in entries if node is not None}
+        made = Transposed(graph, self.nodes, leaves, frozenset(self.flat_given), along)
+        outputs = [
+            np.array([made.along(node) for node in entries], np.int64).reshape(shape)
+            for entries, shape in itertools.compress(zip(moving, self._all_shapes, strict=True), linear)
+        ]
+        given = [group for i, group in enumerate(self.given, len(self.shapes)) if not linear[i]]
+        shapes = [*(o.shape for o in followed), *(self.shapes[i] for i in still)]
+        return StraightLine(graph, outputs, shapes, given, self.in_machine_code)
+
+    def _entries(self, chosen: Sequence["Moves"], nodes: Sequence[int]) -> list[list[int | None]]:
+        """The nodes that are the entries of the chosen arguments; None for those that none of `nodes` depends on.
+
+        What only a derivative rule reads is among the nodes of a derivative: a weight, say, of which the value reads
+        the acceleration alone, which was evaluated ahead.
+        """
+        graph, given = self.graph, frozenset(self.flat_given)
+        inputs = {
+            graph.parameters[node]: node for node in nodes if graph.operations[node] == "input" and node not in given
+        }
+        found: list[list[int | None]] = [
+            [inputs.get((i, entry)) for entry in range(int(np.prod(shape)))] if chosen[i] else []
+            for i, shape in enumerate(self.shapes)
+        ]
+        return found + [
+            [int(node) for node in group.ravel()] if chosen[i] else []
+            for i, group in enumerate(self.given, len(self.shapes))
+        ]
+
+    @cached_property
+    def by_operations(self) -> Callable[..., list[Array]]:
+        """The same as operations of JAX, one by one: what other programs take in, and what runs without a compiler."""
+
+        def evaluated(*arguments: Array) -> list[Array]:
+            arrays, given = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
+            known = {}
+            for group, x in zip(self.given, given, strict=True):
+                parts = [x] if group.shape == () else jax.lax.split(x, [1] * group.size)
+                known.update(zip(map(int, group.ravel()), (part.reshape(()) for part in parts), strict=True))
+            values = self.graph.emit(self._flat, _reader(arrays), known)
+            return [self._assembled(output, values) for output in self.outputs]
+
+        return jax.jit(evaluated)
+
+    def _assembled(self, output: np.ndarray, values: dict) -> Array:
+        if output.size == 0:
+            return jnp.zeros(output.shape)
+        parts = [jnp.asarray(values[int(node)], self.dtype(output)) for node in output.ravel()]
+        return parts[0].reshape(output.shape) if len(parts) == 1 else jnp.stack(parts).reshape(output.shape)
+
+
+def grouped(nodes: Sequence[int], graph: Graph, in_vectors: bool) -> list[np.ndarray]:
+    """Nodes as they are passed between lines: each alone, or in one vector for each type of numbers."""
+    if not in_vectors:
+        return [np.array(node) for node in nodes]
+    kinds = dict.fromkeys(graph.dtypes[node] for node in nodes)
+    return [np.array([node for node in nodes if graph.dtypes[node] == kind]) for kind in kinds]
+
+
+Moves = bool | tuple[int, ...]
+"""Whether an argument moves, or which of its entries do; then its tangent is the vector of theirs."""
+
+
+class Derivative(NamedTuple):
+    """The derivative of a line along tangents of some of its arguments.
+
+    Attributes:
+        values: the line, with the coefficients of the derivative as further outputs.
+        slopes: the derivative, from the tangents and the coefficients; linear in the tangents.
+        follows: which outputs have one; `slopes` has the outputs for these.
+    """
+
+    values: StraightLine
+    slopes: StraightLine
+    follows: tuple[bool, ...]
+
+
+def _reader(flat: Sequence[Array]) -> Callable:
+    """A function that reads entries of flat arguments by position; an argument is taken apart once, when it is read.
+
+    By one operation for all its entries: in reverse mode their derivatives are then put together by one as well, and
+    not summed from as many arrays of its size.
+    """
+    entries: dict = {}
+
+    def read(position):
+        argument, index = position
+        if argument not in entries:
+            array = flat[argument].reshape(-1)
+            entries[argument] = jax.lax.split(array, [1] * array.size)
+        return entries[argument][index].reshape(())
+
+    return read
+
+
+def _joined(sets: Iterable[int]) -> int:
+    return reduce(or_, sets, 0)
+
+
+# Rules ----------------------------------------------------------------------------------------------------------------
+
+
+def _shaped(*avals: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list[ShapedArray]:
+    del avals
+    _, spread = line.spread(axes)
+    return [
+        ShapedArray((*output.shape, *sizes(lanes, over)), line.dtype(output))
+        for output, over in zip(line.outputs, spread, strict=True)
+    ]
+
+
+def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
+    """One more axis of lanes, behind those that are there; one lane needs no axis.
+
+    With axes of one lane XLA turns what is spread over lanes into changes of shape, and evaluates what lies behind each
+    of them again; `benchmarks/derivative_programs.py` counts it.
+    """
+    n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
+    if n == 1:
+        alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
+        found = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
+        return [jnp.expand_dims(x, 0) for x in found], [0] * len(found)
+    if lanes and is_called(line, lanes):  # machine code has one axis of lanes: the longer one
+        if lanes[0] >= n:
+            return by_a_loop(partial(_straight_line.bind, line=line, lanes=lanes, axes=axes), arguments, dims)
+        now = tuple(int(dim is not None) for dim in dims)
+        (_, was), (_, new) = line.spread(axes), line.spread(now)
+        return inside_a_loop(
+            partial(_straight_line.bind, line=line, lanes=(n,), axes=now), arguments, dims, axes, was, new
+        )
+    last = 1 << len(lanes)
+    turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
+    now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
+    found = _straight_line.bind(*turned, line=line, lanes=(*lanes, n), axes=now)
+    _, spread = line.spread(now)
+    return found, [x.ndim - 1 if over & last else None for x, over in zip(found, spread, strict=True)]
+
+
+def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
+    """The values with the coefficients of the derivative, and what is linear in the tangents."""
+    moves = tuple(
+        type(t) is not ad.Zero and jax.typeof(x).dtype == FLOAT for x, t in zip(primals, tangents, strict=True)
+    )
+    derivative = line.derivative(moves)
+    found = _straight_line.bind(*primals, line=derivative.values, lanes=lanes, axes=axes)
+    values, coefficients = found[: len(line.outputs)], found[len(line.outputs) :]
+    _, spread = derivative.values.spread(axes)
+    over = *itertools.compress(axes, moves), *spread[len(line.outputs) :]
+    along = [*itertools.compress(tangents, moves)]
+    slopes = _straight_line.bind(*along, *coefficients, line=derivative.slopes, lanes=lanes, axes=over)
+    _, narrow = derivative.slopes.spread(over)
+    wide = itertools.compress(spread, derivative.follows)
+    moved = iter(widened(*each, lanes) for each in zip(slopes, narrow, wide, strict=True))
+    return values, [
+        next(moved) if follows else ad.Zero(jax.typeof(value).to_tangent_aval())
+        for value, follows in zip(values, derivative.follows, strict=True)
+    ]
+
+
+def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
+    """Of a program that is linear in some of its arguments."""
+    linear = tuple(ad.is_undefined_primal(x) for x in arguments)
+    _, follow = line.spread(tuple(map(int, linear)))
+    told = tuple(each > 0 and type(x) is not ad.Zero for x, each in zip(cotangents, follow, strict=True))
+    _, spread = line.spread(axes)
+    # What comes back is summed over the lanes that an argument has not: what is told of an output without these lanes
+    # counts once, and is told to the first.
+    own = [(x, has) for x, has, each in zip(cotangents, spread, told, strict=True) if each]
+    widest = _joined(has for _, has in own)
+    given = [in_first_lanes(x, has, widest, lanes) for x, has in own]
+    stays = [not moves for moves in linear]
+    still = [*itertools.compress(arguments, stays)]
+    back = line.transposed(linear, told)
+    over = *(widest for _ in given), *itertools.compress(axes, stays)
+    _, found_over = back.spread(over)
+    found = _straight_line.bind(*given, *still, line=back, lanes=lanes, axes=over)
+    parts = iter(
+        widened(narrowed(x, has, has & wanted), has & wanted, wanted, lanes)
+        for x, has, wanted in zip(found, found_over, itertools.compress(axes, linear), strict=True)
+    )
+    return [next(parts) if moves else None for moves in linear]
+
+
+def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list:
+    return Writer(context, line, lanes, axes, arguments).written()
+
+
+def _lowered_for_processor(
+    context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]
+) -> Sequence:
+    if not is_called(line, lanes):
+        return _lowered(context, *arguments, line=line, lanes=lanes, axes=axes)
+    name = machine_code.called(line, lanes, axes)
+    return jax.ffi.ffi_lowering(name)(context, *arguments)
+
+
+SMALLEST_CALLED = 100
+"""Operations of a line that is worth a call; one costs XLA some 50 ns."""
+
+OVER_LANES = 10
+"""So many times more operations has one over lanes to have: what is around it is kernels of XLA's, which it parts."""
+
+
+def is_called(line: StraightLine, lanes: Shape) -> bool:
+    """Whether a line is machine code of its own, and not part of what XLA compiles."""
+    if not line.in_machine_code or len(lanes) > 1 or 0 in lanes or not machine_code.is_available():
+        return False
+    return line.n_operations >= SMALLEST_CALLED * (OVER_LANES if lanes else 1) and line.can_be_called
+
+
+def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
+    if jax.config.values["jax_disable_jit"]:  # then there is nobody to write for
+        return line.one_by_one(**how)(*arguments)
+    key = tuple(how.items())
+    if key not in line._jitted:
+        line._jitted[key] = jax.jit(partial(_straight_line.bind, line=line, **how))
+    return line._jitted[key](*arguments)
+
+
+_straight_line = Primitive("straight_line")
+_straight_line.multiple_results = True
+_straight_line.def_impl(_now)
+_straight_line.def_abstract_eval(_shaped)
+batching.primitive_batchers[_straight_line] = _batched
+ad.primitive_jvps[_straight_line] = _differentiated
+ad.primitive_transposes[_straight_line] = _transposed
+mlir.register_lowering(_straight_line, _lowered)
+mlir.register_lowering(_straight_line, _lowered_for_processor, platform="cpu")

@@ -1,0 +1,264 @@
+"""Clear array code turned into a straight-line scalar program.
+
+XLA on the CPU pays for every small array operation and every call of LAPACK; a right-hand side made of 3-vectors
+and small blocks spends nearly all its time there. `scalarize` traces such a function once, follows its jaxpr with
+arrays of node names (reshaping and slicing cost nothing: they move names), folds structural zeros and ones,
+replaces `symmetric_solve` by an unrolled sparse elimination, and returns a function that emits scalar operations
+only. The result is an ordinary JAX function: jit, vmap, jvp, grad work on it.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from spherejax.compiler.emit.c import c_functions
+from spherejax.compiler.emit.eager import NumbersNow
+from spherejax.compiler.graph import FLOAT, Graph, TooManyOperations
+from spherejax.compiler.hooks import attached
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.primitive import Moves, StraightLine, grouped, is_called
+from spherejax.compiler.trace import Interpreter
+
+
+class ScalarProgram:
+    """A function as a straight-line scalar program; call it like the function it was made from.
+
+    Attributes:
+        operations: how many operations of each name one call performs.
+        n_operations: how many in total.
+        n_operations_inside: how many remain in a loop over which the leading arguments are constant.
+    """
+
+    def __init__(
+        self, graph: Graph, outputs: list[np.ndarray], tree, shapes: list[tuple[int, ...]], name: str, n_ahead: int
+    ):
+        self._graph = graph
+        self._outputs = outputs
+        self._tree = tree
+        self._shapes = shapes
+        self._flat_outputs = [int(node) for output in outputs for node in output.ravel()]
+        self.name = name
+        self.operations: Counter = graph.count(self._flat_outputs)
+        self.n_operations: int = self.operations.total()
+        self._n_leading = n_ahead
+        self._ahead = graph.invariants(self._flat_outputs, range(n_ahead))
+        self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
+        self._lines: dict[tuple, StraightLine] = {}
+
+    def _line(self, part: str, in_vectors: bool = False) -> StraightLine:
+        """All of it, what goes ahead, or the rest; for XLA, or as machine code.
+
+        Args:
+            part: which one.
+            in_vectors: whether what goes ahead is passed on in vectors.
+        """
+        key = part, in_vectors, machine_code.is_on()
+        if key not in self._lines:
+            ahead = grouped(self._ahead, self._graph, in_vectors)
+            outputs, shapes, given = {
+                "whole": (self._outputs, self._shapes, []),
+                "first": (ahead, self._shapes[: self._n_leading], []),
+                "rest": (self._outputs, self._shapes, ahead),
+            }[part]
+            self._lines[key] = StraightLine(self._graph, outputs, shapes, given, machine_code.is_on())
+        return self._lines[key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is made of it at its first use; a tree of results stands for its structure."""
+        state = {name: value for name, value in vars(self).items() if name not in ("_lines", "_numbers_now")}
+        return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _tree=jax.tree.structure(state["_tree"]), _lines={})
+
+    def __call__(self, *arguments) -> Any:
+        """Evaluate; the arguments have the shapes of the example arguments."""
+        return self._tree_of(self._line("whole")(*self._flat(arguments)))
+
+    @property
+    def n_outputs(self) -> int:
+        """How many numbers it returns."""
+        return len(self._flat_outputs)
+
+    def reads(self, argument: int) -> bool:
+        """Whether the outputs depend on an argument (counted in leaves)."""
+        graph = self._graph
+        needed = graph.needed(self._flat_outputs)
+        return any(graph.operations[i] == "input" and graph.parameters[i][0] == argument for i in needed)
+
+    def dependence(self, argument: int) -> np.ndarray:
+        """Which outputs (rows, flat) depend on which entries (columns, flat) of an argument (counted in leaves)."""
+        graph = self._graph
+        size = int(np.prod(self._shapes[argument]))
+        sources: dict[int, int] = {}  # for each node the set of entries behind it, as the bits of an integer
+        for index in graph.needed(self._flat_outputs):
+            if graph.operations[index] == "input":
+                leaf, entry = graph.parameters[index]
+                sources[index] = 1 << entry if leaf == argument else 0
+            else:
+                sources[index] = 0
+                for node in graph.arguments[index]:
+                    sources[index] |= sources[node]
+        rows = [[bool(sources[node] >> entry & 1) for entry in range(size)] for node in self._flat_outputs]
+        return np.array(rows, bool).reshape(len(self._flat_outputs), size)
+
+    def compute(self, *arguments) -> Any:
+        """Evaluate concrete arguments with Python numbers, as NumPy: slower than a compiled call, but at once.
+
+        For what is done once: a compilation takes a second, this a few milliseconds.
+        """
+        flat = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(arguments)]
+        entries = [array.ravel().tolist() for array in flat]
+        with np.errstate(all="ignore"):
+            values = iter(self._numbers_now(entries))
+        outputs = [np.array([next(values) for _ in range(o.size)]).reshape(o.shape) for o in self._outputs]
+        return jax.tree.unflatten(self._tree, outputs)
+
+    @cached_property
+    def _numbers_now(self) -> NumbersNow:
+        return NumbersNow(self._graph, self._flat_outputs)
+
+    def ahead(self, *leading) -> tuple[Array, ...]:
+        """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""
+        leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(leading)]
+        return tuple(self._line("first", machine_code.is_on())(*leaves)) if self._ahead else ()
+
+    def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
+        """As a call, with what `ahead` has evaluated for the same leading arguments."""
+        line, ahead = self.line_inside(ahead)
+        return self._tree_of(line(*self._flat(arguments), *ahead))
+
+    def line_inside(self, ahead: tuple[Array, ...]) -> tuple[StraightLine, tuple[Array, ...]]:
+        """What `inside` evaluates, from its arguments one after the other and what was evaluated ahead of them."""
+        in_vectors = _are_vectors(ahead)
+        if ahead and not in_vectors and machine_code.is_on():
+            kinds = dict.fromkeys(each.dtype for each in ahead)
+            ahead = tuple(jnp.stack([each for each in ahead if each.dtype == kind]) for kind in kinds)
+            in_vectors = True
+        return self._line("rest", in_vectors), ahead
+
+    def line_called(self) -> StraightLine:
+        """All of it."""
+        return self._line("whole")
+
+    def lines_ahead_and_inside(self) -> tuple[StraightLine | None, StraightLine]:
+        """What goes ahead, in vectors, None for nothing; and the rest, which takes these."""
+        return self._line("first", True) if self._ahead else None, self._line("rest", True)
+
+    def moving_inside(self, ahead: tuple[Array, ...], moving: Collection[int]) -> tuple[Moves, ...]:
+        """What moves of the first argument, and of what was evaluated ahead, as the line of `line_inside` takes it.
+
+        Args:
+            ahead: what was evaluated.
+            moving: the entries of the first argument that move.
+        """
+        line, _ = self.line_inside(ahead)
+        graph, moves = self._graph, {}
+        for node in graph.needed(line.flat_given):
+            if graph.operations[node] == "input":
+                leaf, entry = graph.parameters[node]
+                moves[node] = leaf == 0 and entry in moving
+            else:
+                moves[node] = any(moves[a] for a in graph.arguments[node])
+        places = [tuple(i for i, node in enumerate(group.ravel()) if moves[int(node)]) for group in line.given]
+        of_given = [line.dtype(group) == FLOAT and some for group, some in zip(line.given, places, strict=True)]
+        return tuple(sorted(moving)), *of_given
+
+    def slopes_inside(self, ahead: tuple[Array, ...], slopes: tuple[Array | None, ...]) -> tuple[Array | None, ...]:
+        """Derivatives of what was evaluated ahead, as the line of `line_inside` takes it.
+
+        Args:
+            ahead: what was evaluated.
+            slopes: its derivatives, with a leading axis; None of what is no float.
+        """
+        if _are_vectors(ahead) or not machine_code.is_on():
+            return slopes
+        kinds = dict.fromkeys(each.dtype for each in ahead)
+        moving = [each for each in slopes if each is not None]
+        return tuple(jnp.stack(moving, -1) if kind == FLOAT else None for kind in kinds)
+
+    @property
+    def can_be_machine_code(self) -> bool:
+        """Whether `inside` becomes machine code where that is wanted."""
+        with machine_code.wanted():
+            return is_called(self._line("rest", True), ())
+
+    def _tree_of(self, outputs) -> Any:
+        return jax.tree.unflatten(self._tree, outputs)
+
+    def c_source(self, name: str) -> str:
+        """The program as functions of C; see `c_source.c_functions`.
+
+        Raises:
+            NotScalarizable: for an operation that C does not have.
+        """
+        return c_functions(self._graph, self._flat_outputs, self._ahead, len(self._shapes), name)
+
+    def _flat(self, arguments) -> list[Array]:
+        flat = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
+        shapes = [leaf.shape for leaf in flat]
+        if shapes != self._shapes:
+            raise ValueError(f"the scalar program {self.name} was made for shapes {self._shapes}, got {shapes}")
+        return flat
+
+
+def _are_vectors(ahead: tuple[Array, ...]) -> bool:
+    return any(jnp.ndim(each) > 0 for each in ahead)
+
+
+def scalarize(
+    function: Callable,
+    *examples,
+    fixed: Mapping[tuple[int, int], float] | None = None,
+    n_ahead: int = 1,
+    maximum_operations: int | None = None,
+    has_slopes: bool = True,
+) -> ScalarProgram:
+    """Turn a function of small arrays into a straight-line scalar program.
+
+    Args:
+        function: pure JAX code on float64 arrays.
+        *examples: arguments (arrays or `jax.ShapeDtypeStruct`s, in any pytrees); only shapes matter.
+
+    Other args:
+        fixed: entries known in advance, `{(leaf number, flat index): value}`: the program folds the values and
+            does not read those entries.
+        n_ahead: number of leading leaves of the arguments that `ahead` is given.
+        maximum_operations: give up beyond this size; None for no limit. Compiling 20,000 operations takes about ten
+            seconds, 70,000 more than two minutes.
+        has_slopes: whether what derivative rules give is made with it. Without, it takes a third less to make, and its
+            derivatives are those of what it is made of.
+
+    Returns:
+        A `ScalarProgram` with the function's signature.
+
+    Raises:
+        NotScalarizable: for an operation without a scalar rule (the message names it), or beyond the size.
+    """
+    with attached().tracing():
+        closed, output_shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
+    graph = Graph()
+    fixed = fixed or {}
+    shapes = [tuple(variable.aval.shape) for variable in closed.jaxpr.invars]
+    inputs = []
+    for number, shape in enumerate(shapes):
+        names = [
+            graph.constant(fixed[number, i], FLOAT) if (number, i) in fixed else graph.input((number, i))
+            for i in range(int(np.prod(shape)))
+        ]
+        inputs.append(np.array(names, np.int64).reshape(shape))
+    interpreter = Interpreter(graph, maximum_operations, has_slopes=has_slopes)
+    jaxpr, _ = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+    outputs = interpreter.run(jaxpr, closed.consts, inputs)
+    tree = jax.tree.structure(output_shapes)
+    program = ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)), n_ahead)
+    if maximum_operations is not None and program.n_operations > maximum_operations:
+        raise TooManyOperations(f"more than {maximum_operations} scalar operations")
+    return program

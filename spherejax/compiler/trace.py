@@ -1,0 +1,242 @@
+"""Follows the operations of JAX with arrays of names of scalar nodes."""
+
+import itertools
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+import jax.core
+import numpy as np
+from jax.extend import core as jex
+
+from spherejax.compiler.graph import BOOL, FLOAT, INT, Graph, NotScalarizable, TooManyOperations
+from spherejax.compiler.linear_algebra.unrolled import SOLVES
+from spherejax.compiler.rules import ELEMENTWISE, RULES, STRUCTURAL, move_names
+
+WASTE = 2
+"""Nodes of a graph for each operation that is needed in the end, at most: what proves unused is made first (measured on
+the right-hand sides of chains and loops: 1.2 to 1.5)."""
+
+
+class Interpreter:
+    """Follows a jaxpr with arrays of node names, adding nodes to a graph."""
+
+    def __init__(self, graph: Graph, maximum_operations: int | None = None, *, has_slopes: bool = True):
+        self.graph = graph
+        self.has_slopes = has_slopes
+        self.limit = maximum_operations
+        self._depth = 0
+        self._n_for_slopes = 0
+
+    def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
+        """The names of a jaxpr's outputs."""
+        environment: dict = {}
+
+        def read(atom):
+            return self.names_of(atom.val) if isinstance(atom, jex.Literal) else environment[atom]
+
+        for variable, constant in zip(jaxpr.constvars, constants, strict=True):
+            environment[variable] = self.names_of(constant)
+        environment.update(zip(jaxpr.invars, arguments, strict=True))
+        for equation in jaxpr.eqns:
+            given = equation, [read(atom) for atom in equation.invars]
+            outputs = self.marked(jaxpr, *given) if self._follows_rule(equation) else self.equation(*given)
+            environment.update(zip(equation.outvars, outputs, strict=True))
+            # What derivative rules give does not count: it is there for those who ask for it.
+            if self.limit is not None and len(self.graph.operations) - self._n_for_slopes > WASTE * self.limit:
+                raise TooManyOperations(f"more than {self.limit} scalar operations")
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def names_of(self, value) -> np.ndarray:
+        """The names of an array's entries, constants."""
+        if isinstance(value, jax.core.Tracer):
+            raise NotScalarizable("the function closes over a traced value; pass it as an argument")
+        array = np.asarray(value)
+        if array.dtype == jax.dtypes.float0:
+            array = np.zeros(array.shape, BOOL)
+        dtype = graph_dtype(array.dtype)
+        names = [self.graph.constant(entry, dtype) for entry in array.ravel()]
+        return np.array(names, np.int64).reshape(array.shape)
+
+    def equation(self, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        """The names of what an operation of JAX gives."""
+        name, parameters = equation.primitive.name, equation.params
+        inner = _INLINED.get(name)
+        if inner is not None:
+            program = parameters[inner]  # with its constants, or one that has none
+            return self.run(getattr(program, "jaxpr", program), getattr(program, "consts", ()), inputs)
+        if name == "straight_line":  # a program within a program
+            line, how = parameters["line"], {name: parameters[name] for name in ("lanes", "axes")}
+            return self.inlined(line.one_by_one(**how), equation, inputs)
+        if name == "device_put":  # to where it is, of constants (jax 0.6)
+            return inputs
+        if name == "scan":
+            return self.scan(parameters, inputs)
+        if name == "cond":
+            return self.cond(parameters, inputs)
+        shapes = [variable.aval.shape for variable in equation.outvars]
+        dtypes = [graph_dtype(variable.aval.dtype) for variable in equation.outvars]
+        if all(0 in shape for shape in shapes):
+            return [np.zeros(shape, np.int64) for shape in shapes]
+        if name in STRUCTURAL:
+            return move_names(self.graph, equation.primitive, parameters, inputs, shapes)
+        if name in RULES:
+            return RULES[name](self.graph, inputs, parameters, shapes, dtypes)
+        if name in ELEMENTWISE:
+            return [self.elementwise(equation.primitive, inputs, parameters, shapes[0], dtypes[0])]
+        raise NotScalarizable(f"the operation {name!r} has no scalar rule")
+
+    def inlined(self, function, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        """The names of what a function gives that stands for an operation."""
+        closed = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars))
+        return self.run(closed.jaxpr, closed.consts, inputs)
+
+    # Derivative rules -------------------------------------------------------------------------------------------------
+
+    def _follows_rule(self, equation) -> bool:
+        """Whether its derivative is to be taken by the operation's own rule, not through what it is made of."""
+        if not self.has_slopes:
+            return False
+        if equation.primitive.name in SOLVES:  # whose rule is the same, but shorter
+            return self._depth == 0
+        return equation.primitive.name == "custom_jvp_call" and self._depth <= HIGHEST_DERIVATIVE
+
+    def marked(self, jaxpr, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        """The names of what an operation gives, marked with what its derivative rule gives."""
+        places = [i for i, variable in enumerate(equation.outvars) if _has_derivative(variable)]
+        with self._at(HIGHEST_DERIVATIVE + 1):  # rules of what it is made of do not count
+            values = self.equation(equation, inputs)
+        slopes = itertools.repeat(None)
+        if self._depth < HIGHEST_DERIVATIVE:
+            begin, own = len(self.graph.operations), self._n_for_slopes
+            with self._at(self._depth + 1):
+                slopes = self._slopes(jaxpr, equation, inputs, [equation.outvars[i] for i in places])
+            self._n_for_slopes = own + len(self.graph.operations) - begin
+        for i, names in zip(places, slopes, strict=False):
+            values[i] = _each(self.graph.marked, values[i], np.full(values[i].shape, None) if names is None else names)
+        return values
+
+    def _slopes(self, jaxpr, equation, inputs: list[np.ndarray], wanted: list) -> list[np.ndarray]:
+        """What the derivative rule of an operation gives, linear in the tangents of its arguments."""
+        given = {atom: x for atom, x in zip(equation.invars, inputs, strict=True) if not isinstance(atom, jex.Literal)}
+        moving = {atom: _each(self.graph.tangent, x) for atom, x in given.items() if atom.aval.dtype == FLOAT}
+        alone = jaxpr.replace(constvars=[], invars=[*given], outvars=wanted, eqns=[equation])
+        evaluated = jex.jaxpr_as_fun(jex.ClosedJaxpr(alone, []))
+
+        def along(arguments, tangents):
+            known = dict(zip(given, arguments, strict=True))
+
+            def of_moving(*numbers):
+                moved = known | dict(zip(moving, numbers, strict=True))
+                return evaluated(*(moved[atom] for atom in given))
+
+            return jax.jvp(of_moving, [known[atom] for atom in moving], tangents)[1]
+
+        closed = jax.make_jaxpr(along)([atom.aval for atom in given], [atom.aval for atom in moving])
+        return self.run(closed.jaxpr, closed.consts, [*given.values(), *moving.values()])
+
+    @contextmanager
+    def _at(self, depth: int):
+        before, self._depth = self._depth, depth
+        try:
+            yield
+        finally:
+            self._depth = before
+
+    # Operations -------------------------------------------------------------------------------------------------------
+
+    def elementwise(self, primitive, inputs, parameters, shape, dtype) -> np.ndarray:
+        """A node for each entry."""
+        frozen = tuple(sorted(parameters.items()))
+        flat = [np.broadcast_to(array, shape).ravel() for array in inputs]
+        names = [
+            self.graph.apply(primitive, tuple(map(int, entry)), dtype, frozen) for entry in zip(*flat, strict=True)
+        ]
+        return np.array(names, np.int64).reshape(shape)
+
+    def scan(self, parameters, inputs) -> list[np.ndarray]:
+        """A loop with a static number of turns, unrolled."""
+        n_constants, n_carried = counts_of_loop(parameters)
+        constants, carried = inputs[:n_constants], inputs[n_constants : n_constants + n_carried]
+        columns = inputs[n_constants + n_carried :]
+        closed, length = parameters["jaxpr"], parameters["length"]
+        turns = range(length - 1, -1, -1) if parameters["reverse"] else range(length)
+        stacked: list[list] = []
+        for turn in turns:
+            outputs = self.run(
+                closed.jaxpr, closed.consts, [*constants, *carried, *(column[turn] for column in columns)]
+            )
+            carried = outputs[:n_carried]
+            stacked.append(outputs[n_carried:])
+        if parameters["reverse"]:
+            stacked.reverse()
+        return [*carried, *(np.stack(column) for column in zip(*stacked, strict=True))]
+
+    def cond(self, parameters, inputs) -> list[np.ndarray]:
+        """Branches: the one that is taken when that is known, else both and a selection, as under vmap."""
+        index, operands, branches = int(inputs[0]), inputs[1:], parameters["branches"]
+        graph = self.graph
+        if graph.is_constant(index):
+            chosen = branches[int(np.clip(int(graph.value(index)), 0, len(branches) - 1))]
+            return self.run(chosen.jaxpr, chosen.consts, operands)
+        index = graph.predicate_of(index)
+        if len(branches) != 2 or graph.dtypes[index] != BOOL:
+            raise NotScalarizable("a switch between more than two branches")
+        on_false, on_true = (self.run(branch.jaxpr, branch.consts, operands) for branch in branches)
+        return [
+            np.vectorize(lambda f, t: graph.select(index, int(f), int(t)), otypes=[np.int64])(false, true)
+            for false, true in zip(on_false, on_true, strict=True)
+        ]
+
+
+def counts_of_loop(parameters: dict[str, Any]) -> tuple[int, int]:
+    """How many arguments of a `scan` stay the same in all turns, and how many are carried; the others are slices.
+
+    Args:
+        parameters: those of the operation; as two numbers until JAX 0.10, in a tree of all arguments from 0.11 on.
+    """
+    if "num_consts" in parameters:
+        return parameters["num_consts"], parameters["num_carry"]
+    fixed, carried, _ = parameters["ft_in"].unpack()
+    return len(fixed), len(carried)
+
+
+def _has_derivative(variable) -> bool:
+    """Whether something that is read may move. JAX has no public name for what is not read."""
+    return type(variable).__name__ != "DropVar" and variable.aval.dtype == FLOAT
+
+
+def _each(function, *arrays: np.ndarray) -> np.ndarray:
+    """A function of nodes, for each entry."""
+    names = [function(*each) for each in zip(*(array.ravel().tolist() for array in arrays), strict=True)]
+    return np.array(names, np.int64).reshape(arrays[0].shape)
+
+
+HIGHEST_DERIVATIVE = 3
+"""Order up to which derivative rules of a user's functions (`jax.custom_jvp`) are followed; higher ones are refused."""
+
+_INLINED = {
+    "custom_jvp_call": "call_jaxpr",
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "eval_jaxpr": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+    "remat2": "jaxpr",
+}
+
+
+def graph_dtype(dtype) -> np.dtype:
+    """The type of a node for an array's entries."""
+    try:
+        kind = np.dtype(dtype).kind
+    except TypeError:  # a dtype of JAX's own, such as that of random keys
+        raise NotScalarizable(f"values of type {dtype}") from None
+    if dtype == FLOAT:
+        return FLOAT
+    if kind == "b" or dtype == jax.dtypes.float0:  # the second is the tangent of an index, which nothing reads
+        return BOOL
+    if kind in "iu":
+        return INT
+    raise NotScalarizable(f"numbers of type {dtype}")

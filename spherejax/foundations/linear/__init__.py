@@ -1,1 +1,0 @@
-"""Linear systems of a mechanism's structure."""

@@ -1,1 +1,0 @@
-"""Scalar programs as machine code that XLA calls."""

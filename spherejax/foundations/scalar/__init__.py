@@ -1,1 +1,0 @@
-"""Functions of small arrays as straight-line programs of scalars."""
