@@ -426,7 +426,9 @@ def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Se
     def whole(*arguments: Any) -> list:
         return [*function(*arguments), *_witnesses(arguments)]
 
-    if is_partitioned(context):  # a native function cannot hold the collective operations that XLA would put into it
+    # More than one device, and not by `jax.shard_map`, where each device has a program of its own.
+    if getattr(context.module_context.axis_context, "num_devices", 1) > 1:
+        # A native function cannot hold the collective operations that XLA's partitioner would put into it.
         return mlir.lower_fun(function, multiple_results=True)(context, *values)
     found = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
     (first, *_) = found
