@@ -150,6 +150,8 @@ from .physics.memory import MemoryEntry
 from .physics.orientations import orientation
 from .studies.accuracy import SOLVERS, WorkPrecision, work_precision
 from .studies.bayes import Posterior, posterior
+from .studies.cases import joint_models
+from .studies.compare import compare
 from .studies.cycles import Branch, Cycle, CycleWarning, SweptSine, continuation, steady_cycle, swept_sine
 from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
@@ -159,6 +161,7 @@ from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads
 from .studies.roads import load_road
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .studies.sensitivity import Sensitivities, sensitivity
+from .studies.subject import Comparison, ModelRow
 from .studies.sweep import (
     Grid,
     Sensitivity,
@@ -224,6 +227,7 @@ __all__ = [
     "BumpStop",
     "Bushing",
     "Circle",
+    "Comparison",
     "Constant",
     "ConstraintReport",
     "ConstraintRows",
@@ -283,6 +287,7 @@ __all__ = [
     "Measured",
     "MemoryEntry",
     "Mode",
+    "ModelRow",
     "Modes",
     "Network",
     "NoDriftControl",
@@ -386,6 +391,7 @@ __all__ = [
     "Wrench",
     "animate",
     "cite",
+    "compare",
     "compile_scene",
     "constraint_report",
     "continuation",
@@ -404,6 +410,7 @@ __all__ = [
     "generalized_stiffness",
     "half_sphere_load",
     "hybrid_weight",
+    "joint_models",
     "linearize",
     "load",
     "load_mjcf",

@@ -16,6 +16,7 @@ SLOW = (
     "concepts/identification.md",
     "concepts/sensitivities.md",
     "concepts/periodic.md",
+    "howto/compare.md",
     "howto/controllers.md",
     "howto/exchange.md",
     "howto/fit.md",

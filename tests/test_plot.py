@@ -26,7 +26,8 @@ from spherejax.output.plot.ratios import time_ratios
 from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, Picture, new_figure, number_decades, typeset_number
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, LimitResult, ModelRow, StudyResult
-from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures, study_figure
+from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures
+from spherejax.studies.subjects.own import study_figure
 
 TS = np.linspace(0.0, 2.0, 20001)
 
@@ -190,9 +191,10 @@ def test_time_ratios_are_annotated():
 
 
 def test_a_limit_that_ends_early_says_why():
-    shortened = [s for s in limit_studies(sj.RadialFilm()) if s.parameter == "clearance [mm]" and len(s.values) < 5]
+    radial = five_models(film=sj.RadialFilm())
+    shortened = [s for s in limit_studies(radial) if s.parameter == "clearance [mm]" and len(s.values) < 5]
     assert [("its curve ends where" in s.label) for s in shortened] == [True]
-    assert not any("ends" in s.label for s in limit_studies())
+    assert not any("ends" in s.label for s in limit_studies(five_models()))
 
 
 def test_loops_that_lie_on_each_other_have_a_close_up():
@@ -220,21 +222,23 @@ def test_limits_share_a_panel_where_they_share_a_parameter():
 
 def test_a_comparison_draws_every_figure_of_the_paper(models):
     rows = [ModelRow(n, one.label, 1e-3, 9.0, 1.0, 1, 100, 0.1, 10.0, 0.5, "Dopri8") for n, one in models.items()]
-    studies = [StudyResult(s, [curves(c.label) for c in s.cases]) for s in parameter_studies()]
+    studies = [StudyResult(s, [curves(c.label) for c in s.cases]) for s in parameter_studies(five_models())]
     limits = [
-        LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order) for s in limit_studies()
+        LimitResult(s.label, s.parameter, list(s.values), [1e-4] * len(s.values), s.order)
+        for s in limit_studies(five_models())
     ]
     found = figures_of(Comparison(2.0, rows, models, {}, studies, limits, 0.5, subject=FOUR_BAR))
     numbers = {name[:5] for name in found if name.startswith("fig")}
     assert numbers == {f"fig{n:02d}" for n in range(6, 22)}
-    assert set(law_figures()) <= set(found)
-    for name in set(found) - set(law_figures()) - {"fig09_mechanism"}:  # a drawing, no panels with axes
+    laws = {FOUR_BAR.numbered(name) for name in law_figures()}
+    assert laws <= set(found)
+    for name in set(found) - laws - {"fig09_mechanism"}:  # a drawing, no panels with axes
         check_readable(found[name]())
 
 
 def test_a_film_has_one_color_in_all_figures(models):
     """The full film is that of the lubricated joint, the paper's is no other model's."""
-    both = next(study for study in parameter_studies() if study.name == "fig15b")
+    both = next(study for study in parameter_studies(five_models()) if study.name == "lubricated_films")
     result = StudyResult(both, [curves(case.label) for case in both.cases])
     found = drawn(study_figure(result, Comparison(2.0, [], models, {}, [], [], 0.5, subject=FOUR_BAR)), 0)
     assert found["full film"].get_color() == MODEL_COLORS["lubricated"]
@@ -273,10 +277,14 @@ def test_more_curves_than_colors_are_all_drawn(models, monkeypatch):
 def test_curves_are_those_of_one_body_and_one_joint():
     run = sj.simulate(sj.gallery.four_bar(), np.linspace(0.0, 0.01, 5))  # as in test_cli: compiled once
     body, joint = "coupler", "coupler_rocker"
-    one = curves_of(run, "ideal", body=body, joint=joint)
+    one = curves_of(run, "ideal", body=body, joint=joint, axis="z")
     assert (one.label, one.body, one.clearance, one.sliding_speed) == ("ideal", body, None, None)
     np.testing.assert_array_equal(one.position, run.position(body)[:, 2])
     assert one.energy_change[0] == 0.0
+    assert one.kind == "ideal"
+    assert curves_of(run, "ideal", body=body, joint=joint).axis == "xyz"[np.ptp(run.position(body), axis=0).argmax()]
+    with pytest.raises(sj.SceneError, match="axis = 'w' is none of x, y, z"):
+        curves_of(run, "ideal", body=body, joint=joint, axis="w")
     lanes = jax.tree.map(lambda x: jnp.stack([x, x]), run)
     with pytest.raises(sj.SceneError, match="single run; take one lane"):
         curves_of(lanes, "two", body=body, joint=joint)

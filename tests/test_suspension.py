@@ -18,7 +18,7 @@ from spherejax.command_line.figures import figures_of
 from spherejax.command_line.scenes import chosen
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.integration.longest_step import longest_step
-from spherejax.studies.compare import compare
+from spherejax.studies.compare import compare_models
 from spherejax.studies.subject import Length
 from spherejax.studies.subjects.suspension import SUSPENSION, differences
 
@@ -194,9 +194,9 @@ def test_speed_is_a_number_that_can_be_traced():
 @pytest.fixture(scope="module")
 def three_models():
     """The comparison of the models that compile fast, with a second method."""
-    few = {name: case for name, case in SUSPENSION.models().items() if name in ("ideal", "dry", "bushing")}
+    few = {name: case for name, case in SUSPENSION.models.items() if name in ("ideal", "dry", "bushing")}
     quick = SUSPENSION.quick._replace(fixed=True)
-    return compare(replace(SUSPENSION, models=lambda: few, quick=quick), quick=True)
+    return compare_models(replace(SUSPENSION, models=few, quick=quick), quick=True)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ SCENES = Parts({name.replace("_", "-"): f"spherejax.gallery:{name}" for name in 
 SUBJECTS = Parts(
     {name: "spherejax.studies.subjects:" + name.replace("-", "_").upper() for name in ("four-bar", "suspension")}
 )
-"""The mechanisms whose joint models can be compared: one file for each."""
+"""The paper's mechanisms, of which `compare` shows more than of others."""
 
 ALIASES = {"a01": "simple-pendulum", "a02": "n-four-bar", "a04": "bricard", "a05": "governor"}
 """Short names of scenes: their numbers in the IFToMM library of benchmark problems."""

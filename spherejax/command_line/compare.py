@@ -5,13 +5,18 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import spherejax as sj
-from spherejax.command_line.catalog import FILMS, SUBJECTS
+from spherejax.command_line.catalog import SUBJECTS
+from spherejax.command_line.models import MODEL_OPTIONS, add_joint_options, all_models_from
+from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.reports import add_report, check_report, write_report
+from spherejax.command_line.scene_numbers import with_text
+from spherejax.command_line.scenes import add_scene, chosen, studying
 
 if TYPE_CHECKING:
     from spherejax.motion.results.trajectory import Trajectory
@@ -22,17 +27,21 @@ SAVED_SAMPLES = 2000
 """Samples of the netCDF files, about; the study itself uses a hundred times more."""
 
 DESCRIPTION = """\
-Simulate a mechanism with five models of one spherical joint (ideal, dry, dry with friction,
-lubricated, bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity,
-steps, and computing time against the ideal joint. Writes table.csv, one netCDF file for each model,
-and figures that follow the numbering of the paper (figNN_*.png). A mechanism takes a minute or a minute
-and a half on two free cores; later runs are faster, because compiled programs are kept.
+Simulate a mechanism with five models of one of its joints (ideal, dry, dry with friction, lubricated,
+bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity, steps, computing
+time against the ideal joint, and until when the motion is repeatable. Writes table.csv, one netCDF file
+for each model, and figures. Any mechanism can be compared: a scene file or a scene of the gallery, with
+one spherical or revolute joint that is studied. The paper's mechanisms, four-bar and suspension, have
+figures with its numbers (figNN_*.png). A comparison takes a minute or two on two free cores, with --quick
+half of it; later runs are faster, because compiled programs are kept.
 """
 
 EPILOG = """examples:
+  spherejax compare my_mechanism.toml --out results/
+  spherejax compare my_mechanism.toml --of elbow --clearance "0.2 mm" --t1 0.5 --quick --out results/
+  spherejax compare my_mechanism.toml --of pin --length "20 mm" --body slider --out results/
   spherejax compare four-bar --out results/
   spherejax compare suspension --out results/
-  spherejax compare four-bar --quick --out results/
   spherejax compare four-bar --film radial --out paper/
 """
 
@@ -46,35 +55,52 @@ def add_compare(commands) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", choices=SUBJECTS, help="the mechanism")
-    parser.add_argument(
-        "--quick", action="store_true", help="a short version: 0.2 s and one parameter study; 4.2 s and one method"
+    add_scene(parser)
+    motion = parser.add_argument_group("what is compared")
+    motion.add_argument(
+        "--body", metavar="NAME", help="whose motion is compared (default: the one that the models change most)"
     )
-    parser.add_argument(
-        "--film", choices=FILMS, default="full", help="of the lubricated joint; radial is the paper's (default: full)"
+    motion.add_argument(
+        "--axis",
+        choices=AXES,
+        metavar="AXIS",
+        help="along x, y or z, or about rotation.x, rotation.y or rotation.z (default: where the body moves most)",
     )
-    parser.add_argument("--out", default="results", metavar="FOLDER", help="folder for all files (default: results)")
-    add_report(parser, "the comparison")
-    parser.add_argument("--overwrite", action="store_true", help="replace the files of an earlier comparison")
-    parser.set_defaults(action=compare_models)
+    motion.add_argument(
+        "--t1", type=measured_in("s"), metavar="S", help="length of the motion [s] (default: 2, or of the file)"
+    )
+    motion.add_argument(
+        "--samples", type=whole, metavar="N", help="of each run (default: one each 10 us, up to 200001)"
+    )
+    motion.add_argument("--rtol", type=real, help="relative tolerance of a step (default: 1e-8, or of the file)")
+    motion.add_argument(
+        "--quick",
+        action="store_true",
+        help="without parameter studies and limits; four-bar: 0.2 s and one study; suspension: 4.2 s and one method",
+    )
+    add_joint_options(parser, many=True)
+    files = parser.add_argument_group("files")
+    files.add_argument("--out", default="results", metavar="FOLDER", help="folder for all files (default: results)")
+    add_report(files, "the comparison")
+    files.add_argument("--overwrite", action="store_true", help="replace the files of an earlier comparison")
+    parser.set_defaults(action=show_comparison)
 
 
-def compare_models(options: argparse.Namespace) -> int:
+def show_comparison(options: argparse.Namespace) -> int:
     """Simulate, print the table, write everything."""
     from spherejax.output.paths import make_folder, require_free
-    from spherejax.studies.compare import Meanwhile, compare
+    from spherejax.studies.compare import Meanwhile, compare_models
 
     folder = Path(options.out).expanduser()
     require_free(folder / "table.csv", overwrite=options.overwrite)
     check_report(options)
+    subject = subject_from(options)
     make_folder(folder)
     start = time.perf_counter()
-    subject = SUBJECTS[options.scene]
-    subject = subject if options.film == "full" else subject.with_film(FILMS[options.film]())
     writer = _Writer(folder)
     meanwhile = Meanwhile(writer.ahead(subject), writer.as_found)
     with progress("comparing") as report:
-        comparison = compare(
+        comparison = compare_models(
             subject, quick=options.quick, report=lambda what, share: report(what, 0.9 * share), meanwhile=meanwhile
         )
         names = writer.write_rest(comparison, report)
@@ -84,24 +110,85 @@ def compare_models(options: argparse.Namespace) -> int:
     print(
         f"wrote table.csv, {len(comparison.runs)} netCDF files and {len(names)} figures to {folder} in {seconds:.0f} s"
     )
+    failed = [row for row in comparison.rows if row.failure]
+    if failed:
+        raise sj.SimulationError(f"{failed[0].label}: {failed[0].failure}")
     return 0
+
+
+def subject_from(options: argparse.Namespace) -> Subject:
+    """What the options ask to compare.
+
+    Raises:
+        SceneError: for a joint that cannot be studied, and for options that do not fit together.
+    """
+    from spherejax.studies.cases import cases_of
+    from spherejax.studies.subjects.own import own_mechanism, studied_joint
+
+    found = chosen(options, many=True)
+    if options.samples is not None:
+        number_of_samples(options.samples)
+    described = found.build(None)
+    joint = found.studied or studied_joint(described)
+    if found.studied is None:
+        found = studying(found, joint)
+    has_models = any(getattr(options, name) is not None for name in MODEL_OPTIONS)
+    prepared = SUBJECTS.get(options.scene)
+    if prepared is not None and joint == prepared.joint and not options.set:
+        changes: dict[str, Any] = {name: getattr(options, name) for name in ("body", "axis", "rtol")}
+        if has_models:
+            changes["models"] = cases_of(all_models_from(options, None))
+        subject = replace(prepared, **{name: value for name, value in changes.items() if value is not None})
+        t1 = subject.full.seconds if options.t1 is None else options.t1
+        if options.t1 is not None or options.samples is not None:
+            interval = subject.full.interval if options.samples is None else t1 / (options.samples - 1)
+            subject = replace(
+                subject,
+                full=subject.full._replace(seconds=t1, interval=interval),
+                quick=subject.quick._replace(seconds=t1, interval=interval),
+                t_limits=min(subject.t_limits, t1),
+            )
+        return subject
+    studied: Any = described.joints[joint]
+    if not has_models and isinstance(studied, sj.Revolute) and studied.model.is_ideal:
+        raise sj.SceneError(f"joint {joint!r} is revolute: its models need the length of its bearing, --length")
+
+    def build(model: sj.AbstractSphericalModel) -> sj.Scene:
+        scene = found.build(model)
+        for text in options.set:
+            scene = with_text(scene, text, joint)
+        return scene
+
+    settings = found.settings
+    samples = options.samples
+    return own_mechanism(
+        build,
+        _first(options.t1, settings.t1, 2.0),
+        joint=joint,
+        models=all_models_from(options, studied.model),
+        body=options.body,
+        axis=options.axis,
+        samples=samples,
+        rtol=_first(options.rtol, settings.rtol, 1e-8),
+        name=found.title or found.name,
+    )
+
+
+def _first(*values: Any) -> Any:
+    """The first that is not None."""
+    return next(value for value in values if value is not None)
 
 
 def print_comparison(comparison: Comparison) -> None:
     """The table of the models, one for each parameter study, and what else the mechanism has to say."""
-    subject = comparison.subject
-    heads = ("model", *(column.head for column in subject.columns))
-    rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]
-    title = f"Joint models, {comparison.t_end:g} s of motion: {subject.parameters}"
-    print_table(title, heads, rows, numeric=True)
-    for table in subject.summaries(comparison):
+    for table in comparison.tables:
         print_table(table.title, table.heads, table.rows, numeric=True)
-    for result in comparison.studies:
-        rows = [(label, f"{1e3 * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
-        title = f"{result.study.name}: {result.study.title}".replace("\n", " ")
-        print_table(title, ("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), rows, numeric=True)
-    for remark in subject.remarks(comparison):
+    for remark in comparison.remarks:
         print(remark)
+
+
+AXES = ("x", "y", "z", "rotation.x", "rotation.y", "rotation.z")
+"""Of `--axis`: those of `spherejax.output.plot.curves`, which the help does not load."""
 
 
 class _Writer:
@@ -181,12 +268,14 @@ def _write_table(rows: list[ModelRow], path: Path) -> None:
         "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "horizon": "repeatable_until [s]",
         "method": "method",
     }  # fmt: skip
-    measures = list(rows[0].measures)
+    measures = list(dict.fromkeys(name for row in rows for name in row.measures))
     fixed = [] if rows[0].fixed is None else ["fixed_n_steps", "fixed_seconds [s]", "fixed_time_ratio [-]"]
+    failures = ["failure"] if any(row.failure for row in rows) else []
     lines = []
     for row in rows:
         values = [getattr(row, name) for name in heads]
-        values += [row.measures[name] for name in measures]
+        values += [row.measures.get(name) for name in measures]
         values += [] if row.fixed is None else list(row.fixed)
+        values += [row.failure] if failures else []
         lines.append(["" if value is None else value for value in values])
-    write_rows(path, [*heads.values(), *measures, *fixed], lines)
+    write_rows(path, [*heads.values(), *measures, *fixed, *failures], lines)

@@ -16,4 +16,4 @@ def figures_of(comparison: Comparison) -> dict[str, Callable]:
 
 def figures_ahead(subject: Subject) -> dict[str, Callable]:
     """Those of them that need no run."""
-    return subject.figures_ahead(subject)
+    return {subject.numbered(name): draw for name, draw in subject.figures_ahead(subject).items()}

@@ -36,13 +36,14 @@ UNITS = {
 CONTACT = ("dry", "friction", "lubricated")
 
 
-def add_joint_options(parser: argparse.ArgumentParser) -> None:
-    """Options that describe the studied joint."""
-    parser.add_argument(
-        "--joint",
-        choices=JOINTS,
-        help="model of the studied joint (default: the one that the scene or the file describes)",
-    )
+def add_joint_options(parser: argparse.ArgumentParser, *, many: bool = False) -> None:
+    """Options that describe the model of the studied joint, or, with `many`, the numbers of all its models at once."""
+    if not many:
+        parser.add_argument(
+            "--joint",
+            choices=JOINTS,
+            help="model of the studied joint (default: the one that the scene or the file describes)",
+        )
     parser.add_argument(
         "--set",
         action="append",
@@ -119,11 +120,12 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         metavar="B",
         help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
     )
-    bushing.add_argument(
-        "--elastomer",
-        choices=ELASTOMERS,
-        help="damping of the radial rate alone, or of all (default: radial)",
-    )
+    if not many:
+        bushing.add_argument(
+            "--elastomer",
+            choices=ELASTOMERS,
+            help="damping of the radial rate alone, or of all (default: radial)",
+        )
 
 
 def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
@@ -155,6 +157,46 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
         viscosity = _or(options.viscosity, 0.4)
         return sj.Lubricated(clearance, viscosity=viscosity, boundary=boundary, film=_film_from(options), **contact)
     return sj.Dry(clearance, **contact)
+
+
+def all_models_from(
+    options: argparse.Namespace, like: sj.AbstractSphericalModel | None
+) -> dict[str, sj.AbstractSphericalModel]:
+    """The five models of a joint with the numbers that the options give; others are those of its own model.
+
+    Args:
+        options: with those of `add_joint_options(many=True)`.
+        like: the joint's own model.
+
+    Raises:
+        SceneError: for options that do not fit together.
+    """
+    dry, rubbing = (argparse.Namespace(**{**vars(options), "joint": joint}) for joint in ("dry", "friction"))
+    has_normal = options.normal is not None or options.restitution is not None
+    has_friction = options.friction is not None or options.mu is not None or options.mu_static is not None
+    modulus = options.youngs_modulus
+    stiffness, damping = USUAL.get(options.scene, Usual()).bushing if options.scene in USUAL else (None, None)
+    return sj.joint_models(
+        like,
+        clearance=options.clearance,
+        socket_radius=options.socket_radius,
+        length=options.length,
+        normal=_normal_from(dry) if has_normal else None,
+        friction=_friction_from(rubbing) if has_friction else None,
+        material=None if modulus is None else sj.Material(youngs_modulus=modulus),
+        viscosity=options.viscosity,
+        film=None if options.film is None else _film_from(options),
+        boundary=None if options.boundary is None else BOUNDARIES[options.boundary](),
+        stiffness=_or(options.stiffness, stiffness),
+        damping=_or(options.damping, damping),
+    )
+
+
+MODEL_OPTIONS = (
+    "clearance", "socket_radius", "length", "youngs_modulus", "normal", "restitution", "friction", "mu", "mu_static",
+    "viscosity", "film", "boundary", "stiffness", "damping",
+)  # fmt: skip
+"""Options of the models by their places in the namespace."""
 
 
 USED_BY: Mapping[str, tuple[str, ...]] = {

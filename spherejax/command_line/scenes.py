@@ -75,8 +75,12 @@ def add_scene(parser: argparse.ArgumentParser, joint: str = "--of") -> None:
     add_robot_options(parser)
 
 
-def chosen(options: argparse.Namespace) -> Chosen:
+def chosen(options: argparse.Namespace, *, many: bool = False) -> Chosen:
     """The mechanism that the options name.
+
+    Args:
+        options: of the command.
+        many: whether the options of models are of several models at once, instead of the one of `--joint`.
 
     Raises:
         SceneError: for a file that does not describe a mechanism; for options of a model without `--joint`.
@@ -87,7 +91,9 @@ def chosen(options: argparse.Namespace) -> Chosen:
     if not is_robot:
         refuse_robot_options(given, options)
     if options.of is not None:
-        found = _studying(found, options.of)
+        found = studying(found, options.of)
+    if many:
+        return found
     if options.joint is None and (options.of is not None or model_name(options) == AS_DESCRIBED):
         _refuse_loose(options, ("friction", "mu", "mu_static") if is_robot and options.friction is not None else ())
     else:
@@ -162,10 +168,10 @@ def _from_file(path: Path, options: argparse.Namespace) -> Chosen:
         return file.scene
 
     plain = Chosen(path.name, file.title, without_model, None, file.settings)
-    return plain if file.studied is None else _studying(plain, file.studied)
+    return plain if file.studied is None else studying(plain, file.studied)
 
 
-def _studying(found: Chosen, joint: str) -> Chosen:
+def studying(found: Chosen, joint: str) -> Chosen:
     """The same mechanism with another studied joint."""
 
     def with_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:

@@ -1,19 +1,34 @@
-"""The cases of the comparison: five joint models, the parameter studies of Figs 10 to 17, and the limits.
+"""The cases of a comparison: the five joint models, and what follows from them: parameter studies, and limits.
 
-Parameters as printed in the paper (Tables 3 and 4) where they are legible. Chosen here: restitution 0.9, the
-largest clearance 0.20 mm, the clearance 0.10 mm of the law studies, and the bushings (k = 1e6 N/m with b =
-1e-2 s; k = 1e5 and 1e7 N/m; b = 1e-4 and 1e-3 s). The film is the full one unless the paper's, the radial one, is asked
-for; one figure shows both.
+The numbers of the five models stand in one place, `joint_models`. Parameter studies and limits vary what the models
+have: a clearance, laws, a film, a stiffness. The defaults are those of the paper (Tables 3 and 4) where they are
+legible. Chosen here: restitution 0.9, the largest clearance 0.20 mm, the clearance 0.10 mm of the law studies, and the
+bushings (k = 1e6 N/m with b = 1e-2 s; k = 1e5 and 1e7 N/m; b = 1e-4 and 1e-3 s). The film is the full one unless the
+paper's, the radial one, is asked for; one figure shows both.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.files.fields.objects import arguments_of
+from spherejax.foundations.errors import SceneError
+from spherejax.output.plot.curves import kind_of_model
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.bushing import Bushing
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.laws.bearings import ShortBearing
+from spherejax.physics.laws.cylinders import JohnsonCylinder
+from spherejax.physics.laws.elastomer import RadialElastomer
+from spherejax.physics.laws.elastomer_axes import HingeElastomer
+from spherejax.physics.laws.film import AbstractFilmBoundary
 from spherejax.physics.laws.films import AbstractFilm, FullFilm, RadialFilm
 from spherejax.physics.laws.friction import (
     AbstractFrictionLaw,
@@ -22,7 +37,9 @@ from spherejax.physics.laws.friction import (
     BrownMcPhee,
     Threlfall,
 )
+from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import (
+    AbstractHysteresisLaw,
     AbstractNormalLaw,
     Flores,
     Gonthier,
@@ -31,40 +48,37 @@ from spherejax.physics.laws.normal import (
 )
 
 CLEARANCE = 1e-4
-"""Clearance of the five models and of the law studies [m]."""
-
-CLEARANCES = (5e-5, 1e-4, 2e-4)
-"""Clearances of Figs 10, 12 and 15 [m]."""
+"""Clearance of the models where nothing else is said [m]."""
 
 RESTITUTION = 0.9
-"""Restitution of all normal laws [-]."""
+"""Restitution of normal laws where nothing else is said [-]."""
 
 VISCOSITY = 0.4
-"""Dynamic viscosity of the lubricant [Pa s]: 400 cP."""
+"""Dynamic viscosity of the lubricant where nothing else is said [Pa s]: 400 cP."""
 
 STIFFNESS, DAMPING = 1e6, 1e-2
-"""The bushing's stiffness [N/m] and stiffness-proportional damping [s]."""
+"""Stiffness [N/m] and stiffness-proportional damping [s] of the bushing where nothing else is said."""
+
+CLEARANCE_FACTORS = (0.5, 1.0, 2.0)
+"""Clearances of a parameter study, as multiples of the model's: Figs 10, 12 and 15."""
+
+STIFFNESS_FACTORS, DAMPING_FACTORS = (0.1, 1.0, 10.0), (0.01, 0.1, 1.0)
+"""The same of a bushing: Figs 16 and 17."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
-    """One simulation.
+    """One simulation: a model of the studied joint. Two cases with equal models are equal, whatever their labels.
 
     Attributes:
         label: what the legend says.
-        kind: short name of the joint model.
-        parameters: name and value of what `build` is given.
-        build: makes the joint's model from the parameters.
+        kind: short name of the kind of model: ideal, dry, friction, lubricated or bushing; empty for another one.
+        model: the model of the studied joint.
     """
 
     label: str
     kind: str
-    parameters: tuple[tuple[str, object], ...]
-    build: Callable[..., AbstractSphericalModel]
-
-    def model(self) -> AbstractSphericalModel:
-        """The model of the studied joint."""
-        return self.build(**dict(self.parameters))
+    model: AbstractSphericalModel
 
     def __eq__(self, other) -> bool:
         return isinstance(other, Case) and self._key == other._key
@@ -75,7 +89,8 @@ class Case:
     @property
     def _key(self):
         # Labels differ from figure to figure; the simulation is the same.
-        return self.kind, tuple((name, repr(value)) for name, value in self.parameters)
+        leaves, structure = jax.tree.flatten(self.model)
+        return structure, tuple(leaf if callable(leaf) else np.asarray(leaf).tobytes() for leaf in leaves)
 
 
 @dataclass(frozen=True)
@@ -83,11 +98,11 @@ class Study:
     """Cases that differ in one thing.
 
     Attributes:
-        name: file name of its figure, e.g. `"fig10"`.
+        name: of its figure, e.g. `"dry_clearance"`.
         title: what is varied and what stays.
+        of: name of the model that is varied.
         cases: what is compared.
         histories: whether position and velocity are shown as well (Figs 10, 12, 15, 16).
-        chaotic: whether late histories depend on the tolerance.
         ordered: whether the cases are values of one number.
         close_up: whether the figure shows the instants near zero sliding.
         of_films: whether the cases are the paper's film and the full one, which have colors of their own.
@@ -95,9 +110,9 @@ class Study:
 
     name: str
     title: str
+    of: str
     cases: tuple[Case, ...]
     histories: bool = False
-    chaotic: bool = False
     ordered: bool = False
     close_up: bool = False
     of_films: bool = False
@@ -124,132 +139,326 @@ class LimitStudy:
     kind: str
 
 
-def dry_case(label: str, clearance: float = CLEARANCE, normal: AbstractNormalLaw | None = None) -> Case:
-    """Dry contact without friction."""
-    law = LankaraniNikravesh(restitution=RESTITUTION) if normal is None else normal
-    return Case(label, "dry", (("clearance", clearance), ("normal", law)), Dry)
+# The models ----------------------------------------------------------------------------------------------------------
 
 
-def friction_case(
-    label: str,
-    clearance: float = CLEARANCE,
+def joint_models(
+    like: AbstractSphericalModel | None = None,
+    *,
+    clearance: float | None = None,
+    socket_radius: float | None = None,
+    length: float | None = None,
     normal: AbstractNormalLaw | None = None,
     friction: AbstractFrictionLaw | None = None,
-) -> Case:
-    """Dry contact with friction, Threlfall's unless another law is given."""
-    law = LankaraniNikravesh(restitution=RESTITUTION) if normal is None else normal
-    rubbing = Threlfall() if friction is None else friction
-    return Case(label, "friction", (("clearance", clearance), ("normal", law), ("friction", rubbing)), Dry)
+    material: Material | None = None,
+    viscosity: float | None = None,
+    film: AbstractFilm | None = None,
+    boundary: AbstractFilmBoundary | None = None,
+    stiffness: float | None = None,
+    damping: float | None = None,
+) -> dict[str, AbstractSphericalModel]:
+    """The five models of one joint that a comparison is about, with the same numbers wherever they share them.
 
+    Args:
+        like: a model whose numbers and laws are taken where nothing else is given, e.g. that of the joint.
 
-def lubricated_case(
-    label: str, clearance: float = CLEARANCE, film: AbstractFilm | None = None, viscosity: float = VISCOSITY
-) -> Case:
-    """Lubricated joint, with the full film unless another is given; with the paper's film the paper's contact."""
-    # Table 3 has the same transition at every clearance.
-    transition = (("e_h0", 1e-6), ("e_h1", 2e-6))
-    parameters = (("clearance", clearance), ("viscosity", viscosity), ("film", film or FullFilm()), *transition)
-    if isinstance(film, RadialFilm):
-        parameters = (*parameters, ("normal", LankaraniNikravesh(restitution=RESTITUTION)))
-    return Case(label, "lubricated", parameters, Lubricated)
+    Other args:
+        clearance: radial clearance [m]; 0.1 mm by default.
+        socket_radius: of the socket or the bearing [m]; 10 mm by default.
+        length: of the bearing, where the joint is a revolute one [m]: contact of cylinders by Johnson, the film of a
+            short bearing, a bushing that resists tilting by its length.
+        normal: normal law of the contact; Lankarani and Nikravesh's with restitution 0.9 by default, and in the
+            lubricated joint, where a film damps, Hunt and Crossley's.
+        friction: law of friction of the model with friction; Threlfall's by default.
+        material: of both bodies; steel by default.
+        viscosity: dynamic viscosity [Pa s]; 0.4 by default.
+        film: in which directions the film resists; in every one by default.
+        boundary: where the film carries pressure; Guembel's condition by default.
+        stiffness: of the bushing [N/m]; 1e6 by default.
+        damping: of the bushing, proportional to its stiffness [s]; 1e-2 by default.
 
-
-def film_name(film: AbstractFilm | None) -> str:
-    """For titles."""
-    return "radial film, the paper's" if isinstance(film, RadialFilm) else "full film"
-
-
-def bushing_case(label: str, stiffness: float = STIFFNESS, damping: float = DAMPING) -> Case:
-    """Bushing."""
-    return Case(label, "bushing", (("stiffness", stiffness), ("damping", damping)), Bushing)
-
-
-def five_models(
-    stiffness: float = STIFFNESS, damping: float = DAMPING, film: AbstractFilm | None = None
-) -> dict[str, Case]:
-    """The five models of Figs 18 to 25 by short name, with this bushing [N/m, s] and film."""
+    Returns:
+        Models by the names ideal, dry, friction, lubricated and bushing.
+    """
+    base: dict[str, Any] = {}
+    if isinstance(like, Dry | Lubricated):
+        names = ("clearance", "socket_radius", "normal", "friction", "socket_material", "ball_material", "conformity")
+        base = {name: getattr(like, name) for name in names}
+    pressed = base.get("conformity")
+    if length is None and pressed is not None and pressed.is_line_contact:
+        length = pressed.length
+    given: dict[str, Any] = {"clearance": clearance, "socket_radius": socket_radius, "normal": normal}
+    given["friction"] = friction
+    given |= {"socket_material": material, "ball_material": material}
+    if length is not None and not (pressed is not None and pressed.is_line_contact):
+        given["conformity"] = JohnsonCylinder(length)
+    shared = {"clearance": CLEARANCE, **base, **{name: value for name, value in given.items() if value is not None}}
+    rubbing = shared.pop("friction", None)
+    wet: dict[str, Any] = {"viscosity": VISCOSITY}
+    if isinstance(like, Lubricated):
+        wet = {name: getattr(like, name) for name in ("viscosity", "film", "boundary", "e_h0", "e_h1", "friction")}
+        if clearance is not None:
+            del wet["e_h0"], wet["e_h1"]  # shares of the clearance that was
+    elif normal is None:
+        # A film damps; a law with a restitution would damp the contact behind it twice.
+        wet["normal"] = None
+    given = {"viscosity": viscosity, "film": film, "boundary": boundary}
+    given |= {"film": ShortBearing(length)} if film is None and length is not None else {}
+    wet |= {name: value for name, value in given.items() if value is not None}
+    if isinstance(film, RadialFilm) and normal is None:
+        wet["normal"] = LankaraniNikravesh(restitution=RESTITUTION)  # with the paper's film the paper's contact
+    bushing = like if isinstance(like, Bushing) and stiffness is None and damping is None else None
     return {
-        "ideal": Case("ideal", "ideal", (), Ideal),
-        "dry": dry_case("dry"),
-        "friction": friction_case("dry with friction"),
-        "lubricated": lubricated_case("lubricated", film=film),
-        "bushing": bushing_case("bushing", stiffness, damping),
+        "ideal": Ideal(),
+        "dry": Dry(**shared),
+        "friction": Dry(**shared, friction=Threlfall() if rubbing is None else rubbing),
+        "lubricated": Lubricated(**{**shared, **wet}),
+        "bushing": bushing or _bushing(stiffness, damping, length),
     }
 
 
-def _normal_laws() -> dict[str, AbstractNormalLaw]:
-    laws = {
-        "Hunt-Crossley": HuntCrossley,
-        "Lankarani-Nikravesh": LankaraniNikravesh,
-        "Gonthier": Gonthier,
-        "Flores": Flores,
-    }
-    return {name: law(restitution=RESTITUTION) for name, law in laws.items()}
+def _bushing(stiffness: float | None, damping: float | None, length: float | None) -> Bushing:
+    k, b = STIFFNESS if stiffness is None else stiffness, DAMPING if damping is None else damping
+    if length is None:
+        return Bushing(k, b)
+    # A sleeve of the same stiffness at each place along it resists tilting by k L**2/12.
+    conical, eye = k * length**2 / 12, jnp.eye(3)
+    return Bushing(law=HingeElastomer(k * eye, b * k * eye, conical, b * conical, 0.0))
 
 
-def _friction_laws() -> dict[str, AbstractFrictionLaw]:
+LABELS = {"friction": "dry with friction"}
+"""What a model is called where its name is not enough."""
+
+
+def cases_of(models: Mapping[str, AbstractSphericalModel]) -> dict[str, Case]:
+    """A case for each model, by its name; an ideal one is put in front where there is none.
+
+    Raises:
+        SceneError: for what is no model.
+    """
+    for name, model in models.items():
+        if not isinstance(model, AbstractSphericalModel):
+            raise SceneError(
+                f"models: {name!r} is {model!r}, which is no joint model; give e.g. sj.Dry(clearance=1e-4)"
+            )
+    found = {} if any(model.is_ideal for model in models.values()) else {"ideal": Ideal()}
     return {
-        "Threlfall": Threlfall(),
-        "Bengisu-Akay": BengisuAkay(),
-        "Ambrosio": Ambrosio(),
-        "Brown-McPhee": BrownMcPhee(),
+        name: Case(LABELS.get(name, name) if kind_of_model(model) == name else name, kind_of_model(model), model)
+        for name, model in {**found, **models}.items()
     }
 
 
-def _gap(clearance: float) -> str:
-    return f"c = {1e3 * clearance:.2f} mm"
+def five_models(**numbers: Any) -> dict[str, Case]:
+    """The five models of Figs 18 to 25 by short name; the numbers are those of `joint_models`."""
+    return cases_of(joint_models(**numbers))
 
 
-def parameter_studies(film: AbstractFilm | None = None) -> list[Study]:
-    """Figs 10 to 17; with this film those of the lubricated joint, which one more shows with both films."""
-    friction = "Threlfall friction (mu = 0.1, v1 = 1 mm/s)"
-    law = "Lankarani-Nikravesh, restitution 0.9"
+# What follows from them ----------------------------------------------------------------------------------------------
+
+
+def parameter_studies(models: Mapping[str, Case]) -> list[Study]:
+    """What can be varied in the models: clearance, laws, film, stiffness and damping. Of the paper's: Figs 10 to 17."""
+    studies = []
+    for name, case in models.items():
+        of = {"dry": _dry_studies, "friction": _dry_studies, "lubricated": _film_studies, "bushing": _bushing_studies}
+        studies += of[case.kind](name, case) if case.kind in of else []
+    return studies
+
+
+def _dry_studies(name: str, case: Case) -> list[Study]:
+    model: Any = case.model
+    rubbing, law, gap = model.friction, _told(model.normal), _gap(model.clearance)
+    what = "Dry joint without friction" if rubbing is None else "Dry joint with friction"
+    friction = "" if rubbing is None else f"; {_told_friction(rubbing)}"
+    between = " " if rubbing is None else "\n"
+    restitution = getattr(model.normal, "restitution", RESTITUTION)
+    laws = {_name(law): law(restitution=restitution) for law in (HuntCrossley, LankaraniNikravesh, Gonthier, Flores)}
+    factor = f"restitution {restitution:g}"
+    studies = [
+        Study(f"{name}_clearance", f"{what}: clearance{between}({law}{friction})", name,
+              _clearances(case), histories=True, ordered=True),
+        Study(f"{name}_normal_law", f"{what}: normal law{between}({gap}, {factor}{friction})", name,
+              tuple(Case(told, case.kind, _with(model, "normal", one)) for told, one in laws.items())),
+    ]  # fmt: skip
+    if rubbing is not None:
+        mu = getattr(rubbing, "mu", getattr(rubbing, "mu_kinetic", 0.1))
+        static = float(f"{1.5 * mu:.12g}")
+        others = (Threlfall(mu), BengisuAkay(mu, static), Ambrosio(mu), BrownMcPhee(mu, static))
+        laws = {_name(type(one)): rubbing if type(one) is type(rubbing) else one for one in others}
+        studies.append(
+            Study(f"{name}_law", f"{what}: friction law ({gap}; {law})", name,
+                  tuple(Case(told, case.kind, _with(model, "friction", one)) for told, one in laws.items()),
+                  close_up=True)
+        )  # fmt: skip
+    return studies
+
+
+def _film_studies(name: str, case: Case) -> list[Study]:
+    model: Any = case.model
+    oil, where = f"{model.viscosity:g} Pa s", f"{_name(type(model.boundary))}'s condition"
+    studies = [
+        Study(f"{name}_clearance", f"Lubricated joint: clearance ({film_name(model.film)}; {oil}, {where})", name,
+              _clearances(case), histories=True, ordered=True),
+    ]  # fmt: skip
+    if isinstance(model.film, FullFilm | RadialFilm):
+        films = {film_name(film): _with_film(model, film) for film in (RadialFilm(), FullFilm())}
+        title = f"Lubricated joint: the paper's film against the full one ({_gap(model.clearance)}; {oil}"
+        studies.append(
+            Study(f"{name}_films", f"{title}, {_name(type(model.boundary))})", name,
+                  tuple(Case(told, case.kind, one) for told, one in films.items()), histories=True, of_films=True)
+        )  # fmt: skip
+    return studies
+
+
+def _bushing_studies(name: str, case: Case) -> list[Study]:
+    law: Any = getattr(case.model, "law", None)
+    if not isinstance(law, RadialElastomer):  # two numbers describe it
+        return []
+    k, b = float(law.stiffness), float(law.damping)
+    stiff = {f"k = {short(f * k)} N/m": _with_bushing(case.model, f * k, b) for f in STIFFNESS_FACTORS}
+    damped = {f"b = {short(f * b)} s": _with_bushing(case.model, k, f * b) for f in DAMPING_FACTORS}
     return [
-        Study("fig10", f"Dry joint without friction: clearance ({law})",
-              tuple(dry_case(_gap(c), c) for c in CLEARANCES), histories=True, chaotic=True, ordered=True),
-        Study("fig11", "Dry joint without friction: normal law (c = 0.10 mm, restitution 0.9)",
-              tuple(dry_case(name, normal=one) for name, one in _normal_laws().items()), chaotic=True),
-        Study("fig12", f"Dry joint with friction: clearance\n({law}; {friction})",
-              tuple(friction_case(_gap(c), c) for c in CLEARANCES), histories=True, ordered=True),
-        Study("fig13", f"Dry joint with friction: normal law\n(c = 0.10 mm, restitution 0.9; {friction})",
-              tuple(friction_case(name, normal=one) for name, one in _normal_laws().items())),
-        Study("fig14", f"Dry joint with friction: friction law (c = 0.10 mm; {law})",
-              tuple(friction_case(name, friction=one) for name, one in _friction_laws().items()),
-              close_up=True),
-        Study("fig15", f"Lubricated joint: clearance ({film_name(film)}; 0.4 Pa s, Guembel's condition)",
-              tuple(lubricated_case(_gap(c), c, film) for c in CLEARANCES), histories=True, ordered=True),
-        Study("fig15b", "Lubricated joint: the paper's film against the full one (c = 0.10 mm; 0.4 Pa s, Guembel)",
-              tuple(lubricated_case(film_name(each), film=each) for each in (RadialFilm(), FullFilm())),
-              histories=True, of_films=True),
-        Study("fig16", "Bushing: stiffness k (b = 1e-2 s)",
-              tuple(bushing_case(f"k = {k:.0e} N/m", stiffness=k) for k in (1e5, 1e6, 1e7)),
+        Study(f"{name}_stiffness", f"Bushing: stiffness k (b = {short(b)} s)", name,
+              tuple(Case(told, "bushing", one) for told, one in stiff.items()),
               histories=True, ordered=True),
-        Study("fig17", "Bushing: damping b (k = 1e6 N/m)",
-              tuple(bushing_case(f"b = {b:.0e} s", damping=b) for b in (1e-4, 1e-3, 1e-2)), ordered=True),
+        Study(f"{name}_damping", f"Bushing: damping b (k = {short(k)} N/m)", name,
+              tuple(Case(told, "bushing", one) for told, one in damped.items()),
+              ordered=True),
     ]  # fmt: skip
 
 
-def limit_studies(film: AbstractFilm | None = None) -> list[LimitStudy]:
-    """The limits in which each model becomes the ideal joint, the lubricated one with this film.
+def limit_studies(models: Mapping[str, Case]) -> list[LimitStudy]:
+    """The limits in which each model becomes the ideal joint.
 
     Friction does not vanish with the clearance: the ball is as large as before, and so is the friction moment. The
     full film resists relative spin by 8 pi nu R**4/(3 c), which grows as it carries better: neither limit of the
     lubricated joint is the ideal one, but for the paper's film, which has no moment.
     """
-    gap, clearances = "clearance [mm]", (0.4, 0.2, 0.1, 0.05, 0.025)
-    threlfall = Threlfall()
-    few, ends = clearances, ""
-    if isinstance(film, RadialFilm):
-        few, ends = clearances[:3], "\nits curve ends where it rings so fast that runs take long"
+    order = {"friction": 0, "dry": 1, "lubricated": 2, "bushing": 3}
+    known = sorted((case for case in models.values() if case.kind in order), key=lambda case: order[case.kind])
+    gaps = [_clearance_limit(case) for case in known if case.kind != "bushing"]
+    soft = [_stiffness_limit(case) for case in known if isinstance(getattr(case.model, "law", None), RadialElastomer)]
+    oils = [limit for case in known if case.kind == "lubricated" for limit in _viscosity_limits(case)]
+    return [*gaps, *soft, *oils]
+
+
+def _clearance_limit(case: Case) -> LimitStudy:
+    model: Any = case.model
+    factors, order, label = (4.0, 2.0, 1.0, 0.5, 0.25), None, "dry with friction: its moment stays"
+    if case.kind == "dry":
+        label, order = "dry without friction", 1
+    if case.kind == "lubricated":
+        label = f"lubricated ({film_name(model.film)}), {model.viscosity:g} Pa s"
+        if isinstance(model.film, RadialFilm):
+            factors, label = factors[:3], f"{label}\nits curve ends where it rings so fast that runs take long"
+    values = tuple(float(f"{1e3 * factor * model.clearance:.12g}") for factor in factors)
+    return LimitStudy(label, "clearance [mm]", values, lambda c: _with(model, "clearance", 1e-3 * c), order, case.kind)
+
+
+def _stiffness_limit(case: Case) -> LimitStudy:
+    law: Any = getattr(case.model, "law", None)
+    k, b = float(law.stiffness), 0.01 * float(law.damping)
+    values = tuple(float(f"{factor * k:.12g}") for factor in (0.01, 0.1, 1.0, 10.0))
+    label = f"bushing, b = {short(b)} s"
+    return LimitStudy(
+        label, "bushing stiffness [N/m]", values, lambda k: _with_bushing(case.model, k, b), -1, case.kind
+    )
+
+
+def _viscosity_limits(case: Case) -> list[LimitStudy]:
+    model: Any = case.model
+    values = tuple(float(f"{factor * model.viscosity:.12g}") for factor in (0.25, 1.0, 4.0, 16.0))
+    films = [(model.film, None)]
+    if isinstance(model.film, FullFilm):
+        films = [(model.film, None), (RadialFilm(), -1)]
+    elif isinstance(model.film, RadialFilm):
+        films = [(model.film, -1)]
     return [
-        LimitStudy("dry with friction: its moment stays", gap, clearances,
-                   lambda c: Dry(1e-3 * c, friction=threlfall), None, "friction"),
-        LimitStudy("dry without friction", gap, clearances, lambda c: Dry(1e-3 * c), 1, "dry"),
-        LimitStudy(f"lubricated ({film_name(film)}), 0.4 Pa s{ends}", gap, few,
-                   lambda c: lubricated_case("", 1e-3 * c, film).model(), None, "lubricated"),
-        LimitStudy("bushing, b = 1e-4 s", "bushing stiffness [N/m]", (1e4, 1e5, 1e6, 1e7),
-                   lambda k: Bushing(k, 1e-4), -1, "bushing"),
-        *(LimitStudy(f"lubricated ({film_name(each)}), c = 0.10 mm", "viscosity [Pa s]", (0.1, 0.4, 1.6, 6.4),
-                     lambda nu, each=each: lubricated_case("", film=each, viscosity=nu).model(), order, "lubricated")
-          for each, order in ((FullFilm(), None), (RadialFilm(), -1)) if order or not isinstance(film, RadialFilm)),
+        LimitStudy(f"lubricated ({film_name(film)}), {_gap(model.clearance)}", "viscosity [Pa s]", values,
+                   lambda nu, film=film: _with(_with_film(model, film), "viscosity", nu), order, case.kind)
+        for film, order in films
     ]  # fmt: skip
+
+
+def _clearances(case: Case) -> tuple[Case, ...]:
+    # A transition from film to contact stays as wide as it is: Table 3 has the same at every clearance.
+    model: Any = case.model
+    gaps = [float(f"{factor * model.clearance:.12g}") for factor in CLEARANCE_FACTORS]
+    return tuple(Case(_gap(gap), case.kind, _with(model, "clearance", gap)) for gap in gaps)
+
+
+def _with(model: Any, name: str, value: Any) -> Any:
+    """The model with another number or law."""
+    arguments = {**arguments_of(model), name: value}
+    if name == "clearance":
+        arguments.pop("ball_radius", None)
+    return type(model)(**arguments)
+
+
+def _with_bushing(model: Any, stiffness: float, damping: float) -> Bushing:
+    rest = {name: value for name, value in arguments_of(model).items() if name not in ("stiffness", "damping")}
+    return Bushing(**{**rest, "law": RadialElastomer(stiffness, damping)})
+
+
+def _with_film(model: Lubricated, film: AbstractFilm) -> Lubricated:
+    """With another film; with the paper's the paper's contact, which a full film would damp twice."""
+    if type(film) is type(model.film):
+        return model
+    usual: Any = Lubricated(CLEARANCE, viscosity=VISCOSITY)
+    normal = LankaraniNikravesh(restitution=RESTITUTION) if isinstance(film, RadialFilm) else usual.normal
+    return _with(_with(model, "film", film), "normal", normal)
+
+
+def numbers_of(models: Mapping[str, Case]) -> str:
+    """The numbers of the models in a line, for titles."""
+    told: dict[str, None] = {}
+    for case in models.values():
+        model: Any = case.model
+        if isinstance(model, Dry | Lubricated):
+            told[_gap(model.clearance)] = None
+        if isinstance(model, Dry):
+            told[_told(model.normal).replace(", restitution", "")] = None
+            if model.friction is not None:
+                mu = getattr(model.friction, "mu", getattr(model.friction, "mu_kinetic", None))
+                told[_name(type(model.friction)) + ("" if mu is None else f" mu {mu:g}")] = None
+        if isinstance(model, Lubricated):
+            film = "" if isinstance(model.film, FullFilm) else f" ({film_name(model.film)})"
+            told[f"{model.viscosity:g} Pa s{film}"] = None
+        law: Any = getattr(model, "law", None)
+        if isinstance(law, RadialElastomer):
+            told[f"k = {short(law.stiffness)} N/m, b = {short(law.damping)} s"] = None
+    return ", ".join(told)
+
+
+def film_name(film: AbstractFilm | None) -> str:
+    """For titles."""
+    if isinstance(film, RadialFilm):
+        return "radial film, the paper's"
+    return "full film" if film is None or isinstance(film, FullFilm) else f"film of a {_name(type(film)).lower()}"
+
+
+def _told(law: AbstractNormalLaw) -> str:
+    has = isinstance(law, AbstractHysteresisLaw)
+    return f"{_name(type(law))}, restitution {law.restitution:g}" if has else _name(type(law))
+
+
+def _told_friction(law: Any) -> str:
+    if isinstance(law, Threlfall):
+        return f"Threlfall friction (mu = {law.mu:g}, v1 = {1e3 * law.v1:g} mm/s)"
+    return f"{_name(type(law))} friction"
+
+
+def _name(cls: type) -> str:
+    """A law's name for people: `LankaraniNikravesh` is Lankarani-Nikravesh, `BrownMcPhee` Brown-McPhee."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", cls.__name__).replace("Mc-Phee", "McPhee").replace("Short-B", "Short b")
+
+
+def _gap(clearance: Any) -> str:
+    return f"c = {1e3 * float(clearance):.2f} mm" if clearance >= 1e-5 else f"c = {1e6 * float(clearance):.3g} um"
+
+
+def short(value: Any) -> str:
+    """A number with a power of ten and no more digits than it has: 1e6, 2.5e-4."""
+    digits = next(n for n in range(4) if n == 3 or float(f"{value:.{n}e}") == float(value))
+    mantissa, _, exponent = f"{value:.{digits}e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"

@@ -1,6 +1,6 @@
-"""The joint models against each other on one mechanism: the study behind `spherejax compare`.
+"""The joint models against each other on one mechanism: `sj.compare` and `spherejax compare`.
 
-Five models (Figs 18 to 21 of the paper for the four-bar, 23 to 25 for the suspension), the influence of single
+The models (Figs 18 to 21 of the paper for the four-bar, 23 to 25 for the suspension), the influence of single
 parameters (Figs 10 to 17), and the limits in which every model becomes the ideal joint. What is particular to a
 mechanism is its `Subject`. Everything is returned as data; drawing and printing are others'.
 
@@ -9,6 +9,7 @@ one of many that are equally right. `horizon` finds that instant from two runs.
 """
 
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,19 +23,18 @@ from jaxtyping import Array, Float
 
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
+from spherejax.motion.integration.status import SimulationWarning
+from spherejax.motion.results.global_error import bodies_apart
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
 from spherejax.motion.solvers.automatic import choose_solver, stiffest
-from spherejax.output.plot.curves import Curves, curves_of
+from spherejax.motion.start.start_now import StartWarning
+from spherejax.output.plot.curves import ROTATIONS, Curves, axis_of_motion, curves_of
 from spherejax.physics.joints.base import AbstractSphericalModel
-from spherejax.physics.joints.ideal import Ideal
 from spherejax.studies.cases import Case, LimitStudy, Study
-from spherejax.studies.subject import Comparison, LimitResult, ModelRow, StudyResult, Subject, Timed
-from spherejax.studies.subjects.four_bar import FOUR_BAR
+from spherejax.studies.subject import RTOL, Comparison, LimitResult, ModelRow, StudyResult, Subject, Timed
+from spherejax.studies.subjects.own import own_mechanism
 from spherejax.studies.workers import Piece, Progress, Report, silent, workers
-
-RTOL = 1e-8
-"""Relative tolerance of all runs; with dry friction the four-bar's rocker is then within 1e-11 m of a run at 1e-10."""
 
 REPEATS = 3
 """Timed runs after one to warm up; their median counts."""
@@ -57,7 +57,59 @@ class Meanwhile(NamedTuple):
 
 
 def compare(
-    subject: Subject = FOUR_BAR, *, quick: bool = False, report: Report = silent, meanwhile: Meanwhile | None = None
+    scene: Scene | Callable[..., Scene],
+    t1: float = 2.0,
+    *,
+    joint: str | None = None,
+    models: Mapping[str, AbstractSphericalModel] | None = None,
+    body: str | None = None,
+    axis: str | None = None,
+    samples: int | None = None,
+    studies: bool = False,
+    rtol: float = RTOL,
+    name: str = "",
+    report: Report = silent,
+) -> Comparison:
+    """Simulate a mechanism with several models of one of its joints, and compare the motions and their cost.
+
+    Each model is simulated, once more at a smaller tolerance (from when on is its motion chaotic?), and timed against
+    the ideal joint. Programs are compiled side by side: five models take some 20 s the first time.
+
+    Args:
+        scene: the mechanism, or a builder: a function from a joint model to the scene.
+        t1: length of the motion [s].
+
+    Other args:
+        joint: the joint whose model changes, a spherical one, or a revolute one: a journal in its bearing. Without it
+            that which a builder gives the model, else the only joint that can take the models, or the only one of
+            these that is not ideal.
+        models: joint models by name, e.g. `{"dry": sj.Dry(clearance=1e-4), "wet": sj.Lubricated(clearance=1e-4)}`; an
+            ideal one is added where there is none. By default those of `joint_models`, with the numbers of the joint's
+            own model.
+        body: the body whose motion is compared; that of the joint's two which the models change most when None.
+        axis: along which world axis, `"x"`, `"y"` or `"z"`, or about which one, `"rotation.x"` and so on; that of the
+            body's largest motion when None.
+        samples: of each run; as many as show impacts of 0.05 ms when None, 200,001 at most.
+        studies: whether the numbers of the models are varied as well, and the limits to the ideal joint are run: some
+            40 further runs.
+        rtol: relative tolerance of a step.
+        name: of the mechanism, for titles.
+        report: called as the work goes on, with what was done and the share that is done.
+
+    Returns:
+        The comparison: `print` it, or take its `rows`, `runs`, `figures()` and `report("page.html")`.
+
+    Raises:
+        SceneError: for a joint that is not there or cannot take a model; where several joints can, it names them.
+    """
+    subject = own_mechanism(
+        scene, t1, joint=joint, models=models, body=body, axis=axis, samples=samples, rtol=rtol, name=name
+    )
+    return compare_models(subject, quick=not studies, report=report)
+
+
+def compare_models(
+    subject: Subject, *, quick: bool = False, report: Report = silent, meanwhile: Meanwhile | None = None
 ) -> Comparison:
     """Simulate the joint models of a mechanism, the parameter studies and the limits.
 
@@ -68,25 +120,29 @@ def compare(
         meanwhile: work for this thread while others compile; it may not be done when this returns.
 
     Returns:
-        The comparison.
+        The comparison. A run that fails is a row with its diagnosis.
     """
     length = subject.quick if quick else subject.full
     t_end, t_limits = length.seconds, subject.t_limits if length.limits else 0.0
     ts = jnp.asarray(length.ts)
-    models = subject.models()
-    studies = subject.studies()[: length.n_studies]
-    limits = subject.limits() if length.limits else []
+    models = subject.models
+    studies = subject.studies(models)[: length.n_studies]
+    limits = subject.limits(models) if length.limits else []
     fixed = subject.fixed_solver if length.fixed else None
     solvers = (None,) if fixed is None else (None, fixed)
     others = [case for case in _distinct(studies) if case not in models.values()]
     ahead, as_found = (None, lambda so_far: None) if meanwhile is None else meanwhile
     done = Progress(report, (2 + 2 * len(solvers)) * len(models) + len(others) + len(limits))
-    with workers(done) as pool:
+    with workers(done) as pool, warnings.catch_warnings():
+        # A run that fails is told in its row, and what a start has moved is the same for every run: told once.
+        warnings.simplefilter("ignore", SimulationWarning)
+        warnings.simplefilter("once", StartWarning)
         # The slowest to compile first, so that no worker is left alone with one at the end.
-        order = list(reversed(models))
-        found = pool.each([_piece("simulated", _curves, subject, models[name], ts) for name in order], ahead)
-        runs = {name: found[order.index(name)][0] for name in models}
-        curves = {name: found[order.index(name)][1] for name in models}
+        order = list(models)[::-1]
+        found = pool.each([_piece("simulated", _observed, subject, models[name], ts) for name in order], ahead)
+        runs = {name: found[order.index(name)] for name in models}
+        subject = followed(subject, runs)
+        curves = {name: _curves(subject, case, runs[name]) for name, case in models.items()}
         t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
         known = {case: curves[name] for name, case in models.items()}
         horizons: dict[str, float | None] = {}
@@ -121,15 +177,30 @@ def compare(
             return Comparison(t_end, [], curves, runs, results, t_limits=t_limits, parted=horizons, subject=subject)
 
         pool.each([piece for *_, piece in work], as_found(so_far), heard)
-    limit_results = [limits_found[study] for study in limits]
-    usual = _timed(subject, models, t_end, None, done)
-    by_fixed = {} if fixed is None else _timed(subject, models, t_end, fixed, done)
+        limit_results = [limits_found[study] for study in limits]
+        usual = _timed(subject, t_end, None, done)
+        by_fixed = {} if fixed is None else _timed(subject, t_end, fixed, done)
     rows = [
-        _row(subject, name, models[name], runs[name], curves[name], usual[name], horizons[name], by_fixed.get(name))
+        _row(subject, name, runs[name], curves[name], usual[name], horizons[name], by_fixed.get(name))
         for name in models
     ]
     results = [_study_result(study, known) for study in studies]
     return Comparison(t_end, rows, curves, runs, results, limit_results, t_limits, subject=subject)
+
+
+def followed(subject: Subject, runs: Mapping[str, Trajectory]) -> Subject:
+    """The subject with a body and an axis: those that are named, or those of the largest effect and motion."""
+    ideal, body, axis = runs[subject.ideal], subject.body, subject.axis
+    if body is None:
+        names = list(ideal.system.bodies)
+        mine = [name for name in ideal.system.joints[subject.joint].bodies if name in names]
+        changed = dict.fromkeys(mine, 0.0)
+        for run in runs.values():
+            apart = bodies_apart(ideal.system, ideal.state, run.state)
+            for name in mine:
+                changed[name] = max(changed[name], float(np.nanmax(apart[:, names.index(name)], initial=0.0)))
+        body = max(reversed(mine), key=lambda name: changed[name])
+    return replace(subject, body=body, axis=axis_of_motion(ideal, body) if axis is None else axis)
 
 
 def _study_result(study: Study, known: Mapping[Case, Curves]) -> StudyResult:
@@ -140,35 +211,43 @@ def _piece(verb: str, work, subject: Subject, case: Case | LimitStudy, *argument
     return Piece(f"{verb}: {case.label}", partial(work, subject, case, *arguments))
 
 
-def _run(subject: Subject, case: Case, ts, rtol: float = RTOL) -> Trajectory:
-    return simulate(subject.build(case.model()), ts, rtol=rtol, track_work=subject.tracks_work, throw=True)
+def _run(subject: Subject, case: Case, ts, rtol: float | None = None) -> Trajectory:
+    rtol = subject.rtol if rtol is None else rtol
+    return simulate(subject.build(case.model), ts, rtol=rtol, track_work=subject.tracks_work)
 
 
-def _curves(subject: Subject, case: Case, ts) -> tuple[Trajectory, Curves]:
+def _observed(subject: Subject, case: Case, ts) -> Trajectory:
+    """A run with all that can be observed of it, which takes as long as the run, and so is done by the workers."""
     run = _run(subject, case, ts)
-    return run, curves_of(run, case.label, body=subject.body, joint=subject.joint)
+    jax.block_until_ready(run.observation.acceleration)
+    return run
+
+
+def _curves(subject: Subject, case: Case, run: Trajectory) -> Curves:
+    assert subject.body is not None
+    return curves_of(run, case.label, body=subject.body, joint=subject.joint, axis=subject.axis)
 
 
 def _curves_only(subject: Subject, case: Case, ts) -> Curves:
-    return _curves(subject, case, ts)[1]
+    return _curves(subject, case, _run(subject, case, ts))
 
 
 def _row(
     subject: Subject,
     name: str,
-    case: Case,
     run: Trajectory,
     one: Curves,
     timed: Timed,
     part: float | None,
     fixed: Timed | None,
 ) -> ModelRow:
+    distance = one.distance[np.isfinite(one.distance)]
     return ModelRow(
         name=name,
-        label=case.label,
-        lost_energy=-float(one.energy_change[-1]),
-        peak_acceleration=float(np.max(np.abs(one.acceleration))),
-        eccentricity_ratio=float(np.max(one.distance)) / subject.reference,
+        label=subject.models[name].label,
+        lost_energy=one.lost_energy,
+        peak_acceleration=one.peak_acceleration,
+        eccentricity_ratio=float(np.max(distance, initial=0.0)) / subject.reference,
         n_onsets=int(np.sum(run.stats.n_onsets)) if run.system.contact_joints else None,
         n_steps=timed.n_steps,
         seconds=timed.seconds,
@@ -177,6 +256,7 @@ def _row(
         method=run.choice,
         measures=subject.measures(run, one),
         fixed=fixed,
+        failure="" if bool(run.succeeded) else run.diagnosis,
     )
 
 
@@ -184,46 +264,63 @@ def horizon(subject: Subject, case: Case, ts: Float[Array, " n"], run: Trajector
     """Until when the motion does not depend on the tolerance [s]; None when that is the end.
 
     The run is repeated at a hundredth of the tolerance (a stiff method at a tenth: it is of lower order and
-    the hundredth would cost ten times more), and the heights of the body are compared with `Subject.apart`.
+    the hundredth would cost ten times more), and where the body is, is compared with `Subject.apart`.
     """
     factor = 1e-1 if "Rodas" in run.choice else 1e-2
-    finer = _run(subject, case, ts, rtol=factor * RTOL)
-    difference = np.abs(np.asarray(run.position(subject.body)[:, 2] - finer.position(subject.body)[:, 2]))
-    parted = np.flatnonzero(difference > subject.apart)
+    finer = _run(subject, case, ts, rtol=factor * subject.rtol)
+    parted = np.flatnonzero(_apart(subject, run, finer) > subject.apart)
     return float(ts[parted[0]]) if parted.size else None
 
 
+def _apart(subject: Subject, run: Trajectory, other: Trajectory) -> Float[np.ndarray, " n"]:
+    """How far the body is apart in two runs [m]: along the axis, or where joints hold it if it turns in one place."""
+    body = subject.body
+    assert body is not None
+    assert subject.axis is not None
+    if subject.axis in ROTATIONS:
+        return bodies_apart(run.system, run.state, other.state)[:, list(run.system.bodies).index(body)]
+    at = "xyz".index(subject.axis)
+    return np.abs(np.asarray(run.position(body)[:, at] - other.position(body)[:, at]))
+
+
 def _run_for_timing(subject: Subject, case: Case, t_end: float, solver: diffrax.AbstractSolver | None) -> Trajectory:
-    return _run_few_samples(subject.build(case.model()), t_end, solver)
+    return _run_few_samples(subject.build(case.model), t_end, solver, subject.rtol)
 
 
-def _run_few_samples(scene: Scene, t_end: float, solver: diffrax.AbstractSolver | None) -> Trajectory:
+def _run_few_samples(scene: Scene, t_end: float, solver: diffrax.AbstractSolver | None, rtol: float) -> Trajectory:
     """A run with few samples, so that integration is timed and not saving."""
-    run = simulate(scene, jnp.linspace(0.0, t_end, TIMED_SAMPLES), rtol=RTOL, solver=solver, throw=True)
+    run = simulate(scene, jnp.linspace(0.0, t_end, TIMED_SAMPLES), rtol=rtol, solver=solver)
     return jax.block_until_ready(run)
 
 
-def _timed(subject: Subject, models: Mapping[str, Case], t_end: float, solver, done: Progress) -> dict[str, Timed]:
+def _timed(subject: Subject, t_end: float, solver, done: Progress) -> dict[str, Timed]:
     """What each model costs, alone on the machine."""
     found: dict[str, tuple[int, float]] = {}
-    for name, case in models.items():
-        found[name] = warm_run(subject.build(case.model()), t_end, solver)
+    for name, case in subject.models.items():
+        found[name] = warm_run(subject.build(case.model), t_end, solver, rtol=subject.rtol)
         done(f"timed: {case.label}")
-    ideal = found["ideal"][1]
+    ideal = found[subject.ideal][1]
     return {name: Timed(n_steps, seconds, seconds / ideal) for name, (n_steps, seconds) in found.items()}
 
 
 def warm_run(
-    scene: Scene, t_end: float, solver: diffrax.AbstractSolver | None = None, *, repeats: int = REPEATS
+    scene: Scene,
+    t_end: float,
+    solver: diffrax.AbstractSolver | None = None,
+    *,
+    repeats: int = REPEATS,
+    rtol: float = RTOL,
 ) -> tuple[int, float]:
-    """Steps and median time [s] of a run that is compiled already."""
-    n_steps = int(_run_few_samples(scene, t_end, solver).stats.n_steps)
+    """Steps and median time [s] of a run that is compiled already; of one that fails the time is NaN."""
+    first = _run_few_samples(scene, t_end, solver, rtol)
+    if not bool(first.succeeded):
+        return int(first.stats.n_steps), float("nan")
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
-        _run_few_samples(scene, t_end, solver)
+        _run_few_samples(scene, t_end, solver, rtol)
         times.append(time.perf_counter() - start)
-    return n_steps, float(np.median(times))
+    return int(first.stats.n_steps), float(np.median(times))
 
 
 def _distinct(studies: Sequence[Study]) -> list[Case]:
@@ -235,12 +332,15 @@ def _limit(subject: Subject, study: LimitStudy, ts) -> LimitResult:
     # by one method, for one program.
     models = [study.model_of(value) for value in study.values]
     systems = [compile_scene(subject.build(model), track_work=subject.tracks_work).system for model in models]
-    solver = stiffest([choose_solver(system, RTOL) for system in systems]).solver
+    solver = stiffest([choose_solver(system, subject.rtol) for system in systems]).solver
 
-    def heights(model: AbstractSphericalModel, solver: diffrax.AbstractSolver | None) -> np.ndarray:
-        run = simulate(subject.build(model), ts, rtol=RTOL, solver=solver, track_work=subject.tracks_work, throw=True)
-        return np.asarray(run.position(subject.body)[:, 2])
+    def positions(model: AbstractSphericalModel, solver: diffrax.AbstractSolver | None) -> np.ndarray:
+        scene = subject.build(model)
+        run = simulate(scene, ts, rtol=subject.rtol, solver=solver, track_work=subject.tracks_work)
+        if subject.axis in ROTATIONS:
+            return _curves(subject, Case("", "", model), run).position
+        return np.asarray(run.position(str(subject.body))[:, "xyz".index(str(subject.axis))])
 
-    ideal = heights(Ideal(), None)
-    deviations = [float(np.max(np.abs(heights(model, solver) - ideal))) for model in models]
+    ideal = positions(subject.models[subject.ideal].model, None)
+    deviations = [float(np.max(np.abs(positions(model, solver) - ideal))) for model in models]
     return LimitResult(study.label, study.parameter, list(study.values), deviations, study.order, study.kind)

@@ -1,5 +1,7 @@
 """The report of a comparison of joint models as a page."""
 
+from dataclasses import replace
+
 from spherejax.model.scene import Scene
 from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
 
@@ -28,23 +30,13 @@ def page_of(comparison, title: str, scene: Scene | None) -> Page:
         page.cautions += [f"{row.label}: {said}" for said in cautions_of(runs[row.name])]
     labels = {row.name: row.label for row in comparison.rows}
     add_motion(page, {labels[name]: run for name, run in runs.items()}, scene)
-    rows = [(row.label, *(column.cell(row) for column in subject.columns)) for row in comparison.rows]
-    heads = ("model", *(column.head for column in subject.columns))
-    tables = [PageTable(one.heads, one.rows, one.title, numeric=True) for one in subject.summaries(comparison)]
-    page.add(
-        "Models",
-        PageTable(heads, rows, subject.parameters, numeric=True),
-        *tables,
-        PageText(subject.remarks(comparison)),
-    )
+    n_studies = len(comparison.studies)
+    tables = [PageTable(one.heads, one.rows, one.title, numeric=True) for one in comparison.tables]
+    page.add("Models", *tables[: len(tables) - n_studies], PageText(comparison.remarks))
     methods = [(row.label, row.method, f"{row.n_steps:,}", f"{row.seconds:.3g}") for row in comparison.rows]
     page.add("Methods", PageTable(("model", "method, and why", "steps", "time of a warm run [s]"), methods))
-    for result in comparison.studies:
-        cells = [(label, f"{1e3 * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
-        name = f"{result.study.name}: {result.study.title}".replace("\n", " ")
-        page.add(
-            name, PageTable(("case", "energy lost [mJ]", "peak acceleration [m/s^2]"), cells, numeric=True), folded=True
-        )
+    for table in tables[len(tables) - n_studies :]:
+        page.add(table.caption, replace(table, caption=""), folded=True)
     figures = subject.figures(comparison)
     page.add("Figures", *(PagePicture(figure_of(), name) for name, figure_of in figures.items()))
     add_numbers(page, scene or next(iter(runs.values())).system)

@@ -1,12 +1,12 @@
 """What a comparison of the joint models is about, one mechanism and what of it is looked at; and what it finds.
 
-A `Subject` says everything that is particular to a mechanism; `spherejax.studies.compare` does the rest. Another
-mechanism is one more file in `spherejax.studies.subjects`.
+A `Subject` says everything that is particular to a mechanism; `spherejax.studies.compare` does the rest. Any scene with
+a joint that can take the models is one (`spherejax.studies.subjects.own`); the paper's two mechanisms are two more,
+with figures by the paper's numbers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffrax
@@ -17,12 +17,16 @@ from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
 from spherejax.physics.joints.base import AbstractSphericalModel
-from spherejax.physics.laws.films import AbstractFilm
-from spherejax.studies.cases import Case, LimitStudy, Study, film_name
+from spherejax.studies.cases import Case, LimitStudy, Study, numbers_of
 from spherejax.studies.comparison_page import page_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from spherejax.output.report.page import Page
+
+RTOL = 1e-8
+"""Relative tolerance of all runs; with dry friction the four-bar's rocker is then within 1e-11 m of a run at 1e-10."""
 
 SceneOf = Callable[[AbstractSphericalModel], Scene]
 """Makes the scene from the model of the studied joint."""
@@ -46,7 +50,7 @@ class TableColumn(NamedTuple):
         value = self.value(row)
         if callable(self.text):
             return self.text(value)
-        return "-" if value is None else f"{value:{self.text}}"
+        return "-" if value is None or value != value else f"{value:{self.text}}"
 
 
 class TableOf(NamedTuple):
@@ -95,61 +99,103 @@ class Length(NamedTuple):
 
 @dataclass(frozen=True)
 class Subject:
-    """One mechanism whose joint models are compared.
+    """One mechanism whose joint models are compared, and what of it is looked at.
 
     Attributes:
-        name: on the command line.
+        name: what it is called.
         build: the scene from the model of the studied joint.
-        body: the body whose motion is compared.
         joint: the joint whose model changes.
-        models: the cases that are compared, by short name, the ideal one among them; `film=` is that of the lubricated
-            joint, of `studies` and `limits` as well.
-        parameters: of the models, for titles.
+        models: the cases that are compared, by short name, an ideal one among them.
         full: the motion of the usual comparison.
         quick: that of the quick one.
-        columns: of the table.
+        body: the body whose motion is compared; None for that of the studied joint's two which the models change most.
+        axis: along or about which axis, as in `Curves`; None for that of the body's largest motion.
+        columns: of the table; None for `usual_columns`.
         measures: numbers of a run that its row shall hold, by name.
         figures: functions that draw the figures, by file name without suffix; of a comparison that is not done yet,
             those for which all is known.
         figures_ahead: those of them that need no run.
+        numbers: what stands before the names of figures and studies, by name: `{"models": "fig18"}`.
         summaries: further tables.
         remarks: sentences below the tables.
-        studies: parameter studies.
-        limits: limits to the ideal joint.
+        studies: parameter studies, from the models.
+        limits: limits to the ideal joint, from the models.
         t_limits: length of the motion in the limits [s].
         reference: what eccentricities of all models are compared with [m].
-        apart: two runs have parted when the heights of the body differ by this much [m].
+        apart: two runs have parted when the body's positions differ by this much [m].
         tracks_work: whether the work that the studied joint absorbs is integrated.
         fixed_solver: a method that all models are timed with besides the automatic choice.
+        rtol: relative tolerance of all runs.
     """
 
     name: str
     build: SceneOf
-    body: str
     joint: str
-    models: Callable[..., dict[str, Case]]
-    parameters: str
+    models: Mapping[str, Case]
     full: Length
     quick: Length
-    columns: Sequence[TableColumn]
     figures: "Callable[[Comparison], dict[str, Callable]]"
+    body: str | None = None
+    axis: str | None = None
+    columns: "Sequence[TableColumn] | None" = None
     figures_ahead: "Callable[[Subject], dict[str, Callable]]" = field(default=lambda subject: {})
     measures: Callable[[Trajectory, Curves], Mapping[str, float]] = field(default=lambda run, curves: {})
+    numbers: Mapping[str, str] = field(default_factory=dict)
     summaries: "Callable[[Comparison], list[TableOf]]" = field(default=lambda comparison: [])
     remarks: "Callable[[Comparison], list[str]]" = field(default=lambda comparison: [])
-    studies: Callable[..., list[Study]] = field(default=lambda film=None: [])
-    limits: Callable[..., list[LimitStudy]] = field(default=lambda film=None: [])
+    studies: Callable[[Mapping[str, Case]], list[Study]] = field(default=lambda models: [])
+    limits: Callable[[Mapping[str, Case]], list[LimitStudy]] = field(default=lambda models: [])
     t_limits: float = 0.0
     reference: float = 1e-4
     apart: float = 1e-5
     tracks_work: bool = False
     fixed_solver: diffrax.AbstractSolver | None = None
+    rtol: float = RTOL
 
-    def with_film(self, film: AbstractFilm) -> "Subject":
-        """The same comparison with another film in the lubricated joint."""
-        told = self.parameters.replace("0.4 Pa s", f"0.4 Pa s ({film_name(film)})")
-        asked = {name: partial(getattr(self, name), film=film) for name in ("models", "studies", "limits")}
-        return replace(self, parameters=told, **asked)
+    @property
+    def ideal(self) -> str:
+        """Name of the ideal model, which the others are compared with."""
+        return next(name for name, case in self.models.items() if case.kind == "ideal")
+
+    @property
+    def parameters(self) -> str:
+        """Numbers of the models, for titles."""
+        return numbers_of(self.models)
+
+    def numbered(self, name: str) -> str:
+        """The file name of a figure."""
+        return f"{self.numbers[name]}_{name}" if name in self.numbers else name
+
+    def shown_columns(self, comparison: "Comparison") -> "Sequence[TableColumn]":
+        """The columns of the table."""
+        return usual_columns(comparison) if self.columns is None else self.columns
+
+
+def usual_columns(comparison: "Comparison") -> "Sequence[TableColumn]":
+    """What is said of any mechanism."""
+    subject = comparison.subject
+    turns = any(one.turns for one in comparison.models.values())
+    peak = f"peak {'angular ' if turns else ''}acceleration [{'rad' if turns else 'm'}/s^2]"
+    unit, factor = ("mJ", 1e3) if _is_small([row.lost_energy for row in comparison.rows]) else ("J", 1.0)
+    gap = f"{1e3 * subject.reference:.2f} mm" if subject.reference >= 1e-5 else f"{1e6 * subject.reference:.3g} um"
+    of_rows = {name for row in comparison.rows for name in row.measures}
+    measured = [TableColumn(name, lambda row, name=name: row.measures.get(name)) for name in sorted(of_rows)]
+    return (
+        TableColumn(f"energy lost [{unit}]", lambda row: factor * row.lost_energy),
+        TableColumn(peak, lambda row: row.peak_acceleration),
+        *measured,
+        TableColumn(f"max |e| / {gap}", lambda row: row.eccentricity_ratio),
+        TableColumn("onsets", lambda row: row.n_onsets, "d"),
+        TableColumn("steps", lambda row: row.n_steps, ",d"),
+        TableColumn("warm run [s]", lambda row: row.seconds, ".3g"),
+        TableColumn("time ratio", lambda row: row.time_ratio, ".3g"),
+        TableColumn("repeatable until [s]", lambda row: row.horizon, lambda t: "the end" if t is None else f"{t:.3g}"),
+    )
+
+
+def _is_small(energies: Sequence[float]) -> bool:
+    """Whether energies [J] are told in mJ."""
+    return all(abs(energy) < 1.0 for energy in energies if np.isfinite(energy))
 
 
 # What is found -----------------------------------------------------------------------------------------------------
@@ -176,8 +222,9 @@ class ModelRow:
     Attributes:
         name: short name of the model, e.g. `"friction"`.
         label: name for people.
-        lost_energy: mechanical energy lost until the end [J].
-        peak_acceleration: largest |z acceleration| of the body at the samples [m/s^2].
+        lost_energy: energy lost until the end [J]: what the mechanical energy has fallen by, and what was put in.
+        peak_acceleration: largest magnitude of the body's acceleration at the samples, along the axis on which it is
+            followed [m/s^2], or about it [rad/s^2].
         eccentricity_ratio: largest |e| / the subject's reference length [-]; for every model the same.
         n_onsets: contact onsets; None for a model that does not locate them.
         n_steps: steps of the integrator.
@@ -187,6 +234,7 @@ class ModelRow:
         method: which integrator, and why.
         measures: further numbers, by name; see `Subject.measures`.
         fixed: what the run costs with the subject's fixed method, or None.
+        failure: why and when the run stopped; empty for one that reached the end.
     """
 
     name: str
@@ -202,6 +250,7 @@ class ModelRow:
     method: str
     measures: Mapping[str, float] = field(default_factory=dict)
     fixed: Timed | None = None
+    failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -218,10 +267,8 @@ class StudyResult:
 
     @property
     def summary(self) -> list[tuple[str, float, float]]:
-        """Label, lost energy [J] and peak |z acceleration| [m/s^2] of each case."""
-        return [
-            (one.label, -float(one.energy_change[-1]), float(np.max(np.abs(one.acceleration)))) for one in self.curves
-        ]
+        """Label, lost energy [J] and peak acceleration [m/s^2, rad/s^2] of each case."""
+        return [(one.label, one.lost_energy, one.peak_acceleration) for one in self.curves]
 
 
 @dataclass(frozen=True)
@@ -232,7 +279,7 @@ class LimitResult:
         label: the joint model, with the parameters that stay.
         parameter: name and unit.
         values: values of the parameter.
-        deviations: largest deviation of the body's height from the ideal motion [m].
+        deviations: largest deviation of the body's position from the ideal motion [m, rad]; NaN where a run failed.
         order: power of the parameter that is expected near the limit.
         kind: short name of the joint model.
     """
@@ -247,18 +294,18 @@ class LimitResult:
 
 @dataclass(frozen=True)
 class Comparison(Reported):
-    """Everything that `compare` found.
+    """Everything that `compare` found; prints as tables.
 
     Attributes:
         t_end: length of the motion [s].
         rows: the table, one row for each model.
-        models: the curves of the five models by short name.
-        runs: their trajectories by short name.
+        models: the curves of the models by name.
+        runs: their trajectories by name.
         studies: parameter studies.
         limits: limits to the ideal joint, over `t_limits` seconds.
         t_limits: length of the motion in the limits [s].
         parted: the horizons that are known while there are no rows yet.
-        subject: the mechanism.
+        subject: the mechanism, and what of it is looked at.
     """
 
     t_end: float
@@ -276,6 +323,63 @@ class Comparison(Reported):
         """Until when each model's motion does not depend on the tolerance [s], by short name."""
         return {**self.parted, **{row.name: row.horizon for row in self.rows}}
 
+    @property
+    def ideal(self) -> Curves:
+        """The curves of the ideal joint, which the others are compared with."""
+        return self.models[self.subject.ideal]
+
+    @property
+    def followed(self) -> str:
+        """Which motion is compared, in words."""
+        one = self.ideal
+        return f"{one.body}, {f'angle about {one.axis[-1]}' if one.turns else one.axis}"
+
+    @property
+    def tables(self) -> list[TableOf]:
+        """The table of the models, what else the mechanism has to say, and a table for each parameter study."""
+        subject = self.subject
+        columns = subject.shown_columns(self)
+        rows = [(row.label, *(column.cell(row) for column in columns)) for row in self.rows]
+        title = f"Joint models of {subject.joint}, {self.t_end:g} s of motion ({self.followed}): {subject.parameters}"
+        first = TableOf(title, ("model", *(column.head for column in columns)), rows)
+        return [first, *subject.summaries(self), *(self._table_of(result) for result in self.studies)]
+
+    def _table_of(self, result: StudyResult) -> TableOf:
+        is_small = _is_small([lost for _, lost, _ in result.summary])
+        factor, unit = (1e3, "mJ") if is_small else (1.0, "J")
+        peak = "peak angular acceleration [rad/s^2]" if self.ideal.turns else "peak acceleration [m/s^2]"
+        rows = [(label, f"{factor * lost:.4g}", f"{peak:.4g}") for label, lost, peak in result.summary]
+        name = self.subject.numbers.get(result.study.name, result.study.name)
+        title = f"{name}: {result.study.title}".replace("\n", " ")
+        return TableOf(title, ("case", f"energy lost [{unit}]", peak), rows)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences below the tables: which runs stopped, and what the mechanism has to say."""
+        failed = [f"{row.label}: {row.failure}" for row in self.rows if row.failure]
+        return failed if failed else self.subject.remarks(self)
+
+    def __str__(self) -> str:
+        texts = [f"{one.title}\n{_as_text(one)}" for one in self.tables]
+        return "\n\n".join([*texts, *self.remarks])
+
+    def figures(self) -> "dict[str, Figure]":
+        """All figures, by the names that `spherejax compare` gives their files."""
+        return {name: draw() for name, draw in self.subject.figures(self).items()}
+
     def report_page(self, title: str, scene: Scene | None) -> "Page":
         """The page that `report` writes."""
         return page_of(self, title, scene)
+
+
+def _as_text(table: TableOf) -> str:
+    """A table with aligned columns."""
+    lines = [table.heads, *table.rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.heads))]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in lines
+    )

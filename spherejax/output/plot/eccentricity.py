@@ -17,14 +17,25 @@ from matplotlib.patches import Circle
 
 from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.curves import Curves, thinned
-from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, new_figure
+from spherejax.output.plot.style import LABELS, letter, model_colors, new_figure
 
 _CONTACT = "#D55E00"
 _FLIGHT = "#56B4E9"
 
+CHORD, MOST_POINTS = 0.005, 60_000
+"""A path has a point at least every 0.5 % of the circle's radius, but no more points than this."""
+
+RESOLVED = 0.3
+"""Samples farther apart than this share of the radius are drawn as points: a chord between them would be no path."""
+
 
 def eccentricity_paths(
-    models: Mapping[str, Curves], title: str, *, every: int = 20, plane: tuple[int, int] = (0, 2), outer: bool = False
+    models: Mapping[str, Curves],
+    title: str,
+    *,
+    every: int | None = None,
+    plane: tuple[int, int] = (0, 2),
+    outer: bool = False,
 ) -> Figure:
     """For each joint model the path inside the clearance circle, and below it the distance over time.
 
@@ -35,14 +46,16 @@ def eccentricity_paths(
         models: what `curves_of` returns, by model name (`"dry"`, `"bushing"`, ...), a column each; `"ideal"` is left
             out. Names of joint models have their own colors.
         title: what is shown, with the values of the parameters.
-        every: every how many samples the path has a point; points in contact are drawn in any case.
+        every: every how many samples the path has a point; when None as many as a smooth curve needs. Points in
+            contact are drawn in any case, and samples too far apart for a path as points.
         plane: the world axes along which the paths are drawn: 0, 1, 2 for x, y, z.
         outer: whether a second circle shows the largest distance, where the ball is pressed in by much.
 
     Raises:
         SceneError: where there is no model to draw.
     """
-    shown = {name: one for name, one in models.items() if name != "ideal"}
+    shown = {name: one for name, one in models.items() if "ideal" not in (name, one.kind)}
+    colors = model_colors({name: one.kind for name, one in models.items()})
     if not shown:
         raise SceneError("an ideal joint has no eccentricity to draw; give curves of another model")
     look = _EccentricityLook(plane, every, outer)
@@ -51,7 +64,7 @@ def eccentricity_paths(
         is_small = one.clearance is None and np.nanmax(one.distance) < 5e-4
         unit, scale = (1e6, "µm") if is_small else (1e3, "mm")
         _draw_path(upper, one, unit, scale, look)
-        lower.plot(*thinned(one.ts, unit * one.distance), color=MODEL_COLORS.get(name, "0.3"), lw=0.9)
+        lower.plot(*thinned(one.ts, unit * one.distance), color=colors[name], lw=0.9)
         if one.clearance is not None:
             lower.axhline(unit * one.clearance, color="black", lw=1.0)
             top = max(one.clearance, np.nanmax(one.distance)) if outer else one.clearance
@@ -67,34 +80,32 @@ def eccentricity_paths(
 
 class _EccentricityLook(NamedTuple):
     plane: tuple[int, int]
-    every: int
+    every: int | None
     outer: bool
 
 
 def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _EccentricityLook) -> None:
     first, second = look.plane
-    every = look.every
     e = unit * one.eccentricity
     distance = unit * one.distance
     in_plane = np.hypot(e[:, first], e[:, second])
     stretch = distance / np.where(in_plane > 0, in_plane, 1.0)
     x, z = stretch * e[:, first], stretch * e[:, second]
     touching = np.zeros(len(e), bool) if one.clearance is None else one.distance >= one.clearance
+    radius = np.nanmax(distance, initial=0.0) if one.clearance is None else unit * one.clearance
+    _draw_flight(ax, x, z, radius, look.every, 0.4 if touching.any() else 0.7)
     if touching.any():
-        ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.4, zorder=2)
         chosen = np.flatnonzero(touching)
         chosen = chosen[:: max(1, len(chosen) // 6000)]
         ax.scatter(x[chosen], z[chosen], s=6, color=_CONTACT, lw=0, zorder=4)
         share = np.sum(touching * np.gradient(one.ts)) / np.sum(np.gradient(one.ts))
         remark = f"in contact {100 * share:.3g} % of the time"
     else:
-        ax.plot(x[::every], z[::every], color=_FLIGHT, lw=0.7, zorder=2)
         remark = "never in contact" if one.clearance is not None else "circle: largest |e|"
     if look.outer:
         remark = f"{remark}\n" if one.clearance is not None else ""
         remark += f"largest |e| (dashed): {np.nanmax(distance):.4g} {scale}"
     ax.set_title(f"{one.label}\n{remark}", loc="left", fontsize=9)
-    radius = np.nanmax(distance) if one.clearance is None else unit * one.clearance
     style = {"ls": "--", "color": "0.4"} if one.clearance is None else {"ls": "-", "color": "black"}
     ax.add_patch(Circle((0.0, 0.0), radius, fill=False, lw=1.0, zorder=3, **style))
     if look.outer and np.nanmax(distance) > radius:
@@ -106,3 +117,27 @@ def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _Eccentrici
     ax.set_aspect("equal")
     ax.set_xlabel(f"along {'xyz'[first]} [{scale}]")
     ax.set_ylabel(f"along {'xyz'[second]} [{scale}]")
+
+
+def _draw_flight(ax: Axes, x: np.ndarray, z: np.ndarray, radius: float, every: int | None, width: float) -> None:
+    """The path as a curve where samples are near each other, and as points where they are not."""
+    if every is not None:
+        x, z = x[::every], z[::every]
+    steps = np.hypot(np.diff(x), np.diff(z))
+    steps = np.where(np.isfinite(steps), steps, 0.0)
+    if every is None:
+        along = np.concatenate([np.zeros(1), np.cumsum(steps)])
+        chord = max(CHORD * radius, along[-1] / MOST_POINTS, 1e-300)
+        place = np.floor(along / chord)
+        # The samples on both sides of a long step are kept, so that a step is told from a chord.
+        kept = np.flatnonzero(np.concatenate([np.ones(1, bool), (np.diff(place) > 0) | ~np.isfinite(x[1:])]))
+        kept = np.unique(np.concatenate([kept, np.maximum(kept - 1, 0), [len(x) - 1]]))
+        x, z = x[kept], z[kept]
+        steps = np.hypot(np.diff(x), np.diff(z))
+    is_far = np.concatenate([steps > RESOLVED * radius, np.zeros(1, bool)])
+    if is_far.mean() < 0.5:
+        gaps = np.flatnonzero(is_far) + 1
+        ax.plot(np.insert(x, gaps, np.nan), np.insert(z, gaps, np.nan), color=_FLIGHT, lw=width, zorder=2)
+    if is_far.any():
+        ends = is_far | np.concatenate([np.zeros(1, bool), is_far[:-1]])
+        ax.plot(x[ends], z[ends], ".", ms=2.0, color=_FLIGHT, mew=0, zorder=2)

@@ -1,15 +1,18 @@
 """Time histories of a body and of the energy against the ideal joint (Figs 10 to 18)."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.curves import Curves, thinned
 from spherejax.output.plot.style import (
     LABELS,
     LAW_COLORS,
+    MODEL_COLORS,
     legend_below,
     letter,
     limit_by_bulk,
@@ -18,20 +21,39 @@ from spherejax.output.plot.style import (
     repeated,
 )
 
-QUANTITIES = {
-    "z": ("position", 1e3),
-    "z_rate": ("velocity", 1.0),
-    "z_acceleration": ("acceleration", 1.0),
-    "energy": ("energy_change", 1e3),
-}
-"""What a panel can show: the field of `Curves`, and the factor to the unit of the label."""
+QUANTITIES = ("position", "velocity", "acceleration", "energy")
+"""What a panel can show, by the titles of panels."""
 
-TITLES = {
-    "z": "position",
-    "z_rate": "velocity",
-    "z_acceleration": "acceleration",
-    "energy": "mechanical energy",
-}
+
+class _Shown(NamedTuple):
+    """How a quantity of several runs is drawn.
+
+    Attributes:
+        title: of the panel.
+        label: of its vertical axis, with unit.
+        factor: to that unit.
+        field: of `Curves`.
+    """
+
+    title: str
+    label: str
+    factor: float
+    field: str
+
+
+def _shown(quantity: str, ideal: Curves, curves: Sequence[Curves]) -> _Shown:
+    if quantity == "position":
+        return _Shown("angle" if ideal.turns else quantity, ideal.position_label, ideal.position_factor, quantity)
+    if quantity in ("velocity", "acceleration"):
+        title = f"angular {quantity}" if ideal.turns else quantity
+        label = ideal.velocity_label if quantity == "velocity" else ideal.acceleration_label
+        return _Shown(title, label, 1.0, quantity)
+    every = (*curves, ideal)
+    largest = max((float(np.nanmax(np.abs(one.energy_balance), initial=0.0)) for one in every), default=0.0)
+    unit, factor = ("J", 1.0) if largest >= 1.0 else ("mJ", 1e3)
+    is_driven = any(one.supplied is not None for one in every)
+    title = "mechanical energy, less what was put in" if is_driven else "mechanical energy"
+    return _Shown(title, f"energy change [{unit}]", factor, "energy_balance")
 
 
 WIDTHS = (2.8, 2.0, 1.4, 0.8)
@@ -43,10 +65,10 @@ def four_histories(
     ideal: Curves,
     title: str,
     *,
-    colors: Sequence = LAW_COLORS,
+    colors: Sequence | None = None,
     horizon: float | None = None,
 ) -> Figure:
-    """Height, its two rates and the energy of several runs in four panels, against the ideal joint.
+    """Position, its two rates and the energy of several runs in four panels, against the ideal joint.
 
     Velocities and accelerations are drawn to the bulk of their samples; peaks beyond it are told in the panel.
 
@@ -54,9 +76,14 @@ def four_histories(
         curves: the runs to compare, as `curves_of` returns them.
         ideal: the same motion with ideal joints, drawn black and dashed above the others.
         title: what is compared, with the values of the parameters.
-        colors: one for each run; they begin again where they end.
+        colors: one for each run; they begin again where they end. When None those of the joint models, where the runs
+            have different ones.
         horizon: time [s] from which a chaotic history is one of many; shaded when given.
+
+    Raises:
+        SceneError: for runs that are followed along another axis than the ideal one.
     """
+    colors = _colors(curves, ideal, colors)
     figure, axes = new_figure(2, 2, 9.0, 6.4, title)
     for ax, quantity in zip(axes.flat, QUANTITIES, strict=True):
         draw(ax, quantity, curves, ideal, colors)
@@ -71,7 +98,7 @@ def acceleration_and_energy(
     ideal: Curves,
     title: str,
     *,
-    colors: Sequence = LAW_COLORS,
+    colors: Sequence | None = None,
     horizon: float | None = None,
     close_up: tuple[float, float] | None = None,
 ) -> Figure:
@@ -81,13 +108,18 @@ def acceleration_and_energy(
         curves: the runs to compare.
         ideal: the same motion with ideal joints.
         title: what is compared, with the values of the parameters.
-        colors: one for each run; they begin again where they end.
+        colors: one for each run; they begin again where they end. When None those of the joint models, where the runs
+            have different ones.
         horizon: time [s] from which a chaotic history is one of many; shaded when given.
         close_up: interval [s] of a third panel.
+
+    Raises:
+        SceneError: for runs that are followed along another axis than the ideal one.
     """
+    colors = _colors(curves, ideal, colors)
     n_panels = 2 if close_up is None else 3
     figure, axes = new_figure(n_panels, 1, 8.0, 2.9 * n_panels + 0.4, title)
-    for ax, quantity in zip(axes[:, 0], ("z_acceleration", "energy"), strict=False):
+    for ax, quantity in zip(axes[:, 0], ("acceleration", "energy"), strict=False):
         # Chaotic histories do not coincide.
         draw(ax, quantity, curves, ideal, colors, coinciding=horizon is None and len(curves) == len(WIDTHS))
         mark_horizon(ax, horizon, speaks=quantity == "energy")
@@ -96,6 +128,24 @@ def acceleration_and_energy(
     letter(list(axes.flat))
     legend_below(figure, axes[0, 0])
     return figure
+
+
+def _colors(curves: Sequence[Curves], ideal: Curves, colors: Sequence | None) -> Sequence:
+    """The colors of the runs, all of which are followed along the same axis."""
+    for one in curves:
+        if one.axis != ideal.axis:
+            raise SceneError(
+                f"the curves of {one.label!r} are along {one.axis}, those of {ideal.label!r} along {ideal.axis}: give "
+                "curves_of the same axis= for all"
+            )
+    if colors is not None:
+        return colors
+    kinds = [one.kind for one in curves]
+    return [MODEL_COLORS[kind] for kind in kinds] if _are_models(kinds) else LAW_COLORS
+
+
+def _are_models(kinds: Sequence[str]) -> bool:
+    return len(set(kinds)) == len(kinds) and all(kind in MODEL_COLORS and kind != "ideal" for kind in kinds)
 
 
 def draw(
@@ -107,7 +157,7 @@ def draw(
     coinciding: bool = False,
 ) -> None:
     """One quantity of several runs in one panel; those that coincide are told apart by their widths."""
-    field, factor = QUANTITIES[quantity]
+    title, label, factor, field = _shown(quantity, ideal, curves)
     unrest = [-np.nanstd(one.acceleration) for one in curves]
     for place, (one, color) in enumerate(zip(curves, repeated(colors, len(curves)), strict=True)):
         rank = sorted(unrest).index(unrest[place])  # the calmer a curve, the further in front
@@ -123,10 +173,10 @@ def draw(
         zorder=3,
     )
     ax.set_xlabel(LABELS["t"])
-    ax.set_ylabel(LABELS[quantity] if quantity == "energy" else f"{ideal.body} {LABELS[quantity]}".strip())
-    ax.set_title(TITLES[quantity], loc="left", fontsize=9)
+    ax.set_ylabel(label)
+    ax.set_title(title, loc="left", fontsize=9)
     ax.set_xlim(ideal.ts[0], ideal.ts[-1])
-    if quantity in ("z_rate", "z_acceleration"):
+    if quantity in ("velocity", "acceleration"):
         limit_by_bulk(ax, [factor * getattr(one, field) for one in (*curves, ideal)])
 
 
@@ -146,7 +196,7 @@ def _draw_close_up(ax: Axes, curves: Sequence[Curves], ideal: Curves, colors: Se
         ax.plot(*thinned(one.ts[inside], one.acceleration[inside]), color=color, lw=1.1, ls=style)
     ax.set_xlim(*interval)
     ax.set_xlabel(LABELS["t"])
-    ax.set_ylabel(f"{ideal.body} {LABELS['z_acceleration']}".strip())
+    ax.set_ylabel(ideal.acceleration_label)
     ax.set_title(
         "acceleration where sliding nearly stops (smallest sliding speed in the middle)",
         loc="left",

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.curves import thinned
-from spherejax.output.plot.style import LABELS, MODEL_COLORS, legend_below, letter, new_figure, note
+from spherejax.output.plot.style import LABELS, legend_below, letter, model_colors, new_figure, note
 
 WIDTHS = (3.6, 2.8, 2.0, 1.4, 0.8)
 """Line widths of curves that coincide, from the back to the front."""
@@ -64,7 +64,7 @@ def model_histories(
     Args:
         panels: the quantities, at least one.
         labels: names of the models for people, by model name (`"ideal"`, `"dry"`, ...); their order is that of the
-            legend. Names of joint models have their own colors, others are grey.
+            legend. Names of joint models have their own colors, others one each.
         title: what is shown.
         n_columns: of the panels.
         shade: an interval to mark.
@@ -95,9 +95,10 @@ def _draw(ax: Axes, panel: Panel, labels: Mapping[str, str]) -> None:
     inside = (panel.ts >= start) & (panel.ts <= end)
     drawn = [name for name in labels if name in panel.curves]
     widths = WIDTHS[-len(drawn) :] if len(drawn) <= len(WIDTHS) else np.linspace(WIDTHS[0], WIDTHS[-1], len(drawn))
+    colors = model_colors(dict.fromkeys(labels, ""))
     for width, name in zip(widths, drawn, strict=True):
         ts, values = thinned(panel.ts[inside], panel.curves[name][inside])
-        ax.plot(ts, values, color=MODEL_COLORS.get(name, "0.4"), lw=width, alpha=0.9, label=labels[name])
+        ax.plot(ts, values, color=colors[name], lw=width, alpha=0.9, label=labels[name])
     ax.set_xlim(start, end)
     ax.set_xlabel(LABELS["t"])
     ax.set_ylabel(panel.label)

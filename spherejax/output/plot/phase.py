@@ -1,4 +1,4 @@
-"""Phase portraits of a body's vertical motion (Fig. 19)."""
+"""Phase portraits of a body's motion along one axis (Fig. 19)."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from spherejax.output.plot.curves import Curves
-from spherejax.output.plot.style import LABELS, MODEL_COLORS, letter, limit_by_bulk, new_figure
+from spherejax.output.plot.style import letter, limit_by_bulk, model_colors, new_figure
 
 
 def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 1) -> Figure:
@@ -22,22 +22,21 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 1)
     The ideal motion lies behind every portrait in grey, so that each one can be judged by itself.
     """
     figure, axes = new_figure(len(models), 2, 8.2, 2.3 * len(models) + 0.5, title)
-    ideal = models.get("ideal")
+    ideal = next((one for name, one in models.items() if "ideal" in (name, one.kind)), None)
+    colors, first = model_colors({name: one.kind for name, one in models.items()}), next(iter(models.values()))
     for (left, right), (name, one) in zip(axes, models.items(), strict=True):
-        color = MODEL_COLORS.get(name, "#000000")
-        for curves, style in ((ideal, {"color": "0.65", "lw": 2.0}), (one, {"color": color, "lw": 0.7})):
+        for curves, style in ((ideal, {"color": "0.65", "lw": 2.0}), (one, {"color": colors[name], "lw": 0.7})):
             if curves is None or (curves is one and curves is ideal and style["lw"] > 1):
                 continue
-            left.plot(1e3 * curves.position[::every], curves.velocity[::every], **style)
+            left.plot(first.position_factor * curves.position[::every], curves.velocity[::every], **style)
             right.plot(curves.velocity[::every], curves.acceleration[::every], **style)
-        left.set_ylabel("velocity [m/s]")
-        right.set_ylabel("acceleration [m/s$^2$]")
+        left.set_ylabel("angular velocity [rad/s]" if first.turns else "velocity [m/s]")
+        right.set_ylabel("angular acceleration [rad/s$^2$]" if first.turns else "acceleration [m/s$^2$]")
         right.xaxis.set_major_locator(MaxNLocator(5))
         left.set_title(one.label, loc="left", fontsize=9)
         right.set_title(one.label, loc="left", fontsize=9)
-    body = next(iter(models.values())).body
-    axes[-1, 0].set_xlabel(f"{body} {LABELS['z']}".strip())
-    axes[-1, 1].set_xlabel(f"{body} {LABELS['z_rate']}".strip())
+    axes[-1, 0].set_xlabel(first.position_label)
+    axes[-1, 1].set_xlabel(first.velocity_label)
     _share_limits(axes, models)
     letter(list(axes.flat))
     return figure
@@ -45,7 +44,7 @@ def phase_portraits(models: Mapping[str, Curves], title: str, *, every: int = 1)
 
 def _share_limits(axes: np.ndarray, models: Mapping[str, Curves]) -> None:
     """Common limits of positions and velocities; accelerations each by their bulk."""
-    positions = [1e3 * one.position for one in models.values()]
+    positions = [one.position_factor * one.position for one in models.values()]
     velocities = [one.velocity for one in models.values()]
     for left, right in axes:
         _set_range(left.set_xlim, positions)

@@ -5,10 +5,17 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import MODEL_COLORS, legend_below, new_figure
+from spherejax.output.plot.style import legend_below, model_colors, new_figure
 
 
-def time_ratios(models: Mapping[str, str], ratios: Sequence[float], steps: Sequence[int], title: str) -> Figure:
+def time_ratios(
+    models: Mapping[str, str],
+    ratios: Sequence[float],
+    steps: Sequence[int],
+    title: str,
+    *,
+    colors: Mapping[str, str] | None = None,
+) -> Figure:
     """A bar for each model on a logarithmic axis, annotated with ratio and steps.
 
     Args:
@@ -16,11 +23,12 @@ def time_ratios(models: Mapping[str, str], ratios: Sequence[float], steps: Seque
         ratios: computing time divided by that of the ideal model.
         steps: steps of the integrator.
         title: what is shown.
+        colors: of the models, by name; those of the kinds of models when None.
     """
-    figure, axes = new_figure(1, 1, 6.8, 4.0, title)
+    figure, axes = new_figure(1, 1, max(6.8, 1.3 * len(models)), 4.0, title)
     ax = axes[0, 0]
-    colors = [MODEL_COLORS.get(name, "0.5") for name in models]
-    ax.bar(list(models.values()), ratios, color=colors, width=0.6)
+    shown = model_colors(dict.fromkeys(models, "")) if colors is None else colors
+    ax.bar(list(models.values()), ratios, color=[shown[name] for name in models], width=0.6)
     for position, (ratio, n_steps) in enumerate(zip(ratios, steps, strict=True)):
         text = f"{ratio:.3g}\n{n_steps:,} steps"
         ax.annotate(text, (position, ratio), (0, 3), textcoords="offset points", ha="center", fontsize=8)
@@ -63,7 +71,7 @@ def time_ratios_by_method(models: Mapping[str, str], methods: Mapping[str, Seque
     width = 0.8 / len(methods)
     for place, (method, bars) in enumerate(methods.items()):
         middles = [position + (place - (len(methods) - 1) / 2) * width for position in range(len(models))]
-        colors = [MODEL_COLORS.get(name, "0.5") for name in models]
+        colors = list(model_colors(dict.fromkeys(models, "")).values())
         heights = [bar.ratio for bar in bars]
         ax.bar(middles, heights, 0.92 * width, color=colors, hatch=HATCHES[place], edgecolor="white", lw=0.5)
         ax.bar([0], [0], color="0.6", hatch=HATCHES[place], edgecolor="white", label=method)

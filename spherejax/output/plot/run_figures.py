@@ -11,7 +11,16 @@ from spherejax.output.plot.curves import curves_of, thinned
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.magnified import MOST_PANELS
 from spherejax.output.plot.space import BODY_COLORS, unit_for
-from spherejax.output.plot.style import LABELS, legend_below, letter, limit_by_bulk, new_figure, note, repeated
+from spherejax.output.plot.style import (
+    LABELS,
+    legend_below,
+    legend_under,
+    letter,
+    limit_by_bulk,
+    new_figure,
+    note,
+    repeated,
+)
 
 MOST_CURVES = 8
 """Curves in a panel: as many as there are colors; of more bodies or joints the first are drawn, and it is said."""
@@ -77,17 +86,16 @@ def _energies(run: Trajectory) -> Figure:
     _panel(axes[0, 0], run, kinds, "energy [J]")
     _panel(axes[0, 1], run, balance, "change [J]")
     for ax in axes.flat:
-        ax.legend(fontsize=7.5, frameon=False)
+        legend_under(ax, n_columns=3)
     letter(list(axes.flat))
     return figure
 
 
 def _paths(run: Trajectory) -> Figure:
     body = next(iter(run.system.bodies))
-    there = np.isfinite(np.asarray(run.ys)).all(axis=1)
     able = [name for name in run.system.force_joints if name in run.observation.eccentricity]
-    curves = {name: curves_of(run, name, body=body, joint=name) for name in able[:MOST_PANELS]}
-    return eccentricity_paths(curves, "Center of the ball in its socket", every=max(1, int(there.sum()) // 4000))
+    curves = {name: curves_of(run, name, body=body, joint=name, axis="z") for name in able[:MOST_PANELS]}
+    return eccentricity_paths(curves, "Center of the ball in its socket")
 
 
 def _panel(ax: Axes, run: Trajectory, curves: Histories, label: str, *, bulk: bool = False) -> None:

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from itertools import cycle, islice
 from pathlib import Path
@@ -32,6 +32,9 @@ MODEL_COLORS = {
 }
 """A color for each joint model, from the palette of Okabe and Ito (2008), which survives color blindness."""
 
+OTHER_COLORS = ("#E69F00", "#56B4E9", "#882255", "#44AA99", "#332288", "#999933", "#AA4499", "#117733", "#888888")
+"""For models with names of their own, in this order; of the palettes of Okabe and Ito, and of Tol (2021)."""
+
 FILM_COLORS = ("#56B4E9", MODEL_COLORS["lubricated"])
 """Colors of the paper's film and of the full one, which is that of the lubricated joint in all other figures."""
 
@@ -41,13 +44,7 @@ LAW_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LAW_DASHES = ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 2, 4, 2)))
 """Dashes that tell laws apart where their curves coincide or the print has no color."""
 
-LABELS = {
-    "t": "time [s]",
-    "z": "z [mm]",
-    "z_rate": "z velocity [m/s]",
-    "z_acceleration": "z acceleration [m/s$^2$]",
-    "energy": "energy change [mJ]",
-}
+LABELS = {"t": "time [s]"}
 """Of axes, with units."""
 
 
@@ -199,6 +196,24 @@ def ordered_colors(n: int) -> list:
     return [colormaps["viridis"](position) for position in np.linspace(0.05, 0.78, n)]
 
 
+def model_colors(kinds: Mapping[str, str]) -> dict[str, str]:
+    """A color for each of several joint models, the same in all figures of them.
+
+    Args:
+        kinds: the kind of each model (ideal, dry, friction, lubricated or bushing; empty for another one), by its name.
+
+    Returns:
+        Colors by name: a model that is called as a kind, or is the first of its kind, has the color of that kind.
+    """
+    found = {name: MODEL_COLORS[name] for name in kinds if name in MODEL_COLORS}
+    rest = iter(OTHER_COLORS * (1 + len(kinds) // len(OTHER_COLORS)))
+    for name, kind in kinds.items():
+        if name not in found:
+            usual = MODEL_COLORS.get(kind)
+            found[name] = usual if usual is not None and usual not in found.values() else next(rest)
+    return found
+
+
 def repeated(looks: Sequence, n: int) -> list:
     """As many colors or dashes as there are curves; they begin again where they end."""
     return list(islice(cycle(looks), n))
@@ -252,6 +267,17 @@ def note(ax: Axes, text: str, *, place: tuple[float, float] = (0.99, 0.02)) -> N
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
         zorder=10,
     )
+
+
+def legend_under(ax: Axes, *, n_columns: int = 2, gap: float = 0.16) -> None:
+    """The legend of one panel, below its axis, where it covers no curve.
+
+    Args:
+        ax: the panel.
+        n_columns: of the legend.
+        gap: between axis and legend, as a share of the panel's height.
+    """
+    ax.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -gap), ncols=n_columns, frameon=False)
 
 
 def legend_below(figure: Figure, ax: Axes) -> None:

@@ -1,7 +1,6 @@
 """The suspension over a bump: five models of the joint between wheel and A-arm (Figs 22 to 25)."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 
 import diffrax
 import numpy as np
@@ -16,8 +15,6 @@ BODY, JOINT = "wheel", "wheel_a_arm"
 
 STIFFNESS, DAMPING = 2e7, 1e-3
 """The bushing [N/m, s]: at the 20 kN of the bump it yields by the paper's 1 mm."""
-
-PARAMETERS = "c = 0.10 mm, Lankarani-Nikravesh 0.9, Threlfall mu 0.1, 0.4 Pa s, k = 2e7 N/m, b = 1e-3 s"
 
 BUMP = (3.0, 4.0)
 """When the wheel is on the bump [s], to the millisecond."""
@@ -94,7 +91,7 @@ def summaries(comparison: "Comparison") -> list[TableOf]:
 
 def differences(comparison: "Comparison", name: str) -> dict[str, float]:
     """Of one model from the ideal joint, behind the first impacts: the wheel's height [m] and acceleration [m/s^2]."""
-    ideal, one = comparison.models["ideal"], comparison.models[name]
+    ideal, one = comparison.ideal, comparison.models[name]
     after = ideal.ts >= SETTLED
     height = np.max(np.abs(one.position - ideal.position)[after])
     acceleration, ideal_acceleration = one.acceleration[after], ideal.acceleration[after]
@@ -169,7 +166,7 @@ def _mechanism(subject: Subject):
     from spherejax.output.drawing import draw
 
     # As rods, leaf spring and tie rod can be seen.
-    scene = suspension(subject.models()["dry"].model(), link_mass=0.01)
+    scene = suspension(subject.models["dry"].model, link_mass=0.01)
     return draw(scene, view=(-35.0, 15.0), title="Right front suspension, at the start")
 
 
@@ -183,7 +180,7 @@ def _models(comparison: "Comparison"):
     from spherejax.output.plot.panels import Panel, Shade, model_histories
 
     models = comparison.models
-    ts = models["ideal"].ts
+    ts = comparison.ideal.ts
     after = ts >= SETTLED
     peak = max(float(np.max(np.abs(one.acceleration[after]), initial=1.0)) for one in models.values())
     loads = {name: 1e-3 * np.asarray(run.force("tyre")["load"]) for name, run in comparison.runs.items()}
@@ -207,7 +204,7 @@ def _models(comparison: "Comparison"):
 def _differences(comparison: "Comparison"):
     from spherejax.output.plot.panels import Panel, Shade, model_histories
 
-    ideal = comparison.models["ideal"]
+    ideal = comparison.ideal
     others = {name: one for name, one in comparison.models.items() if name != "ideal"}
     heights = {name: 1e3 * (one.position - ideal.position) for name, one in others.items()}
     accelerations = {name: one.acceleration - ideal.acceleration for name, one in others.items()}
@@ -240,7 +237,7 @@ def _joint(comparison: "Comparison"):
     from spherejax.output.plot.panels import Panel, Shade, model_histories
 
     models = {name: one for name, one in comparison.models.items() if name != "ideal"}
-    ts = comparison.models["ideal"].ts
+    ts = comparison.ideal.ts
     pressed = {n: 1e6 * (one.distance - one.clearance) for n, one in models.items() if one.clearance is not None}
     first = (0.0, 0.04)
     panels = [
@@ -281,8 +278,8 @@ SUSPENSION = Subject(
     build=suspension,
     body=BODY,
     joint=JOINT,
-    models=partial(five_models, STIFFNESS, DAMPING),
-    parameters=PARAMETERS,
+    models=five_models(stiffness=STIFFNESS, damping=DAMPING),
+    axis="z",
     full=Length(seconds=6.0, interval=1e-4, fine=(0.05, 1e-5)),
     quick=Length(seconds=4.2, interval=1e-3, fine=(0.05, 1e-5), fixed=False),
     columns=COLUMNS,
