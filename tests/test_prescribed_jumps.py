@@ -101,10 +101,16 @@ def tail_after_the_turn(ts):
     return before[0] + spin * (ts - TURN)
 
 
+TURNING = {
+    "table": sj.Table([0.0, TURN, 2.0], [0.0, SPEED * TURN, SPEED * TURN]),
+    "plain functions": sj.Piecewise([TURN], [lambda t: SPEED * t, lambda t: SPEED * TURN]),
+}
+
+
+@pytest.mark.parametrize("kind", TURNING)
 @pytest.mark.parametrize("drift", [sj.PostStabilization(), sj.Projection()])
-def test_a_jump_of_the_rate_is_an_impact_of_the_driver(drift):
-    table = sj.Table([0.0, TURN, 2.0], [0.0, SPEED * TURN, SPEED * TURN])
-    run = sj.simulate(arm(table, True, drift), TIMES, throw=True)
+def test_a_jump_of_the_rate_is_an_impact_of_the_driver(kind, drift):
+    run = sj.simulate(arm(TURNING[kind], True, drift), TIMES, throw=True)
     quaternion = np.asarray(run.quaternion("tail"))
     angle = 2 * np.arctan2(quaternion[:, 3], quaternion[:, 0])
     assert angle[2:] == pytest.approx(tail_after_the_turn(TIMES[2:]), abs=1e-7)
@@ -112,6 +118,17 @@ def test_a_jump_of_the_rate_is_an_impact_of_the_driver(drift):
     # is coarse, for at the end of the step that ends there a stage sees the rate after it.
     energy = np.asarray(run.mechanical_energy - run.supplied_work)
     assert energy == pytest.approx(energy[0], rel=1e-3)
+
+
+def test_the_error_for_a_kink_says_how_to_declare_it():
+    def function(t):
+        return jnp.minimum(SPEED * t, SPEED * TURN)
+
+    with pytest.raises(sj.SceneError, match=r"sj\.Piecewise\(\[0\.7\], \[f, g\]\)"):
+        sj.simulate(arm(function), TIMES)
+    # The same function on both sides has half of the jump at the break, which no motion can have.
+    with pytest.warns(sj.SimulationWarning, match="energy"):
+        assert not sj.simulate(arm(sj.Piecewise([TURN], [function, function]), True), TIMES).succeeded
 
 
 def test_a_jump_of_the_rate_that_feedback_would_follow_slowly_ends_the_run():

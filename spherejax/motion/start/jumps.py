@@ -108,9 +108,10 @@ def _refuse(name: str, found: Jumps, says_where: bool) -> None:
         before, after = np.asarray(found.rates)
         raise SceneError(
             f"driver {name!r}: the rate of its function of time jumps at t = {float(found.rates_at):.9g} s from "
-            f"{before:.6g} to {after:.6g} (m/s or rad/s), an impact of the driver, and no step ends there. Give a "
-            "function that says where it turns, e.g. sj.Table(t, values) or sj.Piecewise(breaks, pieces), or a smooth "
-            "one, e.g. sj.SmoothStep"
+            f"{before:.6g} to {after:.6g} (m/s or rad/s), an impact of the driver, and no step ends there. Say where "
+            f"it is: sj.Piecewise([{float(found.rates_at):.9g}], [f, g]) with a function f before and g after that "
+            "instant (two functions: one that has the kink itself has no rate there), or sj.Table(t, values); or give "
+            "a smooth function, e.g. sj.SmoothStep"
         )
 
 
