@@ -1,4 +1,4 @@
-"""Scenes that set out to get a wrong number without a word: families of cases with an independent answer each.
+"""Adversarial scenes, chosen to provoke wrong numbers without a warning: families of cases with independent answers.
 
 A family is a structure and a way to draw its numbers; its answer is a closed form (or a statement that there is none,
 so that the run must not succeed). A case is judged by one rule: a run that says SUCCEEDED, with no check of its audit
@@ -29,7 +29,7 @@ from spherejax.motion.integration.audit import N_FATAL
 Numbers = dict[str, float]
 
 MAX_STEPS = 200_000
-"""A run that needs more says so; it keeps the batch from waiting for one lane."""
+"""Largest number of steps: the batch does not wait long for one lane, and a run that needs more fails with a status."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ class Family:
     differentiated_by: str | None = None
 
     def answer(self, numbers):
-        """What is compared (its derivative, if asked for), the status, and the audit."""
+        """The observed value (or its derivative by `differentiated_by`), the status, and the audit."""
 
         def compared(value):
-            known = numbers if self.differentiated_by is None else {**numbers, self.differentiated_by: value}
+            arguments = numbers if self.differentiated_by is None else {**numbers, self.differentiated_by: value}
             options = {"max_steps": MAX_STEPS, **dict(self.options)}
-            run = sj.simulate(self.scene(**known), self.times(**known), **options)
-            return jnp.asarray(self.observe(run, **known)), (run.ended, run.stats.audit)
+            run = sj.simulate(self.scene(**arguments), self.times(**arguments), **options)
+            return jnp.asarray(self.observe(run, **arguments)), (run.ended, run.stats.audit)
 
         if self.differentiated_by is None:
             return compared(None)

@@ -1,4 +1,4 @@
-"""No case of the adversary's is wrong in silence; see `adversary`."""
+"""No case of the adversarial scenes in `adversary.py` gives a wrong number without saying so."""
 
 import adversary
 import numpy as np
@@ -27,13 +27,13 @@ FEW, MANY = 4, 1000
 
 
 def judged(name: str, n: int) -> list[Verdict]:
-    found = verdicts(FAMILIES[name], range(n))
-    silent = [each.words for each in found if each.kind == "SILENT"]
+    cases = verdicts(FAMILIES[name], range(n))
+    silent = [case.words for case in cases if case.kind == "SILENT"]
     assert not silent, f"{name}: {len(silent)} of {n} wrong in silence:\n" + "\n".join(silent)
-    right = sum(each.kind == "right" for each in found)
-    told = "\n".join(each.words for each in found if each.kind == "told")
+    right = sum(case.kind == "right" for case in cases)
+    told = "\n".join(case.words for case in cases if case.kind == "told")
     assert right >= FAMILIES[name].least_right * n, f"{name}: only {right} of {n} right; the others:\n{told}"
-    return found
+    return cases
 
 
 @pytest.mark.parametrize("name", FAST)

@@ -543,6 +543,27 @@ def test_robots_take_the_arguments_of_load_urdf_as_options(arm, tmp_path, capsys
     np.testing.assert_array_equal(found.bodies["arm"].angular_velocity, expected.bodies["arm"].angular_velocity)
 
 
+def test_stops_have_units_and_a_restitution(arm, tmp_path):
+    out = tmp_path / "arm.toml"
+    for text, how in (
+        ("elbow=500 N m/rad", 500.0),
+        ("elbow=0.5 kN m/rad", 500.0),
+        ("turning=2 N mm/deg:0.5", {"stiffness": 2e-3 * 180 / np.pi, "restitution": 0.5}),
+        ("turning=500,elbow=none", None),
+    ):
+        words = ["--ignore", "friction", "--stops", text, "--out", str(out), "--overwrite"]
+        assert cli.main(["write", arm, *words]) == 0
+        expected = sj.load_urdf(arm, ignore=("friction",), stops={"elbow": how}).forces
+        found = sj.load_scene(out).forces
+        assert set(found) == set(expected)
+        if how is not None:
+            assert type(found["elbow_stop"]) is type(expected["elbow_stop"])
+            assert found["elbow_stop"].stiffness == pytest.approx(float(expected["elbow_stop"].stiffness))
+            assert getattr(found["elbow_stop"], "restitution", None) == (
+                how["restitution"] if isinstance(how, dict) else None
+            )
+
+
 def test_a_model_of_mujoco_is_a_scene_of_the_command_line(tmp_path, capsys):
     pytest.importorskip("mujoco")
     path, out = tmp_path / "arm.xml", tmp_path / "arm.toml"
@@ -569,6 +590,9 @@ def test_a_model_of_mujoco_is_a_scene_of_the_command_line(tmp_path, capsys):
         (["--ignore", "frictoin"], "did you mean 'friction'"),
         (["--keyframe", "up"], "--keyframe is for .xml and .mjcf"),
         (["--stops", "turning=soft", "--ignore", "friction"], "must be a number, with a unit of N m/rad or without"),
+        (["--stops", "elbow=5 N/mm", "--ignore", "friction"], "joint 'elbow' is measured in N m/rad, not in N/m"),
+        (["--stops", "elbow=5 mm", "--ignore", "friction"], "with a unit of N m/rad or N/m or without"),
+        (["--stops", "elbow=5:bouncy", "--ignore", "friction"], "'bouncy'"),
         (["--mimic", "sliding=1e4:5", "--ignore", "friction", "--fixed", "wrist"], "there is no joint 'wrist'"),
         ([], "--ignore friction"),
         (["--friction", "threlfall v2=1"], "threlfall has no number 'v2'"),

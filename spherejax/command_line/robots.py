@@ -33,7 +33,7 @@ OPTIONS = {
 }
 """The options, and the files that they are for."""
 
-_UNITS = {"positions": ("rad", "m"), "velocities": ("rad/s", "m/s")}
+_UNITS = {"positions": ("rad", "m"), "velocities": ("rad/s", "m/s"), "stops": ("N m/rad", "N/m")}
 """Of joints that turn, and of those that slide."""
 
 
@@ -50,7 +50,10 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--ignore", metavar="WORD,...", help="what to leave out, as friction,mimic or contacts")
     group.add_argument("--fixed", metavar="NAME,...", help="joints that are held where they start")
     group.add_argument(
-        "--stops", metavar="WORD=K,...", help="stiffness of limits, as turning=500,sliding=1e5,elbow=none"
+        "--stops",
+        metavar="WORD=K:E,...",
+        help="stiffness of limits, and the restitution of an impact on them where it is not 1, as "
+        "turning=500:0.5,slider=100 N/mm,elbow=none",
     )
     group.add_argument(
         "--mimic",
@@ -165,15 +168,26 @@ def _check_units(flag: str, scene: sj.Scene, units: dict[str, str]) -> None:
 
 
 _STIFFNESS = {"turning": ("N m/rad", "N m s/rad"), "sliding": ("N/m", "N s/m")}
-"""Units of stiffness and damping; of joints by their own names numbers stand without."""
+"""Units of stiffness and damping."""
 
 
-def _stops(flag: str, text: str) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
+def _stops(flag: str, text: str) -> tuple[dict[str, Any], dict[str, str]]:
+    """Stiffness, and restitution, by word; and the units of joints by their own names that have one."""
+    values: dict[str, Any] = {}
+    units: dict[str, str] = {}
     for name, value in _pairs(flag, text):
-        unit = _STIFFNESS.get(name, ("", ""))[:1]
-        found[name] = None if value == "none" else _measured(flag, text, value, tuple(filter(None, unit)))[0]
-    return found
+        if value == "none":
+            values[name] = None
+            continue
+        is_word = name in _STIFFNESS
+        stiffness, colon, restitution = (word.strip() for word in value.partition(":"))
+        known = _STIFFNESS[name][:1] if is_word else _UNITS["stops"]
+        values[name], unit = _measured(flag, text, stiffness, known)
+        if colon:
+            values[name] = {"stiffness": values[name], "restitution": number_of(flag, text, restitution)}
+        if unit is not None and not is_word:
+            units[name] = unit
+    return values, units
 
 
 def _mimic(flag: str, text: str) -> dict[str, dict[str, float]]:

@@ -64,12 +64,12 @@ def time_signals(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[A
     length, energy = length_scale(system), energy_scale(system)
     units = {"N": energy / length, "N m": energy, "m": length, "1": 1.0}
     forces: Any = system.forces_with(state.memory)
-    found = [
+    signals = [
         jnp.ravel(jnp.asarray(value, jnp.float64)) / units[unit]
         for force in forces.values()
         for value, unit in force.unknown_in_time(t, motions)
     ]
-    return jnp.concatenate([jnp.zeros(0), *found])
+    return jnp.concatenate([jnp.zeros(0), *signals])
 
 
 @lru_cache(maxsize=64)

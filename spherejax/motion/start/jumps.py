@@ -5,8 +5,9 @@ control would follow it: slowly by feedback, by teleport with a correction. A ju
 the driver. Where the function says where it turns (`AbstractFunction.room`: tables, pieces) a step ends there, and the
 correction of the velocities is that impact. Kinks of a function that does not say so are refused.
 
-Jumps are found by bisection of the whole run: of each interval the half is kept in which the function differs more from
-what its derivatives at the ends say, until the interval is as short as the rounding of time. What is left is a jump.
+Bisection of the whole run finds them: of each interval the half is kept in which the function differs more from what
+its derivatives at the ends predict, until the interval is as short as the rounding of time. A difference that remains
+is a jump.
 """
 
 from typing import Any, NamedTuple
@@ -86,30 +87,30 @@ def _condition(name: str, function: AbstractFunction, ts: Numeric) -> list:
     if is_concrete(ts) and all(map(is_concrete, jax.tree.leaves(function))):
         with jax.ensure_compile_time_eval():
             grid = np.linspace(float(ts[0]), float(ts[-1]), N_INTERVALS + 1)
-            found = _jumps(function, jnp.asarray(_with_marks(function, grid) if says_where else grid))
-        if all(map(is_concrete, jax.tree.leaves(found))):  # not of a function that closes over what is traced
-            _refuse(name, found, says_where)
+            jumps = _jumps(function, jnp.asarray(_with_marks(function, grid) if says_where else grid))
+        if all(map(is_concrete, jax.tree.leaves(jumps))):  # not of a function that closes over what is traced
+            _refuse(name, jumps, says_where)
             return []
     else:
         grid = ts[0] + (ts[-1] - ts[0]) * jnp.linspace(0.0, 1.0, N_INTERVALS_TRACED + 1)
-        found = _jumps(function, grid)
-    return [~(found.is_jump | (found.is_kink & (not says_where)))]
+        jumps = _jumps(function, grid)
+    return [~(jumps.is_jump | (jumps.is_kink & (not says_where)))]
 
 
-def _refuse(name: str, found: Jumps, says_where: bool) -> None:
-    if bool(found.is_jump):
-        before, after = np.asarray(found.values)
+def _refuse(name: str, jumps: Jumps, says_where: bool) -> None:
+    if bool(jumps.is_jump):
+        before, after = np.asarray(jumps.values)
         raise SceneError(
-            f"driver {name!r}: its function of time jumps at t = {float(found.at):.9g} s from {before:.6g} to "
+            f"driver {name!r}: its function of time jumps at t = {float(jumps.at):.9g} s from {before:.6g} to "
             f"{after:.6g} (m or rad), or changes there at a rate that is not finite, as a square root does at zero. No "
             "force moves a body so: let it change over a finite time, e.g. sj.SmoothStep(start, end, before, after)"
         )
-    if bool(found.is_kink) and not says_where:
-        before, after = np.asarray(found.rates)
+    if bool(jumps.is_kink) and not says_where:
+        before, after = np.asarray(jumps.rates)
         raise SceneError(
-            f"driver {name!r}: the rate of its function of time jumps at t = {float(found.rates_at):.9g} s from "
+            f"driver {name!r}: the rate of its function of time jumps at t = {float(jumps.rates_at):.9g} s from "
             f"{before:.6g} to {after:.6g} (m/s or rad/s), an impact of the driver, and no step ends there. Say where "
-            f"it is: sj.Piecewise([{float(found.rates_at):.9g}], [f, g]) with a function f before and g after that "
+            f"it is: sj.Piecewise([{float(jumps.rates_at):.9g}], [f, g]) with a function f before and g after that "
             "instant (two functions: one that has the kink itself has no rate there), or sj.Table(t, values); or give "
             "a smooth function, e.g. sj.SmoothStep"
         )

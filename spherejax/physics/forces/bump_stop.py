@@ -1,7 +1,7 @@
 """Stops: springs that act beyond a travel only."""
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import equinox as eqx
 
@@ -9,11 +9,11 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.line import AbstractLineForce, Attachment, Pull, line_requirements, two_ends
-from spherejax.physics.forces.one_sided import TRANSITION, OneSided, Stops
+from spherejax.physics.forces.one_sided import TRANSITION, AbstractStop
 from spherejax.physics.functions.base import AbstractFunction, as_function
 
 
-class BumpStop(AbstractLineForce):
+class BumpStop(AbstractStop, AbstractLineForce):
     """A stop that presses two points apart below a length, or together beyond one, and never holds them.
 
     How it resists, for a depth p = shortest - length or p = length - longest above 0, is the law of
@@ -85,36 +85,18 @@ class BumpStop(AbstractLineForce):
     def pull(self, length: Scalar, rate: Scalar, t: Scalar) -> Pull:
         """Tension and stored energy; a stop at the shortest length answers with a negative tension."""
         del t
-        return self._stops.pull(length, rate)
+        return self.stops.pull(length, rate)
 
     @property
-    def never_adds_energy(self) -> bool:
-        """With numbers for damping, and a spring that knows its integral."""
-        return self._stops.law.never_adds_energy
+    def limits(self) -> tuple[Number | None, Number | None]:
+        """`shortest` and `longest`."""
+        return self.shortest, self.longest
 
-    @property
-    def conserves_energy(self) -> bool:
-        """Without damping, with no restitution below 1, and without a spring function, which may pull."""
-        return self._stops.law.conserves_energy
-
-    @property
-    def n_touches(self) -> int:
-        """One for each limit."""
-        return len(self._stops.limits)
-
-    def touches(self, t, motions):
-        """How far the length is beyond each limit."""
-        del t
-        length, rate, _ = self.stretch(motions)
-        return self._stops.touches(length, rate)
+    def coordinate_and_rate(self, motions: Any) -> tuple[Scalar, Scalar]:
+        """The length [m] and its rate."""
+        value, rate, _ = self.stretch(motions)
+        return value, rate
 
     def requirements(self) -> list[Requirement]:
         """Two bodies, shortest below longest, and the law's own requirements."""
-        return [*line_requirements(self.ends, self.direction), *self._stops.requirements("shortest", "longest")]
-
-    @property
-    def _stops(self) -> Stops:
-        law = OneSided(
-            self.stiffness, self.damping, self.spring, self.damper, self.onset, self.restitution, self.transition
-        )
-        return Stops(law, self.shortest, self.longest)
+        return [*line_requirements(self.ends, self.direction), *self.stops.requirements("shortest", "longest")]

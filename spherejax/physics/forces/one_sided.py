@@ -20,7 +20,8 @@ slower than w lose less and less. What rests on the contact under a load F meets
 Source: derived here, from the energy of one impact.
 """
 
-from typing import NamedTuple
+import abc
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,7 +30,7 @@ import numpy as np
 from spherejax.foundations.checks import Requirement, is_concrete
 from spherejax.foundations.legal import non_negative, numeric, positive
 from spherejax.foundations.types import Number, Scalar
-from spherejax.physics.forces.base import Touch
+from spherejax.physics.forces.base import AbstractForce, Touch
 from spherejax.physics.forces.line import Pull, elastic_part, is_without_damping, stores_all
 from spherejax.physics.functions.base import AbstractFunction, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -191,6 +192,59 @@ class Stops(eqx.Module):
             remedy = "Between the two the stop is free."
             rows.append(Requirement(highest, self.highest, ordered, f"be above {lowest}", remedy))
         return [*rows, *self.law.requirements(force, depth)]
+
+
+class AbstractStop(AbstractForce):
+    """A force element that resists by `Stops`; a member says which coordinate it is, and where the limits are.
+
+    Attributes:
+        stiffness, damping, onset, spring, damper, restitution, transition: of the law, as of `OneSided`.
+    """
+
+    stiffness: eqx.AbstractVar[Number]
+    damping: eqx.AbstractVar[Number]
+    onset: eqx.AbstractVar[Number]
+    spring: eqx.AbstractVar[AbstractFunction | None]
+    damper: eqx.AbstractVar[AbstractFunction | None]
+    restitution: eqx.AbstractVar[Number | None]
+    transition: eqx.AbstractVar[Number]
+
+    @property
+    @abc.abstractmethod
+    def limits(self) -> tuple[Number | None, Number | None]:
+        """The coordinate is free from the first to the second [m or rad]; None for no limit on that side."""
+
+    @abc.abstractmethod
+    def coordinate_and_rate(self, motions: Any) -> tuple[Scalar, Scalar]:
+        """What is limited [m or rad], and its time derivative [m/s or rad/s]."""
+
+    @property
+    def never_adds_energy(self) -> bool:
+        """With numbers for damping, and a spring that knows its integral."""
+        return self.stops.law.never_adds_energy
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Without damping, with no restitution below 1, and without a spring function, which may pull."""
+        return self.stops.law.conserves_energy
+
+    @property
+    def n_touches(self) -> int:
+        """One for each limit."""
+        return len(self.stops.limits)
+
+    def touches(self, t: Scalar, motions: Any) -> tuple[Touch, ...]:
+        """How far the coordinate is beyond each limit."""
+        del t
+        return self.stops.touches(*self.coordinate_and_rate(motions))
+
+    @property
+    def stops(self) -> Stops:
+        """The law and the limits."""
+        law = OneSided(
+            self.stiffness, self.damping, self.spring, self.damper, self.onset, self.restitution, self.transition
+        )
+        return Stops(law, *self.limits)
 
 
 def _hysteresis(restitution: Number) -> Scalar:

@@ -1,7 +1,7 @@
 """Stops about an axis between two bodies."""
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,13 +13,13 @@ from spherejax.foundations.legal import positive
 from spherejax.foundations.types import Function, Named, Number, Scalar, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.line import Pull
-from spherejax.physics.forces.one_sided import TRANSITION, OneSided, Stops
+from spherejax.physics.forces.one_sided import TRANSITION, AbstractStop
 from spherejax.physics.forces.torsional import AbstractTorsionalForce
 from spherejax.physics.forces.turns import TorsionalAttachment
 from spherejax.physics.functions.base import AbstractFunction, as_function
 
 
-class TorsionalStop(AbstractTorsionalForce):
+class TorsionalStop(AbstractStop, AbstractTorsionalForce):
     """A stop that turns two bodies back beyond an angle about an axis, and never holds them: a limit, or backlash.
 
     How it resists, for a depth p = smallest - angle or p = angle - largest above 0, is the law of
@@ -95,46 +95,27 @@ class TorsionalStop(AbstractTorsionalForce):
 
     def torque(self, angle: Scalar, rate: Scalar) -> Pull:
         """Torque [N m], its elastic part, and the energy stored [J]."""
-        return self._stops.pull(angle, rate)
+        return self.stops.pull(angle, rate)
 
     def parts(self, t, motions) -> dict[str, Array]:
         """`angle` [rad], `angular_rate` [rad/s], `torque` [N m], `dissipated_power` [W], `depth` [rad], 0 when free."""
-        angle, rate, _ = self.twist(motions)
         depth = jnp.zeros(())
-        for touch in self._stops.touches(angle, rate):
+        for touch in self.touches(t, motions):
             depth = jnp.maximum(depth, touch.depth)
         return {**super().parts(t, motions), "depth": depth}
 
     @property
-    def never_adds_energy(self) -> bool:
-        """With numbers for damping, and a spring that knows its integral."""
-        return self._stops.law.never_adds_energy
+    def limits(self) -> tuple[Number | None, Number | None]:
+        """`smallest` and `largest`."""
+        return self.smallest, self.largest
 
-    @property
-    def conserves_energy(self) -> bool:
-        """Without damping, with no restitution below 1, and without a spring function, which may pull."""
-        return self._stops.law.conserves_energy
-
-    @property
-    def n_touches(self) -> int:
-        """One for each limit."""
-        return len(self._stops.limits)
-
-    def touches(self, t, motions):
-        """How far the angle is beyond each limit."""
-        del t
-        angle, rate, _ = self.twist(motions)
-        return self._stops.touches(angle, rate)
+    def coordinate_and_rate(self, motions: Any) -> tuple[Scalar, Scalar]:
+        """The angle [rad] and its rate."""
+        value, rate, _ = self.twist(motions)
+        return value, rate
 
     def requirements(self) -> list[Requirement]:
         """Two bodies, an axis, smallest below largest, a stiffness or a spring, and the law's own requirements."""
-        rows = [*self.axis_requirements(), *self._stops.requirements("smallest", "largest", "N m", "rad")]
+        rows = [*self.axis_requirements(), *self.stops.requirements("smallest", "largest", "N m", "rad")]
         # Without either the stop would be passed through in silence.
         return [positive("stiffness", self.stiffness, "N m/rad"), *rows] if self.spring is None else rows
-
-    @property
-    def _stops(self) -> Stops:
-        law = OneSided(
-            self.stiffness, self.damping, self.spring, self.damper, self.onset, self.restitution, self.transition
-        )
-        return Stops(law, self.smallest, self.largest)

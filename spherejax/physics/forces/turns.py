@@ -24,8 +24,8 @@ The correction takes out within about a turn what errors have left; its rate is 
 free rotor at rtol = 1e-3 was off by 1 rad after 5,300 turns. The audit ends a run in which `turned` and angle differ by
 more than `LARGEST_DOUBT`, long before N is wrong.
 
-Who makes a force element need not know of this: an element is searched for what it holds of `TorsionalAttachment`, and
-before it is asked for anything these receive their turns (`with_turns`).
+Authors of force elements need not know of this: `attachments_of` searches an element for fields of the type
+`TorsionalAttachment`, and `with_turns` puts the integrated angles into them before the element is evaluated.
 """
 
 from collections.abc import Mapping
@@ -152,14 +152,14 @@ def attachments_of(part: Any) -> list[TorsionalAttachment]:
 
 
 def turn_entries(part: Any) -> tuple[MemoryEntry, ...]:
-    """Entries of the state that say how far each of these has turned: `turned`, or `turned_1` and so on (static)."""
+    """State entries for the angles of an element, one for each axis: `turned`, or `turned_1`, ... (static)."""
     n = len(attachments_of(part))
     names = ["turned"] if n == 1 else [f"turned_{i + 1}" for i in range(n)]
     return tuple(MemoryEntry(name, "rad", "angle", counts_turns=True) for name in names)
 
 
 def with_turns(part: Any, turned: Float[Array, " n"]) -> Any:
-    """The element whose angles go on from what they have turned, in the order of `attachments_of`."""
+    """The element with its integrated angles [rad], in the order of `attachments_of`."""
     numbers = iter(range(turned.shape[0]))
 
     def counted(leaf):
@@ -179,9 +179,11 @@ def turn_rates(part: Any, motions: Motions) -> list[Scalar]:
 
 
 def turn_doubts(part: Any, motions: Motions) -> list[Scalar]:
-    """How far the integrated angles of an element with its turns are from the true ones: at 1 N is in doubt."""
-    found = attachments_of(part)
-    return [jnp.abs(one.twist(motions).angle - one.turned) / LARGEST_DOUBT for one in found if one.turned is not None]
+    """Error of each integrated angle, as a share of `LARGEST_DOUBT`; from 1 on the number of turns N is in doubt."""
+    attachments = attachments_of(part)
+    return [
+        jnp.abs(one.twist(motions).angle - one.turned) / LARGEST_DOUBT for one in attachments if one.turned is not None
+    ]
 
 
 def _is_attachment(leaf: Any) -> bool:
