@@ -42,6 +42,8 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore:.*persistent compilation cache.*:UserWarning")
     # What `.ci/versions` tries is known to be slower.
     config.addinivalue_line("filterwarnings", "ignore:spherejax cannot compile its own machine code")
+    # So is a platform on which machine code is not tried (docs/howto/platforms.md).
+    config.addinivalue_line("filterwarnings", "ignore:spherejax compiles no machine code of its own")
 
 
 def long_tests() -> dict[str, float]:

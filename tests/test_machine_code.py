@@ -90,7 +90,8 @@ def test_an_installation_that_cannot_have_it_is_told_once(name, value, why, monk
         for module in [each for each in sys.modules if each.split(".")[0] == name]:
             monkeypatch.delitem(sys.modules, module)
         monkeypatch.setitem(sys.modules, name, value)
-    remedy = "Install jax and jaxlib 0.10 to 0.12, or set SPHEREJAX_MACHINE_CODE=0"
+    needed = "llvmlite" if name == "llvmlite" else "jax and jaxlib 0.10 to 0.12"
+    remedy = f"Install {needed}, or set SPHEREJAX_MACHINE_CODE=0"
     with pytest.warns(sj.runtime.ConfigurationWarning, match=f"{why}.*{remedy}") as told:
         assert [afresh(), afresh()] == [False, False]
     assert len(told) == 1

@@ -7,8 +7,9 @@ given to XLA as the target of a custom call, by the binary interface of `jax.ffi
 
 A loop that calls something is no longer one native function; `loop_fusion` sees to what is between the calls.
 
-Programs are made so inside `wanted()`, on the processor, and with the versions of jaxlib that this is known to work
-with; anywhere else XLA compiles them as before. `SPHEREJAX_MACHINE_CODE=0` switches it off.
+Programs are made so inside `wanted()`, on the processor, on the platforms that this has been tested on (`platforms`),
+and with the versions of jaxlib that this is known to work with; anywhere else XLA compiles them as before.
+`SPHEREJAX_MACHINE_CODE=0` switches it off.
 """
 
 import ctypes
@@ -27,6 +28,7 @@ import jax.ffi
 
 from spherejax.compiler.emit.llvm import FUNCTION, FunctionText
 from spherejax.compiler.hooks import attached
+from spherejax.compiler.native import platforms
 
 KNOWN_JAXLIB = (0, 10), (0, 12)
 """First and last version (major, minor) of jaxlib that this has been tested with; with another one XLA compiles all."""
@@ -38,36 +40,51 @@ KNOWN_JAXLIB = (0, 10), (0, 12)
 @cache
 def is_available() -> bool:
     """Whether programs can be made so in this process; where the installation is why not, one warning says so."""
-    if os.environ.get("SPHEREJAX_MACHINE_CODE", "1") == "0" or jax.default_backend() != "cpu":
+    if os.environ.get(platforms.SETTING, "") == "0" or jax.default_backend() != "cpu":
         return False
-    if why := _what_is_missing():
-        known = " to ".join(f"{major}.{minor}" for major, minor in KNOWN_JAXLIB)
+    if name := platforms.untested():
+        # Nothing that could be installed would change it, so this is short.
+        warnings.warn(
+            f"spherejax compiles no machine code of its own on {name}, where that has not been tested; XLA compiles "
+            "everything: the numbers are the same up to rounding, first calls take two to eight times as long. "
+            f"{platforms.SETTING}=0 hides this message, {platforms.SETTING}=1 tries it.",
+            attached().warning,
+            stacklevel=2,
+        )
+        return False
+    if missing := _what_is_missing():
+        why, remedy = missing
         # Compiled anew with jaxlib 0.6.1: a dry run 1.9, of many 2.3, with its derivative 6.8 times as long.
         warnings.warn(
             f"spherejax cannot compile its own machine code: {why}. XLA compiles everything instead: the numbers are "
             "the same up to rounding, but first calls take two to eight times as long, and films and sweeps run up to "
-            f"twice as long. Install jax and jaxlib {known}, or set SPHEREJAX_MACHINE_CODE=0 to hear no more of it.",
+            f"twice as long. {remedy} {platforms.SETTING}=0 to hear no more of it.",
             attached().warning,
             stacklevel=2,
         )
-    return not why
+    return not missing
 
 
-def _what_is_missing() -> str:
+def _what_is_missing() -> tuple[str, str] | None:
+    """Why machine code cannot be compiled here, and what to do, up to "set ..."; None where it can."""
     installed = version("jaxlib")
     first, last = KNOWN_JAXLIB
+    known = " to ".join(f"{major}.{minor}" for major, minor in KNOWN_JAXLIB)
+    remedy = f"Install jax and jaxlib {known}, or set"
     if not first <= tuple(int(part) for part in installed.split(".")[:2]) <= last:
-        return f"it has not been tried with jaxlib {installed}"
+        return f"it has not been tried with jaxlib {installed}", remedy
     if not hasattr(jax, "make_user_context"):
-        return f"jax {jax.__version__} has no make_user_context"
+        return f"jax {jax.__version__} has no make_user_context", remedy
     try:
         import llvmlite.binding as llvm
 
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
     except Exception as error:  # not installed, or not for this processor
-        return f"llvmlite cannot be used ({type(error).__name__}: {error})"
-    return ""
+        return f"llvmlite cannot be used ({type(error).__name__}: {error})", "Install llvmlite, or set"
+    if platforms.this_platform() != platforms.ALL_TESTS_RUN_ON and (why := platforms.check(llvm)):
+        return why, "Report it, and set"
+    return None
 
 
 # JAX traces again what it has traced in another context.
@@ -201,14 +218,15 @@ def _machine(is_wide: bool, is_optimised: bool) -> tuple[str, ...]:
     import llvmlite
     import llvmlite.binding as llvm
 
-    features = llvm.get_host_cpu_features()
+    triple, name, features = platforms.host(llvm)
     if not (is_wide or is_optimised):
-        features.update({name: False for name in features if name.startswith("avx512")})
-    return llvm.get_host_cpu_name(), features.flatten(), llvmlite.__version__
+        features = features.replace("+avx512", "-avx512")
+    # The triple is part of what is kept: on ARM processors of several systems have the same name, "generic".
+    return triple, name, features, llvmlite.__version__
 
 
 _PLAIN, _OF_256_BITS = " nounwind {", ' nounwind "prefer-vector-width"="256" "min-legal-vector-width"="256" {'
-"""How functions begin."""
+"""How functions begin. The attributes are those of x86; LLVM ignores them on other processors."""
 
 
 def _with_widths(text: str, is_wide: bool) -> str:
@@ -219,8 +237,9 @@ def _with_widths(text: str, is_wide: bool) -> str:
 def _target_machine(is_wide: bool, is_optimised: bool = True) -> Any:
     import llvmlite.binding as llvm
 
-    name, features, _ = _machine(is_wide, is_optimised)
-    target = llvm.Target.from_default_triple()
+    triple, name, features, _ = _machine(is_wide, is_optimised)
+    # Of the process: the default triple is that of the machine on which llvmlite was built.
+    target = llvm.Target.from_triple(triple)
     how = {"opt": 1, "reloc": "pic", "codemodel": "jitdefault", "jit": True}
     return target.create_target_machine(cpu=name, features=features, **how)
 
