@@ -5,14 +5,15 @@ depend on the arguments alone: factors of products, reciprocals of divisors, slo
 computed is used again, and a coefficient is computed once however many tangents there are.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Collection, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import jax
 import numpy as np
 
-from spherejax.compiler.graph import EMIT, FLOAT, Graph, NotScalarizable
+from spherejax.compiler.graph import Graph, by_jax
+from spherejax.compiler.operations import FLOAT, OPERATIONS, NotScalarizable
 from spherejax.compiler.trace import Interpreter
 
 
@@ -80,25 +81,28 @@ class Forward:
         moving = [self._of.get(a) if along is None or a in along else None for a in arguments]
         if graph.dtypes[node] != FLOAT or all(slope is None for slope in moving):
             return None
-        rule = _RULES.get(operation) if isinstance(operation, str) else None
-        if rule is not None:
+        if (rule := OPERATIONS[operation].derivative) is not None:
             return rule(self, node, arguments, moving)
-        parts = [self._times(self._partial(node, i), slope) for i, slope in enumerate(moving) if slope is not None]
-        return self._sum(*parts)
+        parts = [self.times(self._partial(node, i), slope) for i, slope in enumerate(moving) if slope is not None]
+        return self.sum(*parts)
 
-    def _sum(self, first: int | None, *others: int | None) -> int | None:
+    # What rules of `operations` are written with ----------------------------------------------------------------------
+
+    def sum(self, first: int | None, *others: int | None) -> int | None:
+        """A node of `slopes`; None stands for a structural zero."""
         total = first
         for each in others:
             total = each if total is None else total if each is None else self.slopes.add(total, each)
         return total
 
-    def _times(self, coefficient: int, slope: int | None) -> int | None:
-        """Nothing for a structural zero, as everywhere in a graph."""
+    def times(self, coefficient: int, slope: int | None) -> int | None:
+        """A coefficient, a node of `values`, times a tangent; None for a structural zero, as everywhere in a graph."""
         if slope is None or self.values.is_value(coefficient, 0):
             return None
-        return self.slopes.mul(self._given(coefficient), slope)
+        return self.slopes.mul(self.coefficient(coefficient), slope)
 
-    def _given(self, node: int) -> int:
+    def coefficient(self, node: int) -> int:
+        """The node of `slopes` that stands for a node of `values`."""
         if self.values.is_constant(node):
             return self.slopes.constant(self.values.value(node), self.values.dtypes[node])
         if node not in self.given:
@@ -114,70 +118,16 @@ class Forward:
         (found,) = Interpreter(graph).run(closed.jaxpr, closed.consts, names)
         return int(found)
 
-    # Rules of operations that have names: what the value has computed serves for the derivative.
-
-    def _add(self, node, arguments, moving):
-        return self._sum(*moving)
-
-    def _sub(self, node, arguments, moving):
-        left, right = moving
-        if right is None:
-            return left
-        return self.slopes.neg(right) if left is None else self.slopes.sub(left, right)
-
-    def _neg(self, node, arguments, moving):
-        return self.slopes.neg(moving[0])
-
-    def _mul(self, node, arguments, moving):
-        (a, b), (da, db) = arguments, moving
-        if a == b:
-            return self._times(self.values.add(a, a), da)
-        return self._sum(self._times(b, da), self._times(a, db))
-
-    def _div(self, node, arguments, moving):
-        """(a / b)' = (a' - (a / b) b') / b."""
-        b, (da, db) = arguments[1], moving
-        change = None if db is None else self._times(node, db)
-        if change is not None:
-            da = self.slopes.neg(change) if da is None else self.slopes.sub(da, change)
-        return self._times(self.values.div(self.values.constant(1, FLOAT), b), da)
-
-    def _sqrt(self, node, arguments, moving):
-        return self._times(self.values.div(self.values.constant(0.5, FLOAT), node), moving[0])
-
-    def _select(self, node, arguments, moving):
-        zero = self.slopes.constant(0, FLOAT)
-        on_false, on_true = (zero if slope is None else slope for slope in moving[1:])
-        if on_false == on_true == zero:
-            return None
-        return self.slopes.select(self._given(arguments[0]), on_false, on_true)
-
-
-_RULES: dict[str, Callable] = {
-    "add": Forward._add,
-    "sub": Forward._sub,
-    "neg": Forward._neg,
-    "mul": Forward._mul,
-    "div": Forward._div,
-    "sqrt": Forward._sqrt,
-    "select": Forward._select,
-}
-
-
-_OF_ERF = 2.0 / np.sqrt(np.pi)
-
-_SLOPES = {"erf": lambda x: _OF_ERF * jax.lax.exp(-x * x), "erfc": lambda x: -_OF_ERF * jax.lax.exp(-x * x)}
-"""Derivatives that JAX takes by the bits of a number (since 0.11), which scalar programs do not know."""
-
 
 @lru_cache(maxsize=256)
-def _slope_program(operation: Any, parameters: Any, dtypes: tuple, by: int) -> Any:
-    """The derivative of an operation by one of its arguments, as JAX has it."""
-    if slope_of_it := _SLOPES.get(getattr(operation, "name", "")):
-        return jax.make_jaxpr(slope_of_it)(jax.ShapeDtypeStruct((), FLOAT))
-    evaluate: Any = EMIT[operation] if isinstance(operation, str) else partial(operation.bind, **dict(parameters))
+def _slope_program(operation: str, parameters: Any, dtypes: tuple, by: int) -> Any:
+    """The derivative of an operation by one of its arguments, as its record or else JAX has it."""
+    partials, evaluate = OPERATIONS[operation].partials, by_jax(operation, parameters)
 
     def slope(*numbers):
+        if partials is not None:
+            return partials[by](*numbers)
+
         def of_one(x):
             return evaluate(*numbers[:by], x, *numbers[by + 1 :])
 
@@ -236,22 +186,9 @@ class Transposed:
     def _pass_on(self, node: int, along: int, depends: set[int]) -> None:
         graph, operation, arguments = self.graph, self.graph.operations[node], self.graph.arguments[node]
         moves = [a in depends for a in arguments]
-        if operation == "add":
-            parts = [along, along]
-        elif operation == "sub":
-            parts = [along, graph.neg(along)]
-        elif operation == "neg":
-            parts = [graph.neg(along)]
-        elif operation == "marked":  # what is linear is its own derivative, whichever rule it has
-            parts = [along]
-        elif operation == "mul" and not all(moves):
-            parts = [graph.mul(along, arguments[1]), graph.mul(along, arguments[0])]
-        elif operation == "div" and not moves[1]:
-            parts = [graph.div(along, arguments[1]), along]
-        elif operation == "select" and not moves[0]:
-            zero = graph.constant(0, FLOAT)
-            parts = [along, graph.select(arguments[0], along, zero), graph.select(arguments[0], zero, along)]
-        else:
+        rule = OPERATIONS[operation].transpose
+        parts = None if rule is None else rule(graph, along, arguments, moves)
+        if parts is None:
             raise NotScalarizable(f"the transpose of {operation!r}")
         for argument, part, counts in zip(arguments, parts, moves, strict=True):
             if counts:

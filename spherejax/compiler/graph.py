@@ -6,20 +6,15 @@ zero times x is 0: the program presumes finite numbers there, as the array progr
 no zeros.
 """
 
-import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
-from jax import lax
 
-FLOAT, BOOL, INT = np.dtype("float64"), np.dtype("bool"), np.dtype("int64")
-
-
-class NotScalarizable(Exception):  # noqa: N818 - it says what it is
-    """The function has no scalar program; the message says which operation stands in the way."""
+from spherejax.compiler.operations import FLOAT, INT, OPERATIONS, NotScalarizable
 
 
 class TooManyOperations(NotScalarizable):
@@ -30,7 +25,7 @@ class Graph:
     """Nodes of a scalar program under construction; a node is named by its index.
 
     Attributes:
-        operations: the operation of each node: a name of `EMIT`, a JAX primitive, `"constant"`, `"input"`, or
+        operations: the name of the operation of each node, in `operations.OPERATIONS`; or `"constant"`, `"input"`, or
             `"tangent"`, which nothing but a slope depends on.
         arguments: the earlier nodes that each node reads.
         parameters: a constant's value, an input's position, the slope of a marked node, or a primitive's parameters.
@@ -38,7 +33,7 @@ class Graph:
     """
 
     def __init__(self):
-        self.operations: list[Any] = []
+        self.operations: list[str] = []
         self.arguments: list[tuple[int, ...]] = []
         self.parameters: list = []
         self.dtypes: list[np.dtype] = []
@@ -128,123 +123,64 @@ class Graph:
         """Whether a node is the constant `value`."""
         return self.is_constant(node) and bool(self.value(node) == value)
 
-    # Arithmetic with folding ------------------------------------------------------------------------------------
+    # Operations ---------------------------------------------------------------------------------------------------
 
     def add(self, a: int, b: int) -> int:
         """a + b."""
-        if self.is_value(a, 0):
-            return b
-        if self.is_value(b, 0):
-            return a
-        if self.operations[b] == "neg":
-            return self.sub(a, self.arguments[b][0])
-        if self.operations[a] == "neg":
-            return self.sub(b, self.arguments[a][0])
-        return self._folded("add", (a, b), lambda x, y: x + y)
+        return _fold_add(self, a, b)
 
     def sub(self, a: int, b: int) -> int:
         """a - b."""
-        if self.is_value(b, 0):
-            return a
-        if self.is_value(a, 0):
-            return self.neg(b)
-        if a == b and not self.is_constant(a) and self.dtypes[a] == FLOAT:
-            return self.constant(0, self.dtypes[a])
-        if self.operations[b] == "neg":
-            return self.add(a, self.arguments[b][0])
-        return self._folded("sub", (a, b), lambda x, y: x - y)
+        return _fold_sub(self, a, b)
 
     def mul(self, a: int, b: int) -> int:
         """a * b; 0 when either is a structural zero."""
-        for x, y in ((a, b), (b, a)):
-            if self.is_constant(x):
-                value = self.value(x)
-                if value == 0:
-                    return self.constant(0, self.dtypes[x])
-                if value == 1:
-                    return y
-                if value == -1:
-                    return self.neg(y)
-        if self.operations[a] == "neg" and self.operations[b] == "neg":
-            return self.mul(self.arguments[a][0], self.arguments[b][0])
-        if self.operations[a] == "neg":
-            return self.neg(self.mul(self.arguments[a][0], b))
-        if self.operations[b] == "neg":
-            return self.neg(self.mul(a, self.arguments[b][0]))
-        return self._folded("mul", (a, b), lambda x, y: x * y)
+        return _fold_mul(self, a, b)
 
     def div(self, a: int, b: int) -> int:
         """a / b."""
-        if self.is_value(b, 1):
-            return a
-        if self.is_value(a, 0) and not self.is_constant(b):
-            return a
-        return self._folded("div", (a, b), lambda x, y: np.divide(x, y))
+        return _fold_div(self, a, b)
 
     def neg(self, a: int) -> int:
         """-a."""
-        if self.operations[a] == "neg":
-            return self.arguments[a][0]
-        if self.operations[a] == "sub":
-            x, y = self.arguments[a]
-            return self.sub(y, x)
-        return self._folded("neg", (a,), lambda x: -x)
+        return _fold_neg(self, a)
 
     def select(self, predicate: int, on_false: int, on_true: int) -> int:
         """`on_true` where the predicate holds, else `on_false`."""
-        if self.is_constant(predicate):
-            return on_true if self.value(predicate) else on_false
-        if on_false == on_true:
-            return on_true
-        return self.node("select", (predicate, on_false, on_true), self.dtypes[on_true])
+        return _fold_select(self, predicate, on_false, on_true)
 
     def integer_power(self, a: int, exponent: int) -> int:
         """a ** exponent for a Python integer, by repeated multiplication."""
-        if exponent < 0:
-            return self.div(self.constant(1, FLOAT), self.integer_power(a, -exponent))
-        result, square = self.constant(1, FLOAT), a
-        while exponent:
-            if exponent & 1:
-                result = self.mul(result, square)
-            exponent >>= 1
-            square = self.mul(square, square) if exponent else square
-        return result
+        return _expand_power(self, a, y=exponent)
 
     def power(self, a: int, b: int) -> int:
-        """a ** b for a >= 0; exponents that are small multiples of one half become products and a square root."""
-        if self.is_constant(b) and not self.is_constant(a):
-            twice = 2 * float(self.value(b))
-            if twice == int(twice) and abs(twice) <= 8:
-                whole = self.integer_power(a, math.floor(twice / 2))
-                if twice % 2 == 0:
-                    return whole
-                # a sqrt(a) has the derivative 0 at 0, but its factors have 0 and infinity.
-                root = "root_guarded_at_zero" if twice > 1 else "sqrt"
-                return self.mul(whole, self.node(root, (a,), FLOAT))
-        return self._folded("pow", (a, b), np.power)
+        """a ** b for a >= 0."""
+        return _fold_power(self, a, b)
 
-    def apply(self, primitive, arguments: tuple[int, ...], dtype: np.dtype, parameters: tuple) -> int:
-        """Any elementwise JAX primitive, evaluated now when all its arguments are constants."""
+    def apply(
+        self, name: str, arguments: tuple[int, ...], dtype: np.dtype | None = None, parameters: Any = None
+    ) -> int:
+        """The node of an operation without folding; a constant when all its arguments are.
+
+        Args:
+            name: of the operation.
+            arguments: nodes.
+            dtype: of the result; None is that of the first argument.
+            parameters: those of JAX's primitive, as sorted pairs; None where it has none.
+        """
+        dtype = self.dtypes[arguments[0]] if dtype is None else dtype
         if all(self.is_constant(a) for a in arguments):
-            values = [np.asarray(self.value(a)) for a in arguments]
-            return self.constant(self.evaluated(primitive, values, parameters), dtype)
-        return self.node(primitive, arguments, dtype, parameters)
+            return self.constant(self.evaluated(name, [self.value(a) for a in arguments], parameters), dtype)
+        return self.node(name, arguments, dtype, parameters)
 
-    def evaluated(self, primitive: Any, values: list, parameters: Any) -> np.ndarray:
-        """A primitive of known numbers: by NumPy where it has the same, for JAX compiles a program for each."""
-        known = AS_NUMPY.get(primitive.name)
-        if known is not None:
+    def evaluated(self, name: str, values: list, parameters: Any) -> np.ndarray:
+        """An operation on known numbers: by NumPy where it has the same, for JAX compiles a program for each."""
+        operation = OPERATIONS[name]
+        if operation.numpy is not None:
             with np.errstate(all="ignore"):
-                return np.asarray(known(*values))
+                return np.asarray(operation.numpy(*values))
         with jax.ensure_compile_time_eval():
-            return np.asarray(primitive.bind(*values, **dict(parameters)))
-
-    def _folded(self, operation: str, arguments: tuple[int, ...], evaluate: Callable) -> int:
-        dtype = self.dtypes[arguments[0]]
-        if all(self.is_constant(a) for a in arguments):
-            with np.errstate(all="ignore"):
-                return self.constant(evaluate(*(self.value(a) for a in arguments)), dtype)
-        return self.node(operation, arguments, dtype)
+            return np.asarray(by_jax(name, parameters)(*map(np.asarray, values)))
 
     # Emission ---------------------------------------------------------------------------------------------------
 
@@ -291,7 +227,7 @@ class Graph:
         for index in self.needed(outputs, given):
             operation = self.operations[index]
             if operation not in FREE and index not in given:
-                names[operation if isinstance(operation, str) else operation.name] += 1
+                names[operation] += 1
         return names
 
     def emit(
@@ -312,44 +248,32 @@ class Graph:
                 values[index] = read(self.parameters[index])
             else:
                 arguments = [values[a] for a in self.arguments[index]]
-                if isinstance(operation, str):
-                    values[index] = EMIT[operation](*arguments)
-                else:
-                    values[index] = operation.bind(*arguments, **dict(self.parameters[index]))
+                parameters = None if operation == "marked" else self.parameters[index]  # a node has its slope there
+                values[index] = by_jax(operation, parameters)(*arguments)
         return values
 
 
 FREE = frozenset({"constant", "input", "marked"})
 """Names of nodes that cost nothing."""
 
-_COMMUTATIVE = frozenset({"add", "mul"})
+_COMMUTATIVE = frozenset(name for name, operation in OPERATIONS.items() if operation.commutes)
 
 
-def _root_guarded_at_zero(a):
-    is_zero = lax.eq(a, lax.full_like(a, 0.0))
-    root = lax.sqrt(lax.select_n(is_zero, a, lax.full_like(a, 1.0)))
-    return lax.select_n(is_zero, root, lax.full_like(a, 0.0))
+def _rule(name: str) -> Callable[..., int]:
+    rule = OPERATIONS[name].folded
+    assert rule is not None, name
+    return rule
 
 
-EMIT: dict[str, Callable] = {
-    "root_guarded_at_zero": _root_guarded_at_zero,
-    "marked": lambda a: a,
-    "add": lax.add,
-    "sub": lax.sub,
-    "mul": lax.mul,
-    "div": lax.div,
-    "neg": lax.neg,
-    "pow": lax.pow,
-    "sqrt": lax.sqrt,
-    "select": lambda predicate, on_false, on_true: lax.select_n(predicate, on_false, on_true),
-}
+# Looked up once: a large program calls them a hundred thousand times.
+_fold_add, _fold_sub, _fold_mul, _fold_div = _rule("add"), _rule("sub"), _rule("mul"), _rule("div")
+_fold_neg, _fold_select, _fold_power, _expand_power = (
+    _rule("neg"), _rule("select"), _rule("pow"), _rule("integer_pow")
+)  # fmt: skip
 
-AS_NUMPY: dict[str, Callable] = {
-    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
-    "max": np.maximum, "min": np.minimum, "abs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil,
-    "exp": np.exp, "exp2": np.exp2, "log": np.log, "log1p": np.log1p, "expm1": np.expm1, "tanh": np.tanh,
-    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "cbrt": np.cbrt, "sqrt": np.sqrt, "not": np.invert,
-    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "is_finite": np.isfinite, "neg": np.negative,
-}  # fmt: skip
-"""Functions of NumPy that are those of JAX by these names, of float64, integers and truth values."""
+
+def by_jax(name: str, parameters: Any) -> Callable[..., Any]:
+    """An operation as a function of JAX; `parameters` as of a node."""
+    function = OPERATIONS[name].jax
+    assert function is not None, f"{name} is folded into others"
+    return partial(function, **dict(parameters)) if parameters else function

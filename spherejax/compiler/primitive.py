@@ -26,9 +26,10 @@ from jax.interpreters import ad, batching, mlir
 from spherejax.compiler.autodiff import Forward, Transposed
 from spherejax.compiler.emit.llvm import can_be_written
 from spherejax.compiler.emit.stablehlo import Shape, Writer, sizes
-from spherejax.compiler.graph import FLOAT, Graph
+from spherejax.compiler.graph import Graph
 from spherejax.compiler.lanes import by_a_loop, in_first_lanes, inside_a_loop, narrowed, widened
 from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.operations import FLOAT
 
 
 class StraightLine:

@@ -20,9 +20,10 @@ from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.compiler.emit.c import c_functions
 from spherejax.compiler.emit.eager import NumbersNow
-from spherejax.compiler.graph import FLOAT, Graph, TooManyOperations
+from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.hooks import attached
 from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.operations import FLOAT
 from spherejax.compiler.primitive import Moves, StraightLine, grouped, is_called
 from spherejax.compiler.trace import Interpreter
 

@@ -9,9 +9,9 @@ import jax.core
 import numpy as np
 from jax.extend import core as jex
 
-from spherejax.compiler.graph import BOOL, FLOAT, INT, Graph, NotScalarizable, TooManyOperations
-from spherejax.compiler.linear_algebra.unrolled import SOLVES
-from spherejax.compiler.rules import ELEMENTWISE, RULES, STRUCTURAL, move_names
+from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, by_entry
+from spherejax.compiler.graph import Graph, TooManyOperations
+from spherejax.compiler.operations import BOOL, FLOAT, OF_PRIMITIVE, NotScalarizable, graph_dtype, inner_program
 
 WASTE = 2
 """Nodes of a graph for each operation that is needed in the end, at most: what proves unused is made first (measured on
@@ -61,15 +61,12 @@ class Interpreter:
     def equation(self, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
         """The names of what an operation of JAX gives."""
         name, parameters = equation.primitive.name, equation.params
-        inner = _INLINED.get(name)
+        inner = inner_program(name, parameters)
         if inner is not None:
-            program = parameters[inner]  # with its constants, or one that has none
-            return self.run(getattr(program, "jaxpr", program), getattr(program, "consts", ()), inputs)
+            return self.run(*inner, inputs)
         if name == "straight_line":  # a program within a program
             line, how = parameters["line"], {name: parameters[name] for name in ("lanes", "axes")}
             return self.inlined(line.one_by_one(**how), equation, inputs)
-        if name == "device_put":  # to where it is, of constants (jax 0.6)
-            return inputs
         if name == "scan":
             return self.scan(parameters, inputs)
         if name == "cond":
@@ -78,12 +75,11 @@ class Interpreter:
         dtypes = [graph_dtype(variable.aval.dtype) for variable in equation.outvars]
         if all(0 in shape for shape in shapes):
             return [np.zeros(shape, np.int64) for shape in shapes]
-        if name in STRUCTURAL:
-            return move_names(self.graph, equation.primitive, parameters, inputs, shapes)
-        if name in RULES:
-            return RULES[name](self.graph, inputs, parameters, shapes, dtypes)
-        if name in ELEMENTWISE:
-            return [self.elementwise(equation.primitive, inputs, parameters, shapes[0], dtypes[0])]
+        use = Use(equation.primitive, parameters, shapes, dtypes)
+        if (operation := OF_PRIMITIVE.get(name)) is not None:
+            return by_entry(self.graph, operation, inputs, use)
+        if (on_arrays := ARRAY_OPERATIONS.get(name)) is not None and on_arrays.names is not None:
+            return on_arrays.names(self.graph, inputs, use)
         raise NotScalarizable(f"the operation {name!r} has no scalar rule")
 
     def inlined(self, function, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
@@ -97,7 +93,8 @@ class Interpreter:
         """Whether its derivative is to be taken by the operation's own rule, not through what it is made of."""
         if not self.has_slopes:
             return False
-        if equation.primitive.name in SOLVES:  # whose rule is the same, but shorter
+        on_arrays = ARRAY_OPERATIONS.get(equation.primitive.name)
+        if on_arrays is not None and on_arrays.solves:  # whose rule is the same, but shorter
             return self._depth == 0
         return equation.primitive.name == "custom_jvp_call" and self._depth <= HIGHEST_DERIVATIVE
 
@@ -144,15 +141,6 @@ class Interpreter:
             self._depth = before
 
     # Operations -------------------------------------------------------------------------------------------------------
-
-    def elementwise(self, primitive, inputs, parameters, shape, dtype) -> np.ndarray:
-        """A node for each entry."""
-        frozen = tuple(sorted(parameters.items()))
-        flat = [np.broadcast_to(array, shape).ravel() for array in inputs]
-        names = [
-            self.graph.apply(primitive, tuple(map(int, entry)), dtype, frozen) for entry in zip(*flat, strict=True)
-        ]
-        return np.array(names, np.int64).reshape(shape)
 
     def scan(self, parameters, inputs) -> list[np.ndarray]:
         """A loop with a static number of turns, unrolled."""
@@ -214,29 +202,3 @@ def _each(function, *arrays: np.ndarray) -> np.ndarray:
 
 HIGHEST_DERIVATIVE = 3
 """Order up to which derivative rules of a user's functions (`jax.custom_jvp`) are followed; higher ones are refused."""
-
-_INLINED = {
-    "custom_jvp_call": "call_jaxpr",
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "eval_jaxpr": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "checkpoint": "jaxpr",
-    "remat2": "jaxpr",
-}
-
-
-def graph_dtype(dtype) -> np.dtype:
-    """The type of a node for an array's entries."""
-    try:
-        kind = np.dtype(dtype).kind
-    except TypeError:  # a dtype of JAX's own, such as that of random keys
-        raise NotScalarizable(f"values of type {dtype}") from None
-    if dtype == FLOAT:
-        return FLOAT
-    if kind == "b" or dtype == jax.dtypes.float0:  # the second is the tangent of an index, which nothing reads
-        return BOOL
-    if kind in "iu":
-        return INT
-    raise NotScalarizable(f"numbers of type {dtype}")

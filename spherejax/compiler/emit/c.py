@@ -7,12 +7,13 @@ Compilers that are told to do the former are refused by `#error`; the latter is 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from spherejax.compiler.graph import BOOL, FLOAT, Graph, NotScalarizable
+from spherejax.compiler.graph import Graph
+from spherejax.compiler.operations import BOOL, FLOAT, KINDS, OPERATIONS, Call, NotScalarizable
 
 PRELUDE = """\
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST) || \\
@@ -43,47 +44,6 @@ static inline double sign_of(double a) { return a > 0 ? 1.0 : a < 0 ? -1.0 : a; 
 static inline double root_guarded_at_zero(double a) { return a == 0 ? 0.0 : sqrt(a); }
 """
 """What the functions need in front of them."""
-
-
-def _call(name: str) -> Callable[..., str]:
-    return lambda *arguments: f"{name}({', '.join(arguments)})"
-
-
-def _between(sign: str) -> Callable[..., str]:
-    return lambda a, b: f"{a} {sign} {b}"
-
-
-C: dict[str, Callable[..., str]] = {
-    "add": _between("+"),
-    "sub": _between("-"),
-    "mul": _between("*"),
-    "div": _between("/"),
-    "neg": lambda a: f"-{a}",
-    "select": lambda predicate, on_false, on_true: f"{predicate} ? {on_true} : {on_false}",
-    "root_guarded_at_zero": _call("root_guarded_at_zero"),
-    "max": _call("larger"),
-    "min": _call("smaller"),
-    "clamp": lambda low, a, high: f"smaller(larger({a}, {low}), {high})",
-    "sign": _call("sign_of"),
-    "abs": _call("fabs"),
-    "rsqrt": lambda a: f"1.0 / sqrt({a})",
-    "logistic": lambda a: f"1.0 / (1.0 + exp(-{a}))",
-    "is_finite": lambda a: f"is_finite({a})",
-    "rem": _call("fmod"),
-    "stop_gradient": lambda a: a,
-    "marked": lambda a: a,
-    **{name: _between(sign) for name, sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="))},
-    **{name: _between(sign) for name, sign in (("eq", "=="), ("ne", "!="), ("xor", "^"), ("and", "&"), ("or", "|"))},
-    **{
-        name: _call(name)
-        for name in (
-            "exp", "exp2", "log", "log1p", "expm1", "tanh", "sin", "cos", "tan", "asin", "acos", "atan", "atan2",
-            "sinh", "cosh", "asinh", "acosh", "atanh", "sqrt", "cbrt", "pow", "floor", "ceil", "erf", "erfc",
-            "nextafter",
-        )
-    },
-}  # fmt: skip
-"""How each operation is written."""
 
 
 def c_functions(graph: Graph, outputs: Sequence[int], ahead: Sequence[int], n_arguments: int, name: str) -> str:
@@ -145,19 +105,13 @@ def _statements(graph: Graph, outputs: Sequence[int], given: dict[int, str]) -> 
     return lines
 
 
-def _written(graph: Graph, node: int, operation: Any) -> str:
-    word = operation if isinstance(operation, str) else operation.name
-    arguments = [_name(graph, a) for a in graph.arguments[node]]
-    if word == "not":
-        return f"!{arguments[0]}" if graph.dtypes[node] == BOOL else f"~{arguments[0]}"
-    if word == "round":
-        # 0 is away from zero, 1 to the nearest even.
-        return (
-            f"{'round' if int(dict(graph.parameters[node])['rounding_method']) == 0 else 'nearbyint'}({arguments[0]})"
-        )
-    if word not in C or any(graph.dtypes[a] not in (FLOAT, BOOL) for a in graph.arguments[node]):
-        raise NotScalarizable(f"the operation {word!r} is not written in C")
-    return C[word](*arguments)
+def _written(graph: Graph, node: int, operation: str) -> str:
+    kinds = tuple(KINDS[graph.dtypes[a]] for a in graph.arguments[node])
+    call = Call(kinds, KINDS[graph.dtypes[node]], dict(graph.parameters[node] or ()) if operation != "marked" else {})
+    text = OPERATIONS[operation].in_c(call, *(_name(graph, a) for a in graph.arguments[node]))
+    if text is None:
+        raise NotScalarizable(f"the operation {operation!r} is not written in C")
+    return text
 
 
 def _name(graph: Graph, node: int) -> str:

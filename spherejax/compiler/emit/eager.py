@@ -1,13 +1,12 @@
 """A scalar program evaluated with Python numbers, at once: a compilation takes a second, this some milliseconds."""
 
-import math
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from spherejax.compiler.graph import Graph
+from spherejax.compiler.operations import INT, OPERATIONS
 
 _NONE, _ALL = -1, -2
 """In place of an argument: there is none; the function takes all values."""
@@ -36,7 +35,9 @@ class NumbersNow:
             if operation == "input":
                 self._inputs.append((at, *graph.parameters[node]))
             elif operation != "constant":
-                known = _COMPUTE.get(operation if isinstance(operation, str) else operation.name)
+                # Of whole numbers Python's results are others: 7 / 2 is 3.5, and sums do not wrap.
+                has_whole = any(graph.dtypes[a] == INT for a in graph.arguments[node])
+                known = None if has_whole else OPERATIONS[operation].python
                 function = known or _evaluated_by(graph, node)
                 if len(arguments) > 2:
                     self._steps.append((at, _of_all(function, arguments), _ALL, _NONE))
@@ -73,29 +74,3 @@ def _evaluated_by(graph: Graph, node: int) -> Callable:
         return graph.evaluated(graph.operations[node], operands, graph.parameters[node]).item()
 
     return evaluated
-
-
-def _root(a: float) -> float:
-    return math.sqrt(a) if a >= 0 else math.nan
-
-
-_COMPUTE: dict[str, Callable] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": lambda a, b: a / b if b else float(np.divide(a, b)),
-    "neg": operator.neg,
-    "pow": lambda a, b: float(np.power(a, b)),
-    "sqrt": _root,
-    "select": lambda predicate, on_false, on_true: on_true if predicate else on_false,
-    "root_guarded_at_zero": _root,
-    "sin": math.sin,
-    "cos": math.cos,
-    "atan2": math.atan2,
-    "abs": abs,
-    "lt": operator.lt,
-    "le": operator.le,
-    "gt": operator.gt,
-    "ge": operator.ge,
-    "eq": operator.eq,
-}

@@ -4,11 +4,12 @@ A function has the binary interface of `jax.ffi` (`xla/ffi/api/c_api.h`, version
 a frame, in which it finds where the numbers of its arguments are, and where its results are to go.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from spherejax.compiler.graph import BOOL, FLOAT, INT
+from spherejax.compiler.operations import BOOL, DOUBLE, KINDS, OPERATIONS, WHOLE, Call
 
 LARGEST_FRAME = 2**18
 """Bytes of values that a function may have at once, at most: lanes are taken fewer at a time in larger programs, for a
@@ -16,28 +17,6 @@ thread of XLA's pool has a stack of a few megabytes."""
 
 LANES_AT_A_TIME = 8
 """Numbers in the widest vectors there are, 512 bits."""
-
-LIBRARY = frozenset(
-    [
-        "exp", "exp2", "log", "log1p", "expm1", "tanh", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
-        "cosh", "asinh", "acosh", "atanh", "cbrt", "pow", "erf", "erfc", "nextafter", "rem",
-    ]
-)  # fmt: skip
-"""Functions of the mathematical library, by JAX's names."""
-
-INTRINSIC = {
-    "sqrt": "sqrt", "root_guarded_at_zero": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil",
-    "max": "maximum", "min": "minimum",
-}  # fmt: skip
-"""Functions that LLVM has itself; of a maximum, NaN wins."""
-
-COMPARED = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
-COMPARED_WHOLE = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}
-_NOTHING = frozenset(["stop_gradient", "marked"])
-_ARITHMETIC = frozenset(["add", "sub", "mul"])
-_LOGIC = frozenset(["and", "or", "xor"])
-_OF_FLOATS = LIBRARY | INTRINSIC.keys() | {"div", "neg", "rsqrt", "clamp", "sign", "is_finite", "logistic", "round"}
-_OF_ANY = frozenset(["select", *_NOTHING])
 
 
 def can_be_written(line: Any) -> bool:
@@ -51,21 +30,13 @@ def can_be_written(line: Any) -> bool:
 
 
 def _is_known(graph: Any, node: int) -> bool:
-    name = _name(graph.operations[node])
-    dtypes = {graph.dtypes[a] for a in graph.arguments[node]}
-    if name in _OF_ANY:
-        return True
-    if name in _ARITHMETIC:
-        return dtypes <= {FLOAT, INT}
-    if name in COMPARED:
-        return dtypes in ({FLOAT}, {INT}) or (name in ("eq", "ne") and dtypes == {BOOL})
-    if name in _LOGIC or name == "not":
-        return dtypes == {BOOL}
-    return name in _OF_FLOATS and dtypes == {FLOAT}
+    return OPERATIONS[graph.operations[node]].can_be_llvm(_call(graph, node))
 
 
-def _name(operation: Any) -> str:
-    return operation if isinstance(operation, str) else operation.name
+def _call(graph: Any, node: int) -> Call:
+    kinds = tuple(KINDS[graph.dtypes[a]] for a in graph.arguments[node])
+    parameters = () if graph.operations[node] == "marked" else graph.parameters[node]  # which has its slope there
+    return Call(kinds, KINDS[graph.dtypes[node]], dict(parameters) if parameters else {})
 
 
 FUNCTION = "PROGRAM"
@@ -125,7 +96,61 @@ def widest_for(*lines: Any) -> int:
 
 
 def _element(dtype: np.dtype, in_memory: bool) -> str:
-    return {FLOAT: "double", INT: "i64", BOOL: "i8" if in_memory else "i1"}[dtype]
+    return "i8" if in_memory and dtype == BOOL else KINDS[dtype]
+
+
+def constant(value: Any, kind: str) -> str:
+    """A number, exactly."""
+    if kind == DOUBLE:
+        return f"0x{int(np.float64(value).view(np.uint64)):016X}"
+    return str(int(value)) if kind == WHOLE else "true" if value else "false"
+
+
+class Numbers:
+    """Writes operations on numbers, or on vectors of some; a `LlvmWriter`.
+
+    Args:
+        made: adds an instruction, and gives the name of its result.
+        declared: functions that the instructions call.
+        size: how many numbers a value is.
+    """
+
+    def __init__(self, made: Callable[[str], str], declared: dict[str, None], size: int):
+        self.made, self._declared, self._size = made, declared, size
+
+    def type(self, kind: str) -> str:
+        """The type of numbers of a kind."""
+        return f"<{self._size} x {kind}>" if self._size > 1 else kind
+
+    def number(self, value: Any, kind: str) -> str:
+        """A constant."""
+        text = constant(value, kind)
+        return text if self._size == 1 else "<" + ", ".join([f"{kind} {text}"] * self._size) + ">"
+
+    def intrinsic(self, word: str, kind: str, *names: str, result: str | None = None) -> str:
+        """A function that LLVM has itself; `result` where it gives another kind than it takes."""
+        typed, to = self.type(kind), self.type(result or kind)
+        marks = "".join(f".{self._mark(each)}" for each in ([result, kind] if result else [kind]))
+        name = f"@llvm.{word}{marks}"
+        self._declared[f"declare {to} {name}({', '.join([typed] * len(names))})"] = None
+        return self.made(f"call {to} {name}({', '.join(f'{typed} {each}' for each in names)})")
+
+    def _mark(self, kind: str) -> str:
+        element = {DOUBLE: "f64"}.get(kind, kind)
+        return f"v{self._size}{element}" if self._size > 1 else element
+
+    def library(self, word: str, *names: str) -> str:
+        """A function of the mathematical library, of one number after the other: it has none of vectors."""
+        needs = ", ".join(["double"] * len(names))
+        self._declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
+        if self._size == 1:
+            return self.made(f"call double @{word}({', '.join(f'double {each}' for each in names)})")
+        typed, whole = self.type(DOUBLE), "poison"
+        for i in range(self._size):
+            each = [self.made(f"extractelement {typed} {name}, i64 {i}") for name in names]
+            found = self.made(f"call double @{word}({', '.join(f'double {x}' for x in each)})")
+            whole = self.made(f"insertelement {typed} {whole}, double {found}, i64 {i}")
+        return whole
 
 
 class FunctionText:
@@ -149,7 +174,7 @@ class FunctionText:
         self.n_runs = n_runs
         self.width = 1 if n_runs > 1 else min(self.n_lanes, widest_for(line))
         self.lines: list[str] = []
-        self.declared: set[str] = set()
+        self.declared: dict[str, None] = {}
         self.values: dict[int, str] = {}
         self.wide: dict[int, str] = {}
         self.place: dict[int, tuple[int, int]] = {}
@@ -159,6 +184,8 @@ class FunctionText:
             if node not in self.place and self.graph.operations[node] == "input":
                 self.place[node] = self.graph.parameters[node]
         self.in_loop = False
+        self._of_one = Numbers(self._made, self.declared, self._size(False))
+        self._of_all_lanes = Numbers(self._made, self.declared, self._size(True))
 
     # Small things -----------------------------------------------------------------------------------------------------
 
@@ -176,12 +203,7 @@ class FunctionText:
         return f"<{size} x {element}>" if size > 1 else element
 
     def _constant(self, value: Any, dtype: np.dtype, is_wide: bool) -> str:
-        if dtype == FLOAT:
-            text = f"0x{int(np.float64(value).view(np.uint64)):016X}"
-        else:
-            text = str(int(value)) if dtype == INT else "true" if value else "false"
-        size = self._size(is_wide)
-        return text if size == 1 else "<" + ", ".join([f"{_element(dtype, False)} {text}"] * size) + ">"
+        return (self._of_all_lanes if is_wide else self._of_one).number(value, KINDS[dtype])
 
     def _over_lanes(self, value: str, dtype: np.dtype) -> str:
         if self.width == 1:
@@ -229,79 +251,9 @@ class FunctionText:
 
     def _node(self, node: int) -> str:
         graph, is_wide = self.graph, bool(self.spread[node])
-        name, arguments = _name(graph.operations[node]), graph.arguments[node]
-        values = [self._value(a, is_wide) for a in arguments]
-        dtype, of = graph.dtypes[node], graph.dtypes[arguments[0]]
-        kind, kind_of = self._type(dtype, is_wide), self._type(of, is_wide)
-        if name == "select":
-            predicate, on_false, on_true = values
-            return self._made(f"select {self._type(BOOL, is_wide)} {predicate}, {kind} {on_true}, {kind} {on_false}")
-        if name in _NOTHING:
-            return values[0]
-        if name in _ARITHMETIC:  # as XLA does, a product and a sum may be one operation
-            word = f"f{name} contract" if of == FLOAT else name
-            return self._made(f"{word} {kind} {values[0]}, {values[1]}")
-        if name in COMPARED:
-            word = f"fcmp {COMPARED[name]}" if of == FLOAT else f"icmp {COMPARED_WHOLE[name]}"
-            return self._made(f"{word} {kind_of} {values[0]}, {values[1]}")
-        if name in _LOGIC:
-            return self._made(f"{name} {kind} {values[0]}, {values[1]}")
-        if name == "not":
-            return self._made(f"xor {kind} {values[0]}, {self._constant(True, BOOL, is_wide)}")
-        if name in LIBRARY:
-            return self._of_library("fmod" if name == "rem" else name, values, is_wide)
-        if name in INTRINSIC:
-            return self._intrinsic(INTRINSIC[name], values, is_wide)
-        return self._of_float(name, node, values, is_wide)
-
-    def _of_float(self, name: str, node: int, values: list[str], is_wide: bool) -> str:
-        def number(x: float) -> str:
-            return self._constant(x, FLOAT, is_wide)
-
-        kind, truth = self._type(FLOAT, is_wide), self._type(BOOL, is_wide)
-        (a, *others) = values
-        if name == "div":
-            return self._made(f"fdiv {kind} {a}, {others[0]}")
-        if name == "neg":
-            return self._made(f"fneg {kind} {a}")
-        if name == "rsqrt":
-            return self._made(f"fdiv {kind} {number(1)}, {self._intrinsic('sqrt', [a], is_wide)}")
-        if name == "clamp":
-            low, x, high = values
-            return self._intrinsic("minimum", [self._intrinsic("maximum", [x, low], is_wide), high], is_wide)
-        if name == "sign":  # of NaN and of zeros what they are
-            above = self._made(f"fcmp ogt {kind} {a}, {number(0)}")
-            below = self._made(f"fcmp olt {kind} {a}, {number(0)}")
-            found = self._made(f"select {truth} {below}, {kind} {number(-1)}, {kind} {a}")
-            return self._made(f"select {truth} {above}, {kind} {number(1)}, {kind} {found}")
-        if name == "is_finite":
-            return self._made(f"fcmp olt {kind} {self._intrinsic('fabs', [a], is_wide)}, {number(np.inf)}")
-        if name == "logistic":
-            falling = self._of_library("exp", [self._made(f"fneg {kind} {a}")], is_wide)
-            return self._made(f"fdiv {kind} {number(1)}, {self._made(f'fadd {kind} {number(1)}, {falling}')}")
-        assert name == "round", name  # 0 is away from zero, 1 to the nearest even
-        method = int(dict(self.graph.parameters[node])["rounding_method"])
-        return self._intrinsic("roundeven" if method else "round", [a], is_wide)
-
-    def _intrinsic(self, word: str, values: list[str], is_wide: bool) -> str:
-        kind, size = self._type(FLOAT, is_wide), self._size(is_wide)
-        name = f"@llvm.{word}.{f'v{size}f64' if size > 1 else 'f64'}"
-        self.declared.add(f"declare {kind} {name}({', '.join([kind] * len(values))})")
-        return self._made(f"call {kind} {name}({', '.join(f'{kind} {value}' for value in values)})")
-
-    def _of_library(self, name: str, values: list[str], is_wide: bool) -> str:
-        self.declared.add(
-            f"declare double @{name}({', '.join(['double'] * len(values))}) nounwind willreturn memory(none)"
-        )
-        size = self._size(is_wide)
-        if size == 1:
-            return self._made(f"call double @{name}({', '.join(f'double {value}' for value in values)})")
-        kind, whole = self._type(FLOAT, is_wide), "poison"
-        for i in range(size):
-            each = [self._made(f"extractelement {kind} {value}, i64 {i}") for value in values]
-            found = self._made(f"call double @{name}({', '.join(f'double {value}' for value in each)})")
-            whole = self._made(f"insertelement {kind} {whole}, double {found}, i64 {i}")
-        return whole
+        values = [self._value(a, is_wide) for a in graph.arguments[node]]
+        writer = self._of_all_lanes if is_wide else self._of_one
+        return OPERATIONS[graph.operations[node]].in_llvm(writer, _call(graph, node), *values)
 
     # The whole --------------------------------------------------------------------------------------------------------
 
@@ -322,7 +274,7 @@ class FunctionText:
         ]
         begin = f"define internal void @{name}({', '.join(pointers)}) nounwind {{\nwork:"
         body = self._body()
-        return self.declared, "\n".join([begin, *body, "  ret void", "}", ""])
+        return set(self.declared), "\n".join([begin, *body, "  ret void", "}", ""])
 
     @property
     def n_arguments(self) -> int:

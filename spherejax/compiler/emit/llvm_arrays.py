@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spherejax.compiler.emit.llvm import LANES_AT_A_TIME
+from spherejax.compiler.emit.llvm import LANES_AT_A_TIME, Numbers, constant
 from spherejax.compiler.emit.llvm_vectors import spread_out
 
 LARGE = 4096
@@ -80,13 +80,6 @@ def kind_of(dtype: Any) -> str:
 def stored_as(kind: str) -> str:
     """How entries of an array are kept in memory."""
     return "i8" if kind == "i1" else kind
-
-
-def constant(value: Any, kind: str) -> str:
-    """A number, exactly."""
-    if kind == "double":
-        return f"0x{int(np.float64(value).view(np.uint64)):016X}"
-    return str(int(value)) if kind == "i64" else "true" if value else "false"
 
 
 class ArrayText:
@@ -300,29 +293,14 @@ class ArrayText:
 
     # Numbers ----------------------------------------------------------------------------------------------------------
 
-    def intrinsic(self, word: str, kind: str, width: int, *names: str, flags: str = "") -> str:
-        """A function that LLVM has itself."""
-        typed, mark = vector(kind, width), {"double": "f64", "i64": "i64", "i1": "i1"}[kind]
-        name = f"@llvm.{word}.{f'v{width}{mark}' if width > 1 else mark}"
-        self.declared[f"declare {typed} {name}({', '.join([typed] * len(names))})"] = None
-        return self.made(f"call {flags}{typed} {name}({', '.join(f'{typed} {each}' for each in names)})")
-
-    def library(self, word: str, width: int, *names: str) -> str:
-        """A function of the mathematical library, of one number after the other."""
-        needs = ", ".join(["double"] * len(names))
-        self.declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
-        if width == 1:
-            return self.made(f"call double @{word}({', '.join(f'double {each}' for each in names)})")
-        typed, whole = vector("double", width), "poison"
-        for i in range(width):
-            each = [self.made(f"extractelement {typed} {name}, i64 {i}") for name in names]
-            found = self.made(f"call double @{word}({', '.join(f'double {x}' for x in each)})")
-            whole = self.made(f"insertelement {typed} {whole}, double {found}, i64 {i}")
-        return whole
+    def at(self, width: int) -> "Entries":
+        """Writes operations on so many entries at a time."""
+        return Entries(self, width)
 
     def clamped(self, name: str, low: int, high: int) -> str:
         """A whole number within bounds."""
-        return self.intrinsic("smin", "i64", 1, self.intrinsic("smax", "i64", 1, name, str(low)), str(high))
+        one = self.at(1)
+        return one.intrinsic("smin", "i64", one.intrinsic("smax", "i64", name, str(low)), str(high))
 
     def folded(self, value: Value, entries: Sequence[int], start: str, join: Callable[..., str]) -> str:
         """Entries of an array put together, in vectors where they stand in one piece.
@@ -356,6 +334,18 @@ class ArrayText:
                 parts = [self.made(f"extractelement <1 x {kind}> {part}, i64 0") for part in parts]
             name, size = join(half, *parts), half
         return name
+
+
+class Entries(Numbers):
+    """Writes operations on some entries of an array at a time."""
+
+    def __init__(self, text: ArrayText, width: int):
+        super().__init__(text.made, text.declared, width)
+        self._text, self._width = text, width
+
+    def number(self, value: Any, kind: str) -> str:
+        """A constant; spread by instructions, as all that arrays share is: LLVM sees through them."""
+        return self._text.spread(constant(value, kind), kind, self._width)
 
 
 def vector(kind: str, width: int) -> str:

@@ -1,7 +1,6 @@
 """Writes the operations of scalar programs in the compiler's language, StableHLO, lanes included."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,8 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import mlir
 
-from spherejax.compiler.graph import BOOL, FLOAT, INT
+from spherejax.compiler.graph import by_jax
+from spherejax.compiler.operations import BOOL, FLOAT, INT, OPERATIONS
 
 Shape = tuple[int, ...]
 
@@ -57,19 +57,16 @@ class Writer:
         if operation == "input":
             return self._entry(*graph.parameters[node])
         arguments = [self._over(self.spread[node], a) for a in graph.arguments[node]]
-        name = operation if isinstance(operation, str) else operation.name
-        write = WRITE.get(name)
-        if write is not None and not (name in _OF_FLOATS and graph.dtypes[graph.arguments[node][0]] != FLOAT):
-            return write(*arguments)
-        return self._by_jax(node, operation, arguments)
+        write = OPERATIONS[operation].stablehlo
+        return self._by_jax(node, operation, arguments) if write is None else write(*arguments)
 
-    def _by_jax(self, node: int, operation: Any, arguments: list) -> Any:
+    def _by_jax(self, node: int, operation: str, arguments: list) -> Any:
         """An operation as JAX writes it."""
         graph, shape = self.graph, sizes(self.lanes, self.spread[node])
-        primitive = partial(operation.bind, **dict(graph.parameters[node]))
+        function = by_jax(operation, graph.parameters[node])
         avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
         context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])
-        (found,) = mlir.lower_fun(primitive, multiple_results=False)(context, *arguments)
+        (found,) = mlir.lower_fun(function, multiple_results=False)(context, *arguments)
         return found
 
     def _type(self, dtype: np.dtype, axes: int) -> Any:
@@ -113,46 +110,3 @@ class Writer:
         parts = [rows[node] for node in nodes]
         whole = parts[0] if len(parts) == 1 else stablehlo.concatenate(parts, mlir.i64_attr(0))
         return stablehlo.reshape(ir.RankedTensorType.get((*output.shape, *lanes), element), whole)
-
-
-def _compared(direction: str) -> Callable:
-    def write(a, b):
-        kind = stablehlo.ComparisonTypeAttr.get("FLOAT")
-        return stablehlo.compare(a, b, stablehlo.ComparisonDirectionAttr.get(direction), compare_type=kind)
-
-    return write
-
-
-def _root_guarded_at_zero(a: Any) -> Any:
-    # Its value is the root's; what is guarded is the derivative, which is not taken of what is written here.
-    return stablehlo.sqrt(a)
-
-
-WRITE: dict[str, Callable] = {
-    "add": stablehlo.add,
-    "sub": stablehlo.subtract,
-    "mul": stablehlo.multiply,
-    "div": stablehlo.divide,
-    "neg": stablehlo.negate,
-    "sqrt": stablehlo.sqrt,
-    "pow": stablehlo.power,
-    "root_guarded_at_zero": _root_guarded_at_zero,
-    "marked": lambda a: a,
-    "select": lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
-    "max": stablehlo.maximum,
-    "min": stablehlo.minimum,
-    "abs": stablehlo.abs,
-    "and": stablehlo.and_,
-    "or": stablehlo.or_,
-    "not": stablehlo.not_,
-    "lt": _compared("LT"),
-    "le": _compared("LE"),
-    "gt": _compared("GT"),
-    "ge": _compared("GE"),
-    "eq": _compared("EQ"),
-    "ne": _compared("NE"),
-}
-"""How the most frequent operations are written; JAX writes the others."""
-
-_OF_FLOATS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "max", "min", "abs"})
-"""Those that are written differently for integers and booleans."""

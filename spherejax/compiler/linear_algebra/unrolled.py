@@ -4,40 +4,43 @@ Rows are taken in an order that keeps structural zeros (minimum degree). Only en
 looked at, so that the work of making a program grows with its size.
 """
 
-import jax
+from typing import Any
+
 import numpy as np
 
-from spherejax.compiler.graph import BOOL, FLOAT, Graph, NotScalarizable
+from spherejax.compiler.graph import Graph
 from spherejax.compiler.linear_algebra.block_pattern import BlockPattern, minimum_degree_order
 from spherejax.compiler.linear_algebra.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.compiler.operations import BOOL, FLOAT, NotScalarizable
 
 
-def _symmetric_solve(graph, inputs, parameters, shapes, dtypes):
-    del dtypes
-    matrix, right_side = inputs
+def symmetric_solve(
+    graph: Graph, matrix: np.ndarray, right_side: np.ndarray, *, smallest_pivot: float, **_: Any
+) -> np.ndarray:
+    """Names of the entries of the solution; arguments and parameters as of the primitive `symmetric_solve`."""
     size, columns = right_side.shape[-2:]
     matrices = matrix.reshape(-1, size, size)
     right_sides = right_side.reshape(-1, size, columns)
-    smallest = parameters["smallest_pivot"]
     systems = zip(matrices, right_sides, strict=True)
-    solved = [_eliminate(graph, _lower_rows(graph, m), b, smallest) for m, b in systems]
-    return [np.array(solved, np.int64).reshape(shapes[0])]
+    solved = [_eliminate(graph, _lower_rows(graph, m), b, smallest_pivot) for m, b in systems]
+    return np.array(solved, np.int64).reshape(right_side.shape)
 
 
-def _block_solve(graph, inputs, parameters, shapes, dtypes):
-    del dtypes
-    pattern: BlockPattern = parameters["pattern"]
-    diagonal, pairs, right = inputs
+def block_solve(
+    graph: Graph, diagonal: np.ndarray, pairs: np.ndarray, right: np.ndarray, *, pattern: BlockPattern,
+    smallest_pivot: float, **_: Any,
+) -> np.ndarray:  # fmt: skip
+    """As `symmetric_solve`, of a matrix of blocks; arguments and parameters as of the primitive `block_solve`."""
     n, m, columns = right.shape[-3:]
-    size, smallest = int(np.prod(right.shape[:-3])), parameters["smallest_pivot"]
+    size = int(np.prod(right.shape[:-3]))
     batches = zip(
         diagonal.reshape(size, n, m, m),
         pairs.reshape(size, len(pattern.pairs), m, m),
         right.reshape(size, n * m, columns),
         strict=True,
     )
-    solved = [_eliminate(graph, _lower_rows_of_blocks(graph, pattern, d, p), b, smallest) for d, p, b in batches]
-    return [np.array(solved, np.int64).reshape(shapes[0])]
+    solved = [_eliminate(graph, _lower_rows_of_blocks(graph, pattern, d, p), b, smallest_pivot) for d, p, b in batches]
+    return np.array(solved, np.int64).reshape(right.shape)
 
 
 Rows = list[dict[int, int]]
@@ -121,16 +124,15 @@ def _inverse_unless_small(
     """1 / pivot, or 0 where its magnitude is rounding of `scale`; the guarded divisor keeps derivatives finite."""
     one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
     smallest = graph.mul(scale, graph.constant(smallest_pivot, FLOAT))
-    is_redundant = graph.apply(jax.lax.le_p, (magnitude, smallest), BOOL, ())
+    is_redundant = graph.apply("le", (magnitude, smallest), BOOL, ())
     return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
 
 
-def _general_solve(graph, inputs, parameters, shapes, dtypes):
-    del parameters, dtypes
-    matrix, right_side = inputs
+def general_solve(graph: Graph, matrix: np.ndarray, right_side: np.ndarray, **_: Any) -> np.ndarray:
+    """As `symmetric_solve`, of a matrix without symmetry."""
     if matrix.ndim != 2 or right_side.shape[1] != 1:
         raise NotScalarizable("a general solve for several matrices or right-hand sides")
-    return [_eliminate_general(graph, matrix, right_side[:, 0]).reshape(shapes[0])]
+    return _eliminate_general(graph, matrix, right_side[:, 0]).reshape(right_side.shape)
 
 
 def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray) -> np.ndarray:
@@ -157,7 +159,7 @@ def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray)
                 product = graph.mul(factor, a[j][k])
                 a[i][k] = graph.sub(a[i][k], product)
                 if k == i and i in contributed:
-                    size_of = graph.apply(jax.lax.abs_p, (product,), FLOAT, ())
+                    size_of = graph.apply("abs", (product,), FLOAT, ())
                     contributed[i] = graph.add(contributed[i], size_of)
             x[i] = graph.sub(x[i], graph.mul(factor, x[j]))
     for j in reversed(range(size)):
@@ -173,7 +175,7 @@ def _inverse_of_contributions(graph: Graph, pivot: int, contributed: int | None)
     """1 / pivot, or 0 where what made the pivot has cancelled; None: the row has a diagonal entry of its own."""
     if contributed is None:
         return graph.div(graph.constant(1, FLOAT), pivot)
-    magnitude = graph.apply(jax.lax.abs_p, (pivot,), FLOAT, ())
+    magnitude = graph.apply("abs", (pivot,), FLOAT, ())
     return _inverse_unless_small(graph, pivot, magnitude, contributed)
 
 
@@ -193,7 +195,3 @@ def _minimum_degree_order(is_nonzero: np.ndarray) -> list[int]:
     joined = is_nonzero | is_nonzero.T
     neighbors = {i: set(np.flatnonzero(row).tolist()) - {i} for i, row in enumerate(joined)}
     return minimum_degree_order(neighbors, np.flatnonzero(~np.diagonal(is_nonzero)).tolist())
-
-
-SOLVES = {"symmetric_solve": _symmetric_solve, "block_solve": _block_solve, "general_solve": _general_solve}
-"""Rule of each primitive, as in `rules.RULES`."""

@@ -31,9 +31,9 @@ from spherejax.compiler.emit.llvm_vectors import (
     stored,
     summing,
 )
-from spherejax.compiler.graph import BOOL, FLOAT
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.groups import Operand, RunGroups, function_of
+from spherejax.compiler.operations import BOOL, FLOAT
 from spherejax.compiler.primitive import Moves, StraightLine
 
 LARGEST_STATE = 512

@@ -26,11 +26,12 @@ from jax.extend import core as jex
 from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
+from spherejax.compiler.array_operations import ARRAY_OPERATIONS
 from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loops import INLINED, looped
+from spherejax.compiler.native.loops import looped
+from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, inner_program
 from spherejax.compiler.primitive import is_called
-from spherejax.compiler.rules import ELEMENTWISE, STRUCTURAL
 from spherejax.compiler.trace import counts_of_loop
 
 SMALLEST_KERNEL = 2
@@ -48,18 +49,13 @@ LARGEST_PART = 64
 """Entries of an array that is passed on as a part of a vector, at most."""
 
 
-_JOINED = (ELEMENTWISE | STRUCTURAL | {
-    "add", "sub", "mul", "div", "neg", "pow", "integer_pow", "sqrt", "square", "select_n", "iota",
-    "convert_element_type", "reduce_and", "reduce_or", "reduce_max", "reduce_min", "reduce_sum", "reduce_prod",
-    "dot_general", "straight_line", "while", "scan", "cond", "platform_index", *INLINED,
-    "maybe_set", "nonbatchable", "select_if_vmap", "unvmap_any", "unvmap_all", "unvmap_max",  # of equinox
-}) - {"scatter"}  # fmt: skip
+_FUSED = frozenset([
+    *OF_PRIMITIVE, *(name for name, each in ARRAY_OPERATIONS.items() if each.fuses), *INNER_PROGRAM,
+    "straight_line", "while", "scan", "cond", "platform_index",
+    "maybe_set", "select_if_vmap", "unvmap_any", "unvmap_all", "unvmap_max",  # of equinox
+])  # fmt: skip
 """Operations that a kernel may have. Of others XLA calls a library, or has no way to write them into a function: they
 stand alone, and so does what has an effect."""
-
-
-_SUMMED = frozenset(["reduce_and", "reduce_or", "reduce_max", "reduce_min", "reduce_sum", "reduce_prod", "dot_general"])
-"""Operations that may be handed to a library where they are large."""
 
 
 def in_few_kernels(function: Callable) -> Callable:
@@ -95,17 +91,22 @@ def _is_alone(equation: Any) -> bool:
     return all(_is_alone(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
 
 
+def _reduces(name: str) -> bool:
+    """Whether an operation may be handed to a library where it is large."""
+    return name in ARRAY_OPERATIONS and ARRAY_OPERATIONS[name].reduces
+
+
 def _joins(equation: Any) -> bool:
     """Whether an operation may be part of a kernel."""
     if equation.effects or _calls(equation):
         return False
     if any(getattr(out.aval, "size", 0) > LARGEST_JOINED for out in equation.outvars):
         return False
-    if equation.primitive.name in _SUMMED and any(a.aval.size > LARGEST_SUMMED for a in equation.invars):
+    if _reduces(equation.primitive.name) and any(a.aval.size > LARGEST_SUMMED for a in equation.invars):
         return False
     if equation.primitive.name == "scatter":  # in one place: to XLA an update of a slice
         return math.prod(equation.invars[1].aval.shape[:-1]) == 1
-    if equation.primitive.name not in _JOINED:
+    if equation.primitive.name not in _FUSED:
         return False
     return all(_joins(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
 
@@ -259,9 +260,8 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
         known.update(zip(equation.outvars, found or _while(parameters, values), strict=True))
         return
     values = [*map(_whole, values)]
-    if name in INLINED:
-        inner = parameters[INLINED[name]]
-        found = _evaluated(inner.jaxpr, inner.consts, values, is_loop)
+    if (inner := inner_program(name, parameters)) is not None:
+        found = _evaluated(*inner, values, is_loop)
     elif name == "scan":
         loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
         found = _evaluated(loop.jaxpr, loop.consts, values, is_loop)

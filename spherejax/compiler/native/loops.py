@@ -2,7 +2,7 @@
 
 XLA calls a kernel for each few operations of a loop that calls machine code, and compiles each of them: half of a first
 call of a dry joint, and a sixth of its run time. A run on its own is a few arrays and many numbers. Here its loop is
-written in LLVM's language as a whole: loops and branches as they are, operations by `array_rules`, and calls of other
+written in LLVM's language as a whole: loops and branches as they are, operations by their records, and calls of other
 machine code (stages of a step) by the frame that XLA would give them.
 
 What has no rule is left to XLA, as a whole loop (`loop_fusion`).
@@ -19,7 +19,7 @@ from jax.core import ShapedArray
 from jax.extend import core as jex
 from jax.interpreters import batching, mlir
 
-from spherejax.compiler.emit.array_rules import RULES
+from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
 from spherejax.compiler.emit.llvm import DATA, FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
     LARGE,
@@ -32,17 +32,9 @@ from spherejax.compiler.emit.llvm_arrays import (
 )
 from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE
 from spherejax.compiler.primitive import is_called
 from spherejax.compiler.trace import counts_of_loop
-
-INLINED = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "eval_jaxpr": "call_jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-}
-"""Operations that stand for a program, and where it is."""
 
 _loop = jex.Primitive("loop_in_machine_code")
 _loop.multiple_results = True
@@ -182,8 +174,8 @@ class LoopText:
         avals = [out.aval for out in equation.outvars]
         if equation.effects:
             raise NotWrittenError(f"the operation {name!r} has an effect")
-        if name in INLINED:
-            return self.program(parameters[INLINED[name]], values)
+        if name in INNER_PROGRAM:
+            return self.program(parameters[INNER_PROGRAM[name]], values)
         if name == "while":
             return self.loop(parameters, values, [None] * len(avals))
         if name == "scan":
@@ -198,9 +190,11 @@ class LoopText:
             return self.line(parameters, values, avals)
         if name in machine_code.TARGETS:
             return self.call(machine_code.TARGETS[name]([a.aval for a in equation.invars], **parameters), values, avals)
-        if name not in RULES:
-            raise NotWrittenError(f"the operation {name!r} has no rule")
-        return RULES[name](self.text, values, parameters, avals)
+        if (operation := OF_PRIMITIVE.get(name)) is not None:
+            return written_by_entry(self.text, operation, values, parameters, avals)
+        if (on_arrays := ARRAY_OPERATIONS.get(name)) is not None and on_arrays.llvm is not None:
+            return on_arrays.llvm(self.text, values, parameters, avals)
+        raise NotWrittenError(f"the operation {name!r} has no rule")
 
     # Loops and branches -----------------------------------------------------------------------------------------------
 

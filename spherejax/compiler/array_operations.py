@@ -1,0 +1,590 @@
+"""What an operation on whole arrays is: one record for each.
+
+In a scalar program such an operation is no operation: entries change their places (`reshape`, `gather`), or are put
+together by several operations on numbers (`reduce_sum`, `dot_general`, a linear solve). So it needs no derivative, no
+evaluation, no StableHLO and no C: those are of the operations on numbers that it becomes. It has two rules of its own,
+where records of `operations` have ten: one on arrays of names of nodes, and one for loops in LLVM's language, where
+arrays stay arrays in memory and indices may be known only when the program runs.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from spherejax.compiler.emit.llvm_arrays import (
+    LARGE,
+    LARGEST_WRITTEN_OUT,
+    ArrayText,
+    NotWrittenError,
+    Value,
+    chunks,
+    constant,
+    kind_of,
+    vector,
+)
+from spherejax.compiler.graph import Graph
+from spherejax.compiler.linear_algebra.unrolled import block_solve, general_solve, symmetric_solve
+from spherejax.compiler.operations import (
+    BOOL,
+    DOUBLE,
+    FLOAT,
+    INT,
+    OPERATIONS,
+    TRUTH,
+    WHOLE,
+    Call,
+    NotScalarizable,
+    ScalarOperation,
+)
+
+
+class Use(NamedTuple):
+    """One use of an operation on arrays of names.
+
+    Attributes:
+        primitive, parameters: of JAX.
+        shapes, dtypes: of the results; dtypes as nodes have them.
+    """
+
+    primitive: Any
+    parameters: Mapping[str, Any]
+    shapes: Sequence[tuple[int, ...]]
+    dtypes: Sequence[np.dtype]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayOperation:
+    """What an operation on whole arrays is.
+
+    Attributes:
+        name: of the primitive.
+        names: from a graph, arrays of names of nodes, and a `Use` to arrays of names; None where a scalar program
+            cannot have it.
+        llvm: from an `ArrayText`, values, parameters and the results' shapes and types to values; None where XLA is
+            left to compile the loop.
+        fuses: whether XLA can write it into a kernel of several operations; see `native.loop_fusion`.
+        reduces: whether XLA may hand it to a library where it is large.
+        solves: whether it is a linear solve, whose derivative rule is shorter than the derivative of its elimination.
+    """
+
+    name: str
+    names: Callable[[Graph, Sequence[np.ndarray], Use], list[np.ndarray]] | None = None
+    llvm: Callable[[ArrayText, Sequence[Value], Any, Sequence[Any]], list[Value]] | None = None
+    fuses: bool = True
+    reduces: bool = False
+    solves: bool = False
+
+
+# Operations on numbers, entry by entry --------------------------------------------------------------------------------
+
+
+def by_entry(graph: Graph, operation: ScalarOperation, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    """The names of what an operation on numbers gives for each entry."""
+    (shape,), (dtype,) = use.shapes, use.dtypes
+    if (rule := operation.folded) is not None:
+        return [_entrywise(lambda *nodes: rule(graph, *nodes, **use.parameters), *inputs, shape=shape)]
+    frozen = tuple(sorted(use.parameters.items()))  # equal uses are one node, so that parameters are hashed
+    return [_entrywise(lambda *nodes: graph.apply(operation.name, nodes, dtype, frozen), *inputs, shape=shape)]
+
+
+def _entrywise(node: Callable[..., int], *arrays: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    flat = [np.broadcast_to(array, shape).ravel() for array in arrays]
+    names = [node(*map(int, entry)) for entry in zip(*flat, strict=True)]
+    return np.array(names, np.int64).reshape(shape)
+
+
+def written_by_entry(
+    text: ArrayText, operation: ScalarOperation, values: Sequence[Value], parameters: Any, avals: Sequence[Any]
+) -> list[Value]:
+    """As `by_entry`, in LLVM's language."""
+    (aval,) = avals
+    call = Call(tuple(value.kind for value in values), kind_of(aval.dtype), parameters)
+    if not operation.can_be_llvm(call):
+        raise NotWrittenError(f"{operation.name} of {' and '.join(call.kinds)}")
+    if operation.copies and call.kinds == (call.kind,):
+        return [values[0].as_shape(aval.shape)]  # nothing is written: it stays where it is
+
+    def write(width: int, *names: str) -> str:
+        return operation.in_llvm(text.at(width), call, *names)
+
+    return [text.entrywise(aval.shape, call.kind, values, write)]
+
+
+def _selected(text: ArrayText, which: str, on_false: Value, on_true: Value, shape: Sequence[int]) -> Value:
+    aval = jax.ShapeDtypeStruct(tuple(shape), _DTYPES[on_true.kind])
+    values = [Value((), TRUTH, which), on_false, on_true]
+    return written_by_entry(text, OPERATIONS["select"], values, {}, [aval])[0]
+
+
+_DTYPES = {DOUBLE: np.float64, WHOLE: np.int64, TRUTH: np.bool_}
+
+
+# What moves entries ---------------------------------------------------------------------------------------------------
+
+Moves = Callable[[Sequence[np.ndarray], Any], list[np.ndarray]]
+
+
+def _solving(name: str, solve: Callable[..., np.ndarray]) -> ArrayOperation:
+    """A linear solve, which becomes an elimination; in a loop XLA is left to call its own."""
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        return [solve(graph, *inputs, **use.parameters)]
+
+    return ArrayOperation(name=name, names=names, fuses=False, solves=True)
+
+
+def _moving(name: str, moves: Moves) -> ArrayOperation:
+    """An operation whose results are entries of its arguments, at places that are known: NumPy moves whatever it is."""
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        del graph
+        outputs = moves(inputs, use.parameters)
+        return [np.broadcast_to(array, shape) for array, shape in zip(outputs, use.shapes, strict=True)]
+
+    def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
+        begins = np.cumsum([0, *(value.size for value in values)])
+        places = [b + np.arange(v.size).reshape(v.shape) for b, v in zip(begins, values, strict=False)]
+        return [
+            text.moved(values, np.broadcast_to(entries, aval.shape), kind_of(aval.dtype))
+            for entries, aval in zip(moves(places, parameters), avals, strict=True)
+        ]
+
+    return ArrayOperation(name=name, names=names, llvm=llvm)
+
+
+def _indices(name: str, graph: Graph, array: np.ndarray) -> np.ndarray:
+    """Indices that are known while the program is made: a straight line cannot look one up."""
+    if not all(graph.is_constant(int(node)) for node in array.ravel()):
+        raise NotScalarizable(f"{name!r} with an index that is computed")
+    return np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape)
+
+
+def _names_by_jax(*moved: int) -> Callable[[Graph, Sequence[np.ndarray], Use], list[np.ndarray]]:
+    """JAX moves names as it moves numbers; which arguments are moved, the others are indices."""
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        name = use.primitive.name
+        operands = [x if at in moved else _indices(name, graph, x) for at, x in enumerate(inputs)]
+        with jax.ensure_compile_time_eval():
+            found = np.asarray(use.primitive.bind(*operands, **use.parameters))
+        return [_inside(name, found)]
+
+    return names
+
+
+def _names_of_gather(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    # By NumPy: JAX would compile a program for each shape, at 20 ms.
+    array, indices = inputs
+    return [_inside("gather", _gathered(array, _indices("gather", graph, indices), use.parameters))]
+
+
+def _inside(name: str, found: np.ndarray) -> np.ndarray:
+    if np.any(found < 0):  # what fills is -1, or the least integer: the name of no node
+        raise NotScalarizable(f"{name!r} with an index out of range")
+    return found
+
+
+def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.ndarray:
+    """`jax.lax.gather` of names; out of range it gives the name -1, which no node has."""
+    how, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
+    dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
+    kept = [size for dimension, size in enumerate(sizes) if dimension not in dropped]
+    found = np.empty((*indices.shape[:-1], *kept), np.int64)
+    clips = parameters["mode"] == jax.lax.GatherScatterMode.CLIP
+    for place in np.ndindex(indices.shape[:-1]):
+        begin = np.zeros(array.ndim, np.int64)
+        begin[list(how.start_index_map)] = indices[place]
+        for dimension, of_indices in zip(how.operand_batching_dims, how.start_indices_batching_dims, strict=True):
+            begin[dimension] = place[of_indices]
+        room = np.array(array.shape) - sizes
+        begin = np.clip(begin, 0, room) if clips else begin
+        is_within = np.all((begin >= 0) & (begin <= room))
+        part = array[tuple(map(slice, begin, begin + sizes))] if is_within else np.full(sizes, -1)
+        found[place] = part.reshape(kept)
+    return np.moveaxis(found, range(found.ndim - len(kept), found.ndim), how.offset_dims)
+
+
+def _broadcast(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
+    shape, dimensions = parameters["shape"], parameters["broadcast_dimensions"]
+    aligned = [1] * len(shape)
+    for position, dimension in enumerate(dimensions):
+        aligned[dimension] = inputs[0].shape[position]
+    return [np.broadcast_to(inputs[0].reshape(aligned), shape)]
+
+
+def _slice(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
+    strides = parameters["strides"] or (1,) * inputs[0].ndim
+    bounds = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
+    return [inputs[0][tuple(slice(*bound) for bound in bounds)]]
+
+
+def _pad(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
+    array, filling = inputs
+    config = parameters["padding_config"]
+    if any(low < 0 or high < 0 or interior for low, high, interior in config):
+        raise NotScalarizable("a negative or interior padding")
+    return [np.pad(array, [(low, high) for low, high, _ in config], constant_values=int(filling))]
+
+
+# Indices that are known when the program runs -------------------------------------------------------------------------
+
+
+def _strides(shape: Sequence[int]) -> np.ndarray:
+    return np.array([int(np.prod(shape[i + 1 :], dtype=int)) for i in range(len(shape))], int)
+
+
+def _offsets(shape: Sequence[int], sizes: Sequence[int]) -> np.ndarray:
+    """Where the entries of a block of an array are, from its first one on."""
+    places = np.indices(tuple(sizes)).reshape(len(sizes), -1)
+    return (_strides(shape) @ places).astype(int).reshape(tuple(sizes)) if len(sizes) else np.zeros((), int)
+
+
+def _begin(text: ArrayText, shape: Sequence[int], starts: dict[int, str], room: dict[int, int]) -> str:
+    """Where a block begins whose place along some dimensions is known when the program runs; kept within the array."""
+    total = "0"
+    for dimension, start in starts.items():
+        if room[dimension] == 0:
+            continue
+        within = text.clamped(start, 0, room[dimension])
+        step = text.made(f"mul nsw i64 {within}, {int(_strides(shape)[dimension])}")
+        total = step if total == "0" else text.made(f"add nsw i64 {total}, {step}")
+    return total
+
+
+def _dynamic_slice(text, values, parameters, avals):
+    (aval,), (source, *starts) = avals, values
+    if any(size == 0 for size in aval.shape):
+        return [Value(aval.shape, source.kind, "")]
+    room = {d: n - size for d, (n, size) in enumerate(zip(source.shape, aval.shape, strict=True))}
+    del parameters
+    begin = _begin(text, source.shape, {d: text.read(start) for d, start in enumerate(starts)}, room)
+    return [text.picked(source, begin, _offsets(source.shape, aval.shape))]
+
+
+def _to_be_changed(text: ArrayText, value: Value) -> Value:
+    """An array to write into: a copy, or where it is large the array itself."""
+    if value.size >= LARGE:
+        return text.changed(value)
+    target = text.array(value.shape, value.kind)
+    text.copy(value, target)
+    return target
+
+
+def _dynamic_update_slice(text, values, parameters, avals):
+    del parameters, avals
+    target, source, *starts = values
+    if source.size == 0:
+        return [target]
+    room = {d: n - size for d, (n, size) in enumerate(zip(target.shape, source.shape, strict=True))}
+    begin = _begin(text, target.shape, {d: text.read(start) for d, start in enumerate(starts)}, room)
+    if target.size == 1:
+        return [source.as_shape(target.shape)]
+    target = _to_be_changed(text, target)
+    text.put(target, begin, _offsets(target.shape, source.shape), source)
+    return [target]
+
+
+def _row_of(text: ArrayText, indices: Value, row: int, n: int) -> list[str]:
+    return [text.read(indices, row * n + i) for i in range(n)]
+
+
+def _is_inside(text: ArrayText, starts: dict[int, str], room: dict[int, int]) -> str:
+    found = "true"
+    for dimension, start in starts.items():
+        above = text.made(f"icmp sge i64 {start}, 0")
+        below = text.made(f"icmp sle i64 {start}, {room[dimension]}")
+        found = text.made(f"and i1 {found}, {text.made(f'and i1 {above}, {below}')}")
+    return found
+
+
+LARGEST_GATHER = 64
+"""Rows of a gather that is written out, at most: each is a block of instructions."""
+
+
+def _gather(text, values, parameters, avals):
+    (aval,), (source, indices) = avals, values
+    how, sizes, mode = parameters["dimension_numbers"], parameters["slice_sizes"], parameters["mode"]
+    if how.operand_batching_dims or not aval.size:
+        raise NotWrittenError("a gather by rows")
+    of_index, n = how.start_index_map, len(how.start_index_map)
+    rows = indices.size // n if n else 1
+    if rows > LARGEST_GATHER:
+        raise NotWrittenError("a gather of many rows")
+    room = {d: source.shape[d] - sizes[d] for d in of_index}
+    block = _offsets(source.shape, sizes)
+    found = []
+    for row in range(rows):
+        starts = dict(zip(of_index, _row_of(text, indices, row, n), strict=True))
+        part = text.picked(source, _begin(text, source.shape, starts, room), block)
+        if mode == jax.lax.GatherScatterMode.FILL_OR_DROP:
+            filling = parameters.get("fill_value")
+            if filling is None and source.kind != DOUBLE:
+                raise NotWrittenError("a gather that fills in whole numbers")
+            inside = _is_inside(text, starts, room)
+            instead = text.known(np.asarray(np.nan if filling is None else filling, _DTYPES[source.kind]))
+            part = _selected(text, inside, instead, part, part.shape)
+        found.append(part)
+    # Which entry stands where, by the rule of names.
+    names = np.arange(rows * block.size)
+    ids = _placed(names.reshape(rows, *block.shape), indices.shape, how)
+    return [text.moved(found, np.broadcast_to(ids.reshape(aval.shape), aval.shape), source.kind)]
+
+
+def _placed(parts: np.ndarray, shape: Sequence[int], how: Any) -> np.ndarray:
+    """Blocks of a gather in the order of its result."""
+    kept = [d for d in range(parts.ndim - 1) if d not in how.collapsed_slice_dims]
+    blocks = parts.reshape((*shape[:-1], *(parts.shape[1 + d] for d in kept)))
+    return np.moveaxis(blocks, range(len(shape) - 1, blocks.ndim), how.offset_dims)
+
+
+def _scatter(text, values, parameters, avals):
+    del avals
+    target, indices, source = values
+    how, mode = parameters["dimension_numbers"], parameters["mode"]
+    if how.operand_batching_dims or int(np.prod(indices.shape[:-1])) != 1 or not source.size:
+        raise NotWrittenError("a scatter by rows")
+    window = iter(source.shape[d] for d in how.update_window_dims)
+    sizes = [1 if d in how.inserted_window_dims else next(window) for d in range(len(target.shape))]
+    room = {d: target.shape[d] - sizes[d] for d in how.scatter_dims_to_operand_dims}
+    starts = dict(zip(room, _row_of(text, indices, 0, len(room)), strict=True))
+    begin = _begin(text, target.shape, starts, room)
+    inside = "true" if mode == jax.lax.GatherScatterMode.CLIP else _is_inside(text, starts, room)
+    if target.size == 1:
+        return [_selected(text, inside, target, source, target.shape)]
+    changed, offsets = _to_be_changed(text, target), _offsets(target.shape, sizes)
+    before = text.picked(changed, begin, offsets)
+    # What lies outside is dropped: the block, moved inside, gets back what it had.
+    text.put(changed, begin, offsets, _selected(text, inside, before, source.as_shape(offsets.shape), offsets.shape))
+    return [changed]
+
+
+def _same(text, values, parameters, avals):
+    del text, parameters
+    return [value.as_shape(aval.shape) for value, aval in zip(values, avals, strict=True)]
+
+
+# What puts entries together -------------------------------------------------------------------------------------------
+
+
+def _rows(array: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+    """The array as rows to be reduced."""
+    kept = [axis for axis in range(array.ndim) if axis not in axes]
+    size = int(np.prod([array.shape[axis] for axis in kept], dtype=int))
+    count = int(np.prod([array.shape[axis] for axis in axes], dtype=int))
+    return array.transpose([*kept, *axes]).reshape(size, count)
+
+
+def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperation:
+    """An operation that puts entries together, two by two.
+
+    Args:
+        name: of the primitive.
+        by: the operation on two numbers.
+        start: what does not change the other one of these, for each type; nothing of the types that are refused.
+    """
+    operation = OPERATIONS[by]
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        (shape,), (dtype,) = use.shapes, use.dtypes
+
+        def joined(a: int, b: int) -> int:
+            return operation.fold(graph, a, b) if operation.fold else graph.apply(by, (a, b), dtype, ())
+
+        if dtype not in start:
+            raise NotScalarizable(f"{name!r} of {dtype}")
+        first = graph.constant(start[dtype], dtype)
+        rows = _rows(inputs[0], use.parameters["axes"])
+        return [np.array([reduce(joined, map(int, row), first) for row in rows], np.int64).reshape(shape)]
+
+    def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
+        (aval,), (value,) = avals, values
+        kind = value.kind
+        call = Call((kind, kind), kind, {})
+        if value.size > LARGEST_WRITTEN_OUT:
+            raise NotWrittenError(f"{value.size} numbers that are put together")
+        if value.size == 1 or not aval.size:
+            return [value.as_shape(aval.shape)]
+        if not operation.can_be_llvm(call):
+            raise NotWrittenError(f"{name} of {kind}")
+
+        def joined(width: int, a: str, b: str) -> str:
+            return operation.in_llvm(text.at(width), call, a, b)
+
+        first = constant(start[np.dtype(_DTYPES[kind])], kind)
+        if not value.size:
+            return [text.entrywise(aval.shape, kind, [Value((), kind, first)], lambda width, x: x)]
+        rows = _rows(np.arange(value.size).reshape(value.shape), parameters["axes"])
+        if aval.size == 1:
+            return [Value(aval.shape, kind, text.folded(value, rows[0], first, joined))]
+        target = text.array(aval.shape, kind)
+        # Several sums at once, as vectors, where their entries stand side by side (a sum over the first axis).
+        are_side_by_side = np.array_equal(rows, rows[:1] + np.arange(aval.size)[:, None])
+        for at, width in chunks(aval.size) if are_side_by_side else [(i, 1) for i in range(aval.size)]:
+            if width == 1:
+                text.write(target, at, text.folded(value, rows[at], first, joined))
+                continue
+            total = text.read(value, int(rows[at, 0]), width)
+            for entry in rows[at, 1:]:
+                total = joined(width, total, text.read(value, int(entry), width))
+            text.write(target, at, total, width)
+        return [target]
+
+    return ArrayOperation(name=name, names=names, llvm=llvm, reduces=True)
+
+
+_LEAST = {FLOAT: -np.inf, INT: np.iinfo(INT).min, BOOL: False}
+_MOST = {FLOAT: np.inf, INT: np.iinfo(INT).max, BOOL: True}
+_REDUCTIONS = (
+    _reduction("reduce_sum", "add", {FLOAT: 0, INT: 0}),
+    _reduction("reduce_prod", "mul", {FLOAT: 1, INT: 1}),
+    _reduction("reduce_max", "max", _LEAST),
+    _reduction("reduce_min", "min", _MOST),
+    _reduction("reduce_and", "and", {INT: -1, BOOL: True}),
+    _reduction("reduce_or", "or", {INT: 0, BOOL: False}),
+)
+
+
+def _arranged(array: np.ndarray, batch: Sequence[int], summed: Sequence[int]) -> np.ndarray:
+    """A factor of `dot_general` as matrices: of each place of the batch, rows that are multiplied and summed."""
+    free = [axis for axis in range(array.ndim) if axis not in batch and axis not in summed]
+    shape = [int(np.prod([array.shape[axis] for axis in which], dtype=int)) for which in (batch, free, summed)]
+    return array.transpose([*batch, *free, *summed]).reshape(shape)
+
+
+def _both_arranged(arrays: Iterable[np.ndarray], parameters: Any) -> tuple[np.ndarray, np.ndarray]:
+    (summed_a, summed_b), (batch_a, batch_b) = parameters["dimension_numbers"]
+    left, right = arrays
+    return _arranged(left, batch_a, summed_a), _arranged(right, batch_b, summed_b)
+
+
+def _names_of_product(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    a, b = _both_arranged(inputs, use.parameters)
+    zero = graph.constant(0, FLOAT)
+    names = [
+        reduce(graph.add, (graph.mul(int(x), int(y)) for x, y in zip(row, column, strict=True)), zero)
+        for block_a, block_b in zip(a, b, strict=True)
+        for row in block_a
+        for column in block_b
+    ]
+    return [np.array(names, np.int64).reshape(use.shapes[0])]
+
+
+def _dot_general(text, values, parameters, avals):
+    (aval,), (left, right) = avals, values
+    if left.kind != DOUBLE or right.kind != DOUBLE or not left.size or not right.size:
+        raise NotWrittenError("a product of whole numbers")
+    a, b = _both_arranged((np.arange(v.size).reshape(v.shape) for v in (left, right)), parameters)
+    if a.shape[0] * a.shape[1] * b.shape[1] * a.shape[2] > 4 * LARGEST_WRITTEN_OUT:
+        raise NotWrittenError("a large product of matrices")
+    zero, rows = constant(0.0, DOUBLE), []
+    for block_a, block_b in zip(a, b, strict=True):
+        n_free, n_summed = block_b.shape
+        in_columns = n_free > 1 and np.array_equal(block_b, block_b[:1] + np.arange(n_free)[:, None])
+        for row in block_a:
+            if in_columns:  # as sums of whole rows of the right one
+                for at, width in chunks(n_free):
+                    total = text.spread(zero, DOUBLE, width)
+                    for k in range(n_summed):
+                        factor = text.spread(text.read(left, int(row[k])), DOUBLE, width)
+                        total = _times_and_plus(
+                            text, width, total, factor, text.read(right, int(block_b[at, k]), width)
+                        )
+                    rows.append((total, width))
+                continue
+            for column in block_b:
+                rows.append((_product(text, left, right, row, column), 1))
+    if aval.size == 1:
+        return [Value(aval.shape, DOUBLE, rows[0][0])]
+    target, at = text.array(aval.shape, DOUBLE), 0
+    for name, width in rows:
+        text.write(target, at, name, width)
+        at += width
+    return [target]
+
+
+def _times_and_plus(text: ArrayText, width: int, total: str, a: str, b: str) -> str:
+    typed = vector(DOUBLE, width)
+    product = text.made(f"fmul contract {typed} {a}, {b}")
+    return text.made(f"fadd contract {typed} {total}, {product}")
+
+
+def _product(text: ArrayText, left: Value, right: Value, row: np.ndarray, column: np.ndarray) -> str:
+    """A sum of products."""
+    are_whole = all(np.array_equal(each, each[0] + np.arange(each.size)) for each in (row, column))
+    if not are_whole or row.size < 8 or left.size == 1 or right.size == 1:  # a vector has eight numbers
+        total = constant(0.0, DOUBLE)
+        for i, j in zip(row, column, strict=True):
+            total = _times_and_plus(text, 1, total, text.read(left, int(i)), text.read(right, int(j)))
+        return total
+    size, products = row.size, text.array(row.shape, DOUBLE)
+    for at, width in chunks(size):
+        a, b = (text.read(each, int(of[0]) + at, width) for each, of in ((left, row), (right, column)))
+        text.write(products, at, text.made(f"fmul {vector(DOUBLE, width)} {a}, {b}"), width)
+    total = ARRAY_OPERATIONS["reduce_sum"].llvm
+    assert total is not None
+    return total(text, [products], {"axes": (0,)}, [jax.ShapeDtypeStruct((), np.float64)])[0].name
+
+
+# What comes out of nothing --------------------------------------------------------------------------------------------
+
+
+def _counts(shape: Sequence[int], dimension: int) -> np.ndarray:
+    counts = np.arange(shape[dimension]).reshape([-1 if d == dimension else 1 for d in range(len(shape))])
+    return np.broadcast_to(counts, shape)
+
+
+def _names_of_iota(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    del inputs
+    (shape,), (dtype,) = use.shapes, use.dtypes
+    counts = _counts(shape, use.parameters["dimension"])
+    return [_entrywise(lambda count: graph.constant(count, dtype), counts, shape=shape)]
+
+
+def _iota(text, values, parameters, avals):
+    del values
+    (aval,) = avals
+    return [text.known(_counts(aval.shape, parameters["dimension"]).astype(aval.dtype))]
+
+
+# The records ----------------------------------------------------------------------------------------------------------
+
+_ALL = (
+    _moving("reshape", lambda inputs, p: [inputs[0].reshape(p["new_sizes"])]),
+    _moving("squeeze", lambda inputs, p: [np.squeeze(inputs[0], tuple(p["dimensions"]))]),
+    _moving("expand_dims", lambda inputs, p: [np.expand_dims(inputs[0], tuple(p["dimensions"]))]),
+    _moving("transpose", lambda inputs, p: [inputs[0].transpose(p["permutation"])]),
+    _moving("rev", lambda inputs, p: [np.flip(inputs[0], p["dimensions"])]),
+    _moving("slice", _slice),
+    _moving("concatenate", lambda inputs, p: [np.concatenate(inputs, p["dimension"])]),
+    _moving("stack", lambda inputs, p: [np.stack(inputs, p["axis"])]),
+    _moving("unstack", lambda inputs, p: list(np.moveaxis(inputs[0], p["axis"], 0))),
+    _moving("split", lambda inputs, p: np.split(inputs[0], np.cumsum(p["sizes"])[:-1], p["axis"])),
+    _moving("broadcast_in_dim", _broadcast),
+    _moving("pad", _pad),
+    _moving("copy", lambda inputs, p: [inputs[0]]),
+    _moving("copy_p", lambda inputs, p: [inputs[0]]),
+    ArrayOperation(name="tile", names=_names_by_jax(0)),
+    ArrayOperation(name="gather", names=_names_of_gather, llvm=_gather),
+    ArrayOperation(name="dynamic_slice", names=_names_by_jax(0), llvm=_dynamic_slice),
+    ArrayOperation(name="dynamic_update_slice", names=_names_by_jax(0, 1), llvm=_dynamic_update_slice),
+    # XLA has no way to write most scatters into a kernel; see `native.loop_fusion` for the others.
+    ArrayOperation(name="scatter", names=_names_by_jax(0, 2), llvm=_scatter, fuses=False),
+    ArrayOperation(name="iota", names=_names_of_iota, llvm=_iota),
+    *_REDUCTIONS,
+    ArrayOperation(name="dot_general", names=_names_of_product, llvm=_dot_general, reduces=True),
+    _solving("symmetric_solve", symmetric_solve),
+    _solving("block_solve", block_solve),
+    _solving("general_solve", general_solve),
+    # Constants that are put to where they are (jax 0.6).
+    ArrayOperation(name="device_put", names=lambda graph, inputs, use: list(inputs), fuses=False),
+    # A barrier is for XLA alone: machine code has none of what it is a barrier to. The second is equinox's.
+    ArrayOperation(name="optimization_barrier", llvm=_same, fuses=False),
+    ArrayOperation(name="nonbatchable", llvm=_same),
+)
+
+ARRAY_OPERATIONS: dict[str, ArrayOperation] = {each.name: each for each in _ALL}
+"""By the names of JAX's primitives."""

@@ -1,0 +1,926 @@
+"""What an operation on numbers is: one record for each, which every part of the compiler reads.
+
+A record says how constants fold, how NumPy and Python evaluate it, how it is differentiated and transposed, and how it
+is written in StableHLO, in LLVM's language and in C. To admit a primitive of JAX is one entry of `OPERATIONS`, and one
+row in `tests/compiler/test_operations.py`, which holds all of these against JAX. What a record leaves out falls back:
+
+| left out | then |
+|---|---|
+| `fold`, `expand` | one node for each entry; a constant where all arguments are constants |
+| `numpy` | JAX evaluates constants, which compiles a program for each operation |
+| `python` | NumPy evaluates |
+| `derivative`, `partials` | JAX's own rule is traced |
+| `transpose` | the operation is not linear: transposing it is refused |
+| `stablehlo` | JAX's own lowering |
+| `llvm` | XLA compiles the program around it |
+| `c` | C source is refused, by the operation's name |
+
+Operations on whole arrays have a second kind of record, in `array_operations`: in a scalar program they are no
+operations at all, but names that change places, or several operations of this file.
+
+This file stands below the graph: rules get the graph, or the writer of a text, as an argument.
+"""
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from jax import dtypes, lax
+from jax.extend.mlir import ir
+from jax.extend.mlir.dialects import stablehlo
+
+FLOAT, BOOL, INT = np.dtype("float64"), np.dtype("bool"), np.dtype("int64")
+"""Types of numbers that a program has."""
+
+DOUBLE, WHOLE, TRUTH = "double", "i64", "i1"
+"""The same in LLVM's language."""
+
+KINDS = {FLOAT: DOUBLE, INT: WHOLE, BOOL: TRUTH}
+
+
+class NotScalarizable(Exception):  # noqa: N818 - it says what it is
+    """The function has no scalar program; the message says which operation stands in the way."""
+
+
+def graph_dtype(dtype: Any) -> np.dtype:
+    """The type of a node for an array's entries."""
+    try:
+        kind = np.dtype(dtype).kind
+    except TypeError:  # a dtype of JAX's own, such as that of random keys
+        raise NotScalarizable(f"values of type {dtype}") from None
+    if dtype == FLOAT:
+        return FLOAT
+    if kind == "b" or dtype == dtypes.float0:  # the second is the tangent of an index, which nothing reads
+        return BOOL
+    if kind in "iu":
+        return INT
+    raise NotScalarizable(f"numbers of type {dtype}")
+
+
+class Call(NamedTuple):
+    """One use of an operation, as far as its text depends on it.
+
+    Attributes:
+        kinds: of its arguments, as LLVM calls them.
+        kind: of its result.
+        parameters: those of the primitive.
+    """
+
+    kinds: tuple[str, ...]
+    kind: str
+    parameters: Mapping[str, Any]
+
+
+class LlvmWriter(Protocol):
+    """What rules write LLVM's language with: single numbers or vectors, of lanes or of entries of an array."""
+
+    def made(self, text: str, /) -> str:
+        """The name of what an instruction gives."""
+        ...
+
+    def type(self, kind: str) -> str:
+        """The type of numbers of a kind."""
+        ...
+
+    def number(self, value: Any, kind: str) -> str:
+        """A constant."""
+        ...
+
+    def intrinsic(self, word: str, kind: str, *names: str, result: str | None = None) -> str:
+        """A function that LLVM has itself; `result` where it gives another kind than it takes."""
+        ...
+
+    def library(self, word: str, *names: str) -> str:
+        """A function of the mathematical library."""
+        ...
+
+
+def same(*kinds: str) -> Callable[[Call], bool]:
+    """Accepts arguments that are all of one kind, among these."""
+    return lambda call: len(set(call.kinds)) == 1 and call.kinds[0] in kinds
+
+
+_OF_FLOATS = same(DOUBLE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScalarOperation:
+    """What an operation on numbers is.
+
+    Attributes:
+        name: of nodes of a graph.
+        jax: evaluates it, from arrays or tracers and the primitive's parameters; None where no node has its name,
+            for it is always folded into others.
+        primitives: names of the primitives of JAX that are this operation; None is its own name.
+        fold: from a graph, nodes and the primitive's parameters to a node, where constants simplify it.
+        expand: the operation as several others; like `fold`, but with whoever has `add`, `sub`, `mul`, `div` and
+            `constant`: a graph, or a writer of arrays.
+        commutes: whether a op b is b op a, to the last bit: then both orders are one node.
+        copies: whether the result is the argument, unless its type changes.
+        numpy: evaluates arrays; exactly what JAX gives but for rounding, also for NaN and infinities.
+        python: evaluates Python's floats and truths; some 30 ns, where a NumPy scalar takes a microsecond.
+        derivative: from a `Forward`, a node, its arguments and their tangents to its tangent.
+        partials: the derivative by each argument, as functions of JAX.
+        transpose: from a graph, the number along a node, its arguments, and which of them move, to the numbers along
+            the arguments; None from it where the operation is not linear in these.
+        stablehlo: from values of StableHLO to one.
+        llvm: from a `LlvmWriter`, a `Call` and names to a name.
+        accepts: the calls that `llvm` can write.
+        c: an expression, with `{}` for the arguments; or a function from a `Call` to one. The former is for
+            floats and truths alone.
+    """
+
+    name: str
+    jax: Callable[..., Any] | None = None
+    primitives: tuple[str, ...] | None = None
+    fold: Callable[..., int] | None = None
+    expand: Callable[..., Any] | None = None
+    commutes: bool = False
+    copies: bool = False
+    numpy: Callable[..., Any] | None = None
+    python: Callable[..., Any] | None = None
+    derivative: Callable[..., int | None] | None = None
+    partials: tuple[Callable[..., Any], ...] | None = None
+    transpose: Callable[..., list[int] | None] | None = None
+    stablehlo: Callable[..., Any] | None = None
+    llvm: Callable[..., str] | None = None
+    accepts: Callable[[Call], bool] = _OF_FLOATS
+    c: str | Callable[[Call], str] | None = None
+
+    @property
+    def folded(self) -> Callable[..., int] | None:
+        """From a graph, nodes and parameters to a node; None where each use is a node of its own."""
+        return self.fold or self.expand
+
+    def can_be_llvm(self, call: Call) -> bool:
+        """Whether there is LLVM text for a use of it."""
+        return (self.llvm is not None or self.expand is not None) and self.accepts(call)
+
+    def in_llvm(self, text: "LlvmWriter", call: Call, *names: str) -> str:
+        """The text of a use of it that can be written; the name of the result."""
+        if self.llvm is not None:
+            return self.llvm(text, call, *names)
+        assert self.expand is not None, self.name
+        return self.expand(_ExpandedInLlvm(text, call.kind), *names, **call.parameters)
+
+    def in_c(self, call: Call, *names: str) -> str | None:
+        """The expression in C; None where there is none."""
+        template = self.c(call) if callable(self.c) else self.c
+        if template is None or (not callable(self.c) and WHOLE in call.kinds):
+            return None
+        return template.format(*names)
+
+
+# Arithmetic: what folds -----------------------------------------------------------------------------------------------
+#
+# Structural zeros are what makes scalar programs small: most entries of mass matrices, Jacobians and rotations are 0 or
+# 1. A zero times x is therefore 0 whatever x is, as it would be in a matrix that stores no zeros; the program presumes
+# finite numbers there. Negations are moved outwards, or into a difference, where they cost nothing.
+
+
+def _fold_add(graph, a, b, **_):
+    if graph.is_value(a, 0):
+        return b
+    if graph.is_value(b, 0):
+        return a
+    if graph.operations[b] == "neg":
+        return graph.sub(a, graph.arguments[b][0])
+    if graph.operations[a] == "neg":
+        return graph.sub(b, graph.arguments[a][0])
+    return graph.apply("add", (a, b))
+
+
+def _fold_sub(graph, a, b, **_):
+    if graph.is_value(b, 0):
+        return a
+    if graph.is_value(a, 0):
+        return graph.neg(b)
+    if a == b and not graph.is_constant(a) and graph.dtypes[a] == FLOAT:
+        return graph.constant(0, graph.dtypes[a])
+    if graph.operations[b] == "neg":
+        return graph.add(a, graph.arguments[b][0])
+    return graph.apply("sub", (a, b))
+
+
+def _fold_mul(graph, a, b, **_):
+    for x, y in ((a, b), (b, a)):
+        if graph.is_constant(x):
+            value = graph.value(x)
+            if value == 0:
+                return graph.constant(0, graph.dtypes[x])
+            if value == 1:
+                return y
+            if value == -1:
+                return graph.neg(y)
+    if graph.operations[a] == "neg" and graph.operations[b] == "neg":
+        return graph.mul(graph.arguments[a][0], graph.arguments[b][0])
+    if graph.operations[a] == "neg":
+        return graph.neg(graph.mul(graph.arguments[a][0], b))
+    if graph.operations[b] == "neg":
+        return graph.neg(graph.mul(a, graph.arguments[b][0]))
+    return graph.apply("mul", (a, b))
+
+
+def _fold_div(graph, a, b, **_):
+    if graph.is_value(b, 1):
+        return a
+    if graph.is_value(a, 0) and not graph.is_constant(b):
+        return a
+    return graph.apply("div", (a, b))
+
+
+def _fold_neg(graph, a, **_):
+    if graph.operations[a] == "neg":
+        return graph.arguments[a][0]
+    if graph.operations[a] == "sub":
+        x, y = graph.arguments[a]
+        return graph.sub(y, x)
+    return graph.apply("neg", (a,))
+
+
+def _fold_select(graph, predicate, *cases, **_):
+    if len(cases) != 2:
+        raise NotScalarizable("a selection among more than two")
+    if graph.dtypes[predicate] != BOOL:
+        raise NotScalarizable("a selection by an integer")
+    on_false, on_true = cases
+    if graph.is_constant(predicate):
+        return on_true if graph.value(predicate) else on_false
+    if on_false == on_true:
+        return on_true
+    return graph.node("select", (predicate, on_false, on_true), graph.dtypes[on_true])
+
+
+def _fold_power(graph, a, b, **_):
+    """For a >= 0; exponents that are small multiples of one half become products and a square root.
+
+    Of a right-hand side with Hertz's contact (exponent 3/2), `pow` would take a tenth of the time.
+    """
+    if graph.is_constant(b) and not graph.is_constant(a):
+        exponent = float(graph.value(b))
+        if abs(exponent) <= 4 and 2 * exponent == math.floor(2 * exponent):
+            if exponent < 0:  # of the whole power: a^-1 sqrt(a) would be NaN at 0 and at infinity
+                return graph.div(graph.constant(1, FLOAT), graph.power(a, graph.constant(-exponent, FLOAT)))
+            whole = graph.integer_power(a, math.floor(exponent))
+            if exponent == math.floor(exponent):
+                return whole
+            # a sqrt(a) has the derivative 0 at 0, but its factors have 0 and infinity.
+            root = "root_guarded_at_zero" if exponent > 1 / 2 else "sqrt"
+            return graph.mul(whole, graph.node(root, (a,), FLOAT))
+    return graph.apply("pow", (a, b))
+
+
+def _fold_sqrt(graph, a, **_):
+    return graph.power(a, graph.constant(0.5, FLOAT))
+
+
+def _fold_convert(graph, a, *, new_dtype, **_):
+    source, target = graph.dtypes[a], graph_dtype(new_dtype)
+    if source == target:
+        return a
+    if graph.is_constant(a):
+        return graph.constant(graph.value(a), target)
+    if source == BOOL:
+        return graph.select(a, graph.constant(0, target), graph.constant(1, target))
+    raise NotScalarizable(f"a conversion from {source} to {target}")
+
+
+def _fold_log2(graph, a, **parameters):
+    logarithm = graph.apply("log", (a,), parameters=tuple(sorted(parameters.items())))
+    return graph.mul(logarithm, graph.constant(1 / np.log(2), FLOAT))
+
+
+# Operations that are several others -----------------------------------------------------------------------------------
+
+
+def _expand_square(build, a, **_):
+    return build.mul(a, a)
+
+
+def _expand_integer_power(build, a, *, y, **_):
+    """By squaring; the factors from the lowest power on."""
+    power, square, left = None, a, abs(y)
+    while left:
+        if left & 1:
+            power = square if power is None else build.mul(power, square)
+        left >>= 1
+        square = build.mul(square, square) if left else square
+    power = build.constant(1, FLOAT) if power is None else power
+    return build.div(build.constant(1, FLOAT), power) if y < 0 else power
+
+
+def _expand_one_minus_square(build, a, **_):
+    one = build.constant(1, FLOAT)
+    return build.mul(build.add(one, a), build.sub(one, a))  # 1 - a^2 would lose digits near 1
+
+
+def _expand_polynomial(build, x, *coefficients, **_):
+    """By Horner's rule; the coefficients from the lowest degree on."""
+    return reduce(lambda total, a: build.add(a, build.mul(x, total)), reversed(coefficients))
+
+
+# Derivatives: what the value has computed serves for them -------------------------------------------------------------
+#
+# `forward` is an `autodiff.Forward`. A tangent is None where an argument does not move.
+
+
+def _derive_add(forward, node, arguments, tangents):
+    return forward.sum(*tangents)
+
+
+def _derive_sub(forward, node, arguments, tangents):
+    left, right = tangents
+    if right is None:
+        return left
+    return forward.slopes.neg(right) if left is None else forward.slopes.sub(left, right)
+
+
+def _derive_neg(forward, node, arguments, tangents):
+    return forward.slopes.neg(tangents[0])
+
+
+def _derive_mul(forward, node, arguments, tangents):
+    (a, b), (da, db) = arguments, tangents
+    if a == b:  # 2 a da: one product and not two
+        return forward.times(forward.values.add(a, a), da)
+    return forward.sum(forward.times(b, da), forward.times(a, db))
+
+
+def _derive_div(forward, node, arguments, tangents):
+    """(a / b)' = (a' - (a / b) b') / b, which needs one reciprocal for all tangents."""
+    b, (da, db) = arguments[1], tangents
+    change = None if db is None else forward.times(node, db)
+    if change is not None:
+        da = forward.slopes.neg(change) if da is None else forward.slopes.sub(da, change)
+    return forward.times(forward.values.div(forward.values.constant(1, FLOAT), b), da)
+
+
+def _derive_sqrt(forward, node, arguments, tangents):
+    return forward.times(forward.values.div(forward.values.constant(0.5, FLOAT), node), tangents[0])
+
+
+def _derive_select(forward, node, arguments, tangents):
+    zero = forward.slopes.constant(0, FLOAT)
+    on_false, on_true = (zero if tangent is None else tangent for tangent in tangents[1:])
+    if on_false == on_true == zero:
+        return None
+    return forward.slopes.select(forward.coefficient(arguments[0]), on_false, on_true)
+
+
+# Transposes: from the number along a result to those along its arguments ----------------------------------------------
+
+
+def _transpose_mul(graph, along, arguments, moves):
+    return None if all(moves) else [graph.mul(along, arguments[1]), graph.mul(along, arguments[0])]
+
+
+def _transpose_div(graph, along, arguments, moves):
+    return None if moves[1] else [graph.div(along, arguments[1]), along]
+
+
+def _transpose_select(graph, along, arguments, moves):
+    if moves[0]:
+        return None
+    zero = graph.constant(0, FLOAT)
+    return [along, graph.select(arguments[0], along, zero), graph.select(arguments[0], zero, along)]
+
+
+# NumPy and Python, where their own functions are not JAX's ------------------------------------------------------------
+
+
+def _divide(a, b):
+    """`jax.lax.div`: integers are cut towards zero, and -1 where the divisor is 0."""
+    if np.asarray(a).dtype.kind == "f":
+        return np.divide(a, b)
+    quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
+    return np.where(b == 0, -1, quotient)
+
+
+def _quotient(a: float, b: float) -> float:
+    return a / b if b else float(np.divide(a, b))  # Python raises an error
+
+
+def _root(a: float) -> float:
+    return math.sqrt(a) if a >= 0 else math.nan
+
+
+def _sine(a: float) -> float:
+    return math.sin(a) if math.isfinite(a) else math.nan  # Python raises an error of infinity
+
+
+def _cosine(a: float) -> float:
+    return math.cos(a) if math.isfinite(a) else math.nan
+
+
+def _root_guarded_at_zero(a):
+    is_zero = lax.eq(a, lax.full_like(a, 0.0))
+    root = lax.sqrt(lax.select_n(is_zero, a, lax.full_like(a, 1.0)))
+    return lax.select_n(is_zero, root, lax.full_like(a, 0.0))
+
+
+# StableHLO ------------------------------------------------------------------------------------------------------------
+
+
+def _compared_in_stablehlo(direction: str) -> Callable[..., Any]:
+    def write(a, b):
+        element = str(ir.RankedTensorType(a.type).element_type)
+        kind = {"f64": "FLOAT", "i1": "UNSIGNED"}.get(element, "SIGNED")
+        how = stablehlo.ComparisonTypeAttr.get(kind)
+        return stablehlo.compare(a, b, stablehlo.ComparisonDirectionAttr.get(direction), compare_type=how)
+
+    return write
+
+
+# LLVM -----------------------------------------------------------------------------------------------------------------
+
+
+def _arithmetic(word: str) -> Callable[..., str]:
+    """A sum, a difference or a product; as XLA does, a product and a sum may become one operation (`contract`)."""
+
+    def write(text: LlvmWriter, call: Call, a: str, b: str) -> str:
+        (kind, _) = call.kinds
+        return text.made(f"{f'f{word} contract' if kind == DOUBLE else word} {text.type(kind)} {a}, {b}")
+
+    return write
+
+
+def _llvm_div(text, call, a, b):
+    return text.made(f"fdiv {text.type(DOUBLE)} {a}, {b}")
+
+
+def _llvm_neg(text, call, a):
+    (kind,) = call.kinds
+    typed = text.type(kind)
+    return text.made(f"fneg {typed} {a}" if kind == DOUBLE else f"sub {typed} {text.number(0, kind)}, {a}")
+
+
+def _extremum(word: str) -> Callable[..., str]:
+    """`max` or `min`; NaN wins, as in JAX, which is LLVM's `maximum` and not its `maxnum`."""
+
+    def write(text: LlvmWriter, call: Call, a: str, b: str) -> str:
+        kind = call.kinds[0]
+        if kind == TRUTH:
+            return text.made(f"{'or' if word == 'max' else 'and'} {text.type(kind)} {a}, {b}")
+        return text.intrinsic(f"{word}imum" if kind == DOUBLE else f"s{word}", kind, a, b)
+
+    return write
+
+
+def _llvm_clamp(text, call, low, x, high):
+    return _extremum("min")(text, call, _extremum("max")(text, call, low, x), high)
+
+
+def _compared(of_floats: str, of_whole: str) -> Callable[..., str]:
+    def write(text: LlvmWriter, call: Call, a: str, b: str) -> str:
+        (kind, _) = call.kinds
+        word = f"fcmp {of_floats}" if kind == DOUBLE else f"icmp {of_whole}"
+        return text.made(f"{word} {text.type(kind)} {a}, {b}")
+
+    return write
+
+
+def _logic(word: str) -> Callable[..., str]:
+    """Of truths, or of the bits of whole numbers."""
+    return lambda text, call, a, b: text.made(f"{word} {text.type(call.kind)} {a}, {b}")
+
+
+def _llvm_not(text, call, a):
+    (kind,) = call.kinds
+    return text.made(f"xor {text.type(kind)} {a}, {text.number(True if kind == TRUTH else -1, kind)}")
+
+
+def _llvm_abs(text, call, a):
+    (kind,) = call.kinds
+    if kind == DOUBLE:
+        return text.intrinsic("fabs", kind, a)
+    return text.intrinsic("smax", kind, a, _llvm_neg(text, call, a))
+
+
+def _llvm_sign(text, call, a):
+    """Of NaN and of zeros what they are."""
+    typed, truth, zero = text.type(DOUBLE), text.type(TRUTH), text.number(0, DOUBLE)
+    above, below = (text.made(f"fcmp {word} {typed} {a}, {zero}") for word in ("ogt", "olt"))
+    not_above = text.made(f"select {truth} {below}, {typed} {text.number(-1, DOUBLE)}, {typed} {a}")
+    return text.made(f"select {truth} {above}, {typed} {text.number(1, DOUBLE)}, {typed} {not_above}")
+
+
+def _llvm_rsqrt(text, call, a):
+    root = text.intrinsic("sqrt", DOUBLE, a)
+    return text.made(f"fdiv {text.type(DOUBLE)} {text.number(1, DOUBLE)}, {root}")
+
+
+def _llvm_is_finite(text, call, a):
+    size = text.intrinsic("fabs", DOUBLE, a)
+    return text.made(f"fcmp olt {text.type(DOUBLE)} {size}, {text.number(np.inf, DOUBLE)}")
+
+
+def _llvm_logistic(text, call, a):
+    typed, one = text.type(DOUBLE), text.number(1, DOUBLE)
+    falling = text.library("exp", text.made(f"fneg {typed} {a}"))
+    return text.made(f"fdiv {typed} {one}, {text.made(f'fadd {typed} {one}, {falling}')}")
+
+
+def _rounds_to_even(call: Call) -> bool:
+    return bool(int(call.parameters["rounding_method"]))  # 0 is away from zero
+
+
+def _llvm_round(text, call, a):
+    return text.intrinsic("roundeven" if _rounds_to_even(call) else "round", DOUBLE, a)
+
+
+def _llvm_select(text, call, which, *cases):
+    typed, (kind_of_which, *_) = text.type(call.kind), call.kinds
+    if kind_of_which == TRUTH:
+        on_false, on_true = cases
+        return text.made(f"select {text.type(TRUTH)} {which}, {typed} {on_true}, {typed} {on_false}")
+    chosen = cases[-1]  # as JAX clamps the number, what is beyond the last is the last
+    for at in range(len(cases) - 2, -1, -1):
+        is_it = text.made(f"icmp eq {text.type(WHOLE)} {which}, {text.number(at, WHOLE)}")
+        chosen = text.made(f"select {text.type(TRUTH)} {is_it}, {typed} {cases[at]}, {typed} {chosen}")
+    return chosen
+
+
+def _llvm_convert(text, call, a):
+    (source,), target = call.kinds, call.kind
+    if source == target:
+        return a
+    typed, to = text.type(source), text.type(target)
+    if target == TRUTH:
+        word = "fcmp une" if source == DOUBLE else "icmp ne"
+        return text.made(f"{word} {typed} {a}, {text.number(0, source)}")
+    if source == DOUBLE:  # NaN is 0, and what is too large the largest, as in XLA; `fptosi` leaves both undefined
+        return text.intrinsic("fptosi.sat", source, a, result=target)
+    word = {(TRUTH, WHOLE): "zext", (TRUTH, DOUBLE): "uitofp", (WHOLE, DOUBLE): "sitofp"}[source, target]
+    return text.made(f"{word} {typed} {a} to {to}")
+
+
+def _llvm_power(text, call, base, exponent):
+    if call.kinds[1] == WHOLE:
+        exponent = _llvm_convert(text, Call((WHOLE,), DOUBLE, {}), exponent)
+    return text.library("pow", base, exponent)
+
+
+def _in_library(word: str) -> Callable[..., str]:
+    return lambda text, call, *names: text.library(word, *names)
+
+
+def _intrinsic(word: str) -> Callable[..., str]:
+    return lambda text, call, *names: text.intrinsic(word, DOUBLE, *names)
+
+
+class _ExpandedInLlvm:
+    """What `expand` writes with, where its nodes are names in a text."""
+
+    def __init__(self, text: LlvmWriter, kind: str):
+        self._text, self._kind = text, kind
+        self.add, self.sub, self.mul, self.div = (self._operation(name) for name in ("add", "sub", "mul", "div"))
+
+    def _operation(self, name: str) -> Callable[[str, str], str]:
+        call = Call((self._kind, self._kind), self._kind, {})
+        return lambda a, b: OPERATIONS[name].in_llvm(self._text, call, a, b)
+
+    def constant(self, value: Any, dtype: np.dtype) -> str:
+        return self._text.number(value, KINDS[dtype])
+
+
+# The records ----------------------------------------------------------------------------------------------------------
+
+
+def _function(
+    name: str, numpy: Callable[..., Any] | None, *, word: str | None = None, **others: Any
+) -> ScalarOperation:
+    """An operation that the mathematical library has, by the same name there, `word`, for LLVM and for C."""
+    word, n_arguments = word or name, others.pop("n_arguments", 1)
+    return ScalarOperation(
+        name=name,
+        jax=getattr(lax, f"{name}_p").bind,
+        numpy=numpy,
+        llvm=_in_library(word),
+        c=f"{word}({', '.join(['{}'] * n_arguments)})",
+        **others,
+    )
+
+
+def _comparison(name: str, sign: str, numpy: Callable[..., Any], python: Callable[..., Any], of_floats: str,
+                of_whole: str, kinds: tuple[str, ...] = (DOUBLE, WHOLE)) -> ScalarOperation:  # fmt: skip
+    return ScalarOperation(
+        name=name,
+        jax=getattr(lax, f"{name}_p").bind,
+        numpy=numpy,
+        python=python,
+        stablehlo=_compared_in_stablehlo(name.upper()),
+        llvm=_compared(of_floats, of_whole),
+        accepts=same(*kinds),
+        c=f"{{}} {sign} {{}}",
+    )
+
+
+_OF_ERF = 2.0 / np.sqrt(np.pi)
+
+_ALL = (
+    # Arithmetic. JAX's `add_any` sums cotangents, and has no public name.
+    ScalarOperation(
+        name="add",
+        jax=lax.add,
+        primitives=("add", "add_any"),
+        fold=_fold_add,
+        commutes=True,
+        numpy=np.add,
+        python=operator.add,
+        derivative=_derive_add,
+        transpose=lambda graph, along, arguments, moves: [along, along],
+        stablehlo=stablehlo.add,
+        llvm=_arithmetic("add"),
+        accepts=same(DOUBLE, WHOLE),
+        c="{} + {}",
+    ),
+    ScalarOperation(
+        name="sub",
+        jax=lax.sub,
+        fold=_fold_sub,
+        numpy=np.subtract,
+        python=operator.sub,
+        derivative=_derive_sub,
+        transpose=lambda graph, along, arguments, moves: [along, graph.neg(along)],
+        stablehlo=stablehlo.subtract,
+        llvm=_arithmetic("sub"),
+        accepts=same(DOUBLE, WHOLE),
+        c="{} - {}",
+    ),
+    ScalarOperation(
+        name="mul",
+        jax=lax.mul,
+        fold=_fold_mul,
+        commutes=True,
+        numpy=np.multiply,
+        python=operator.mul,
+        derivative=_derive_mul,
+        transpose=_transpose_mul,
+        stablehlo=stablehlo.multiply,
+        llvm=_arithmetic("mul"),
+        accepts=same(DOUBLE, WHOLE),
+        c="{} * {}",
+    ),
+    ScalarOperation(
+        name="div",
+        jax=lax.div,
+        fold=_fold_div,
+        numpy=_divide,
+        python=_quotient,
+        derivative=_derive_div,
+        transpose=_transpose_div,
+        stablehlo=stablehlo.divide,
+        llvm=_llvm_div,  # of whole numbers LLVM's would be undefined where the divisor is 0
+        c="{} / {}",
+    ),
+    ScalarOperation(
+        name="neg",
+        jax=lax.neg,
+        fold=_fold_neg,
+        numpy=np.negative,
+        python=operator.neg,
+        derivative=_derive_neg,
+        transpose=lambda graph, along, arguments, moves: [graph.neg(along)],
+        stablehlo=stablehlo.negate,
+        llvm=_llvm_neg,
+        accepts=same(DOUBLE, WHOLE),
+        c="-{}",
+    ),
+    ScalarOperation(
+        name="select",
+        jax=lax.select_n,
+        primitives=("select_n",),
+        fold=_fold_select,
+        numpy=lambda predicate, on_false, on_true: np.where(predicate, on_true, on_false),
+        python=lambda predicate, on_false, on_true: on_true if predicate else on_false,
+        derivative=_derive_select,
+        transpose=_transpose_select,
+        stablehlo=lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
+        llvm=_llvm_select,
+        accepts=lambda call: True,
+        c="{0} ? {2} : {1}",
+    ),
+    # Powers and roots.
+    ScalarOperation(
+        name="pow",
+        jax=lax.pow,
+        fold=_fold_power,
+        numpy=np.power,
+        python=lambda a, b: float(np.power(a, b)),  # Python's gives complex numbers, and errors
+        stablehlo=stablehlo.power,
+        llvm=_llvm_power,
+        accepts=lambda call: call.kinds in ((DOUBLE, DOUBLE), (DOUBLE, WHOLE)),
+        c="pow({}, {})",
+    ),
+    ScalarOperation(
+        name="sqrt",
+        jax=lax.sqrt,
+        fold=_fold_sqrt,
+        numpy=np.sqrt,
+        python=_root,
+        derivative=_derive_sqrt,
+        stablehlo=stablehlo.sqrt,
+        llvm=_intrinsic("sqrt"),
+        c="sqrt({})",
+    ),
+    ScalarOperation(
+        # The square root as a factor of a^(3/2), a^(5/2), ...: with the derivative 0 at 0, where the root alone has
+        # infinity. It differs from the root in its derivative alone, so what is written is the root.
+        name="root_guarded_at_zero",
+        jax=_root_guarded_at_zero,
+        primitives=(),
+        numpy=np.sqrt,
+        python=_root,
+        stablehlo=stablehlo.sqrt,
+        llvm=_intrinsic("sqrt"),
+        c="root_guarded_at_zero({})",
+    ),
+    ScalarOperation(name="rsqrt", jax=lax.rsqrt_p.bind, llvm=_llvm_rsqrt, c="1.0 / sqrt({})"),
+    _function("cbrt", np.cbrt),
+    ScalarOperation(name="square", expand=_expand_square, accepts=same(DOUBLE, WHOLE)),
+    ScalarOperation(name="integer_pow", expand=_expand_integer_power),
+    # This one and `log2` are primitives since JAX 0.11, `polynomial` since 0.12.
+    ScalarOperation(name="one_minus_square", expand=_expand_one_minus_square),
+    ScalarOperation(name="polynomial", expand=_expand_polynomial),
+    # Exponentials and logarithms.
+    _function("exp", np.exp),
+    _function("exp2", np.exp2),
+    _function("expm1", np.expm1),
+    _function("log", np.log),
+    _function("log1p", np.log1p),
+    ScalarOperation(name="log2", fold=_fold_log2, llvm=_in_library("log2")),  # in a loop exact for powers of 2
+    ScalarOperation(name="logistic", jax=lax.logistic_p.bind, llvm=_llvm_logistic, c="1.0 / (1.0 + exp(-{}))"),
+    # Circular and hyperbolic functions.
+    _function("sin", np.sin, python=_sine),
+    _function("cos", np.cos, python=_cosine),
+    _function("tan", np.tan),
+    _function("asin", np.arcsin),
+    _function("acos", np.arccos),
+    _function("atan", np.arctan),
+    _function("atan2", np.arctan2, python=math.atan2, n_arguments=2),
+    _function("sinh", np.sinh),
+    _function("cosh", np.cosh),
+    _function("tanh", np.tanh),
+    _function("asinh", None),
+    _function("acosh", None),
+    _function("atanh", None),
+    # JAX takes their derivatives by the bits of a number since 0.11, which scalar programs do not know.
+    _function("erf", None, partials=(lambda x: _OF_ERF * lax.exp(-x * x),)),
+    _function("erfc", None, partials=(lambda x: -_OF_ERF * lax.exp(-x * x),)),
+    # Pieces of numbers.
+    ScalarOperation(
+        name="abs",
+        jax=lax.abs_p.bind,
+        numpy=np.abs,
+        python=abs,
+        stablehlo=stablehlo.abs,
+        llvm=_llvm_abs,
+        accepts=same(DOUBLE, WHOLE),
+        c="fabs({})",
+    ),
+    ScalarOperation(name="sign", jax=lax.sign_p.bind, numpy=np.sign, llvm=_llvm_sign, c="sign_of({})"),
+    ScalarOperation(name="floor", jax=lax.floor_p.bind, numpy=np.floor, llvm=_intrinsic("floor"), c="floor({})"),
+    ScalarOperation(name="ceil", jax=lax.ceil_p.bind, numpy=np.ceil, llvm=_intrinsic("ceil"), c="ceil({})"),
+    ScalarOperation(
+        name="round",
+        jax=lax.round_p.bind,
+        llvm=_llvm_round,
+        c=lambda call: "nearbyint({})" if _rounds_to_even(call) else "round({})",
+    ),
+    _function("rem", None, word="fmod", n_arguments=2),
+    _function("nextafter", None, n_arguments=2),
+    ScalarOperation(
+        name="is_finite", jax=lax.is_finite_p.bind, numpy=np.isfinite, llvm=_llvm_is_finite, c="is_finite({})"
+    ),
+    # The larger, the smaller, what lies between.
+    ScalarOperation(
+        name="max",
+        jax=lax.max_p.bind,
+        numpy=np.maximum,
+        stablehlo=stablehlo.maximum,
+        llvm=_extremum("max"),
+        accepts=same(DOUBLE, WHOLE, TRUTH),
+        c="larger({}, {})",
+    ),
+    ScalarOperation(
+        name="min",
+        jax=lax.min_p.bind,
+        numpy=np.minimum,
+        stablehlo=stablehlo.minimum,
+        llvm=_extremum("min"),
+        accepts=same(DOUBLE, WHOLE, TRUTH),
+        c="smaller({}, {})",
+    ),
+    ScalarOperation(
+        name="clamp",
+        jax=lax.clamp_p.bind,
+        llvm=_llvm_clamp,
+        accepts=same(DOUBLE, WHOLE, TRUTH),
+        c="smaller(larger({1}, {0}), {2})",
+    ),
+    # Comparisons; nothing is equal to NaN, and everything differs from it (`une`).
+    _comparison("lt", "<", np.less, operator.lt, "olt", "slt"),
+    _comparison("le", "<=", np.less_equal, operator.le, "ole", "sle"),
+    _comparison("gt", ">", np.greater, operator.gt, "ogt", "sgt"),
+    _comparison("ge", ">=", np.greater_equal, operator.ge, "oge", "sge"),
+    _comparison("eq", "==", np.equal, operator.eq, "oeq", "eq", (DOUBLE, WHOLE, TRUTH)),
+    _comparison("ne", "!=", np.not_equal, operator.ne, "une", "ne", (DOUBLE, WHOLE, TRUTH)),
+    # Truths, and bits of whole numbers.
+    ScalarOperation(
+        name="and",
+        jax=lax.and_p.bind,
+        numpy=np.bitwise_and,
+        stablehlo=stablehlo.and_,
+        llvm=_logic("and"),
+        accepts=same(TRUTH, WHOLE),
+        c="{} & {}",
+    ),
+    ScalarOperation(
+        name="or",
+        jax=lax.or_p.bind,
+        numpy=np.bitwise_or,
+        stablehlo=stablehlo.or_,
+        llvm=_logic("or"),
+        accepts=same(TRUTH, WHOLE),
+        c="{} | {}",
+    ),
+    ScalarOperation(
+        name="xor",
+        jax=lax.xor_p.bind,
+        numpy=np.bitwise_xor,
+        llvm=_logic("xor"),
+        accepts=same(TRUTH, WHOLE),
+        c="{} ^ {}",
+    ),
+    ScalarOperation(
+        name="not",
+        jax=lax.not_p.bind,
+        numpy=np.invert,
+        stablehlo=stablehlo.not_,
+        llvm=_llvm_not,
+        accepts=same(TRUTH, WHOLE),
+        c=lambda call: "!{}" if call.kinds == (TRUTH,) else "~{}",
+    ),
+    # What changes no number.
+    ScalarOperation(
+        name="convert_element_type",
+        fold=_fold_convert,
+        copies=True,
+        llvm=_llvm_convert,
+        accepts=lambda call: not (call.kinds == (DOUBLE,) and call.parameters["new_dtype"] == np.int32),
+    ),
+    ScalarOperation(
+        name="stop_gradient",
+        jax=lax.stop_gradient,
+        copies=True,
+        llvm=lambda text, call, a: a,
+        accepts=lambda call: True,
+        c="{}",
+    ),
+    ScalarOperation(
+        # A node that has a derivative of its own (`Graph.marked`), and the value of its argument.
+        name="marked",
+        jax=lambda a: a,
+        primitives=(),
+        copies=True,
+        numpy=lambda a: a,
+        transpose=lambda graph, along, arguments, moves: [along],  # what is linear is its own derivative
+        stablehlo=lambda a: a,
+        llvm=lambda text, call, a: a,
+        accepts=lambda call: True,
+        c="{}",
+    ),
+)
+
+OPERATIONS: dict[str, ScalarOperation] = {each.name: each for each in _ALL}
+"""By the names that nodes of a graph have."""
+
+OF_PRIMITIVE: dict[str, ScalarOperation] = {
+    name: each for each in _ALL for name in ((each.name,) if each.primitives is None else each.primitives)
+}
+"""By the names of JAX's primitives."""
+
+INNER_PROGRAM = {
+    "custom_jvp_call": "call_jaxpr",
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "eval_jaxpr": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+    "remat2": "jaxpr",
+}
+"""Primitives that only stand for a program, and the parameter that has it: no operations, but what is in them is.
+`custom_vjp_call` is not one: its rule says nothing of tangents, and inlining the function under it would lose it."""
+
+
+def inner_program(name: str, parameters: Mapping[str, Any]) -> tuple[Any, tuple] | None:
+    """The program that a primitive stands for, and its constants; None for one that is an operation."""
+    if name not in INNER_PROGRAM:
+        return None
+    program = parameters[INNER_PROGRAM[name]]  # with its constants, or one that has none
+    return getattr(program, "jaxpr", program), getattr(program, "consts", ())
