@@ -130,6 +130,7 @@ class ScalarOperation:
         stablehlo: from values of StableHLO to one.
         llvm: from a `LlvmWriter`, a `Call` and names to a name.
         accepts: the calls that `llvm` can write.
+        library: the function of the mathematical library that `llvm` calls, where the operation is one.
         c: an expression, with `{}` for the arguments; or a function from a `Call` to one. The former is for
             floats and truths alone.
     """
@@ -149,6 +150,7 @@ class ScalarOperation:
     stablehlo: Callable[..., Any] | None = None
     llvm: Callable[..., str] | None = None
     accepts: Callable[[Call], bool] = _OF_FLOATS
+    library: str | None = None
     c: str | Callable[[Call], str] | None = None
 
     @property
@@ -600,6 +602,7 @@ def _function(
         jax=getattr(lax, f"{name}_p").bind,
         numpy=numpy,
         llvm=_in_library(word),
+        library=word,
         c=f"{word}({', '.join(['{}'] * n_arguments)})",
         **others,
     )
@@ -713,6 +716,7 @@ _ALL = (
         python=lambda a, b: float(np.power(a, b)),  # Python's gives complex numbers, and errors
         stablehlo=stablehlo.power,
         llvm=_llvm_power,
+        library="pow",
         accepts=lambda call: call.kinds in ((DOUBLE, DOUBLE), (DOUBLE, WHOLE)),
         c="pow({}, {})",
     ),
@@ -752,7 +756,9 @@ _ALL = (
     _function("expm1", np.expm1),
     _function("log", np.log),
     _function("log1p", np.log1p),
-    ScalarOperation(name="log2", fold=_fold_log2, llvm=_in_library("log2")),  # in a loop exact for powers of 2
+    ScalarOperation(
+        name="log2", fold=_fold_log2, llvm=_in_library("log2"), library="log2"
+    ),  # in a loop exact for powers of 2
     ScalarOperation(name="logistic", jax=lax.logistic_p.bind, llvm=_llvm_logistic, c="1.0 / (1.0 + exp(-{}))"),
     # Circular and hyperbolic functions.
     _function("sin", np.sin, python=_sine),
@@ -903,6 +909,9 @@ OF_PRIMITIVE: dict[str, ScalarOperation] = {
     name: each for each in _ALL for name in ((each.name,) if each.primitives is None else each.primitives)
 }
 """By the names of JAX's primitives."""
+
+LIBRARY: dict[str, str] = {each.name: each.library for each in _ALL if each.library is not None}
+"""Functions of the mathematical library that machine code calls, by the names of the operations that they are."""
 
 INNER_PROGRAM = {
     "custom_jvp_call": "call_jaxpr",

@@ -13,7 +13,7 @@ import os
 import platform
 from typing import Any
 
-from spherejax.compiler.emit.llvm import LIBRARY
+from spherejax.compiler.operations import LIBRARY
 
 SETTING = "SPHEREJAX_MACHINE_CODE"
 """Environment variable: 0 switches native code off, 1 asks for it on a platform that has not been tested."""
@@ -87,7 +87,7 @@ def check(llvm: Any) -> str:
         machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, **how)
         # The symbols of the process are known to LLVM from its first engine on.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        needed = [_symbol(name) for name in sorted(LIBRARY)] + ["memset", "memcpy"]
+        needed = [LIBRARY[name] for name in sorted(LIBRARY)] + ["memset", "memcpy"]
         needed += ["__chkstk"] if platform.system() == "Windows" else []
         missing = [name for name in needed if not llvm.address_of_symbol(name)]
         if missing:
@@ -113,13 +113,9 @@ def check(llvm: Any) -> str:
 
 def expected() -> list[float]:
     """What the program of `check` has to compute."""
-    of_library = [getattr(math, _symbol(name))(*_arguments(name)) for name in sorted(LIBRARY)]
+    of_library = [getattr(math, LIBRARY[name])(*_arguments(name)) for name in sorted(LIBRARY)]
     of_vectors = [max(float(round(x)), 0.25) + math.sqrt(abs(x)) for x in NUMBERS]  # Python rounds halves to even
     return [*of_library, *of_vectors, float(ROOM)]
-
-
-def _symbol(name: str) -> str:
-    return "fmod" if name == "rem" else name
 
 
 def _arguments(name: str) -> tuple[float, ...]:
@@ -133,9 +129,9 @@ def _text() -> str:
     lines, declared = [], []
     for i, name in enumerate(sorted(LIBRARY)):
         arguments = _arguments(name)
-        declared.append(f"declare double @{_symbol(name)}({', '.join(['double'] * len(arguments))})")
+        declared.append(f"declare double @{LIBRARY[name]}({', '.join(['double'] * len(arguments))})")
         lines += [
-            f"  %f{i} = call double @{_symbol(name)}({', '.join(f'double {x:.20e}' for x in arguments)})",
+            f"  %f{i} = call double @{LIBRARY[name]}({', '.join(f'double {x:.20e}' for x in arguments)})",
             f"  %p{i} = getelementptr inbounds double, ptr %to, i64 {i}",
             f"  store double %f{i}, ptr %p{i}, align 8",
         ]
