@@ -17,7 +17,7 @@ from spherejax.output.plot.style import typeset
 from spherejax.output.plot.work_precision import WorkCurve, WorkDiagram, work_precision_figure
 from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
 from spherejax.studies.accuracy.frontier import FrontierPoint, advice, duration, efficient, price, spreads, usual_target
-from spherejax.studies.accuracy.reference import AGREEMENT, PARTED, Reference, make_reference, parting
+from spherejax.studies.accuracy.reference import AGREED, Reference, make_reference, parting
 from spherejax.studies.accuracy.runs import PROBE_STEPS, TimedProgram, TimedTrial
 from spherejax.studies.accuracy.samples import UNITS, errors, samples_of, scales, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS
@@ -25,6 +25,9 @@ from spherejax.studies.accuracy.solvers import SOLVERS
 EXPLICIT = {name: SOLVERS[name] for name in ("Tsit5", "Dopri8")}
 IDEAL, FRICTION = (sj.gallery.four_bar(cases.FOUR_BAR_MODELS[name]) for name in ("ideal", "friction"))
 T_FRICTION, N_FRICTION = 0.05, 2001
+PARTED = 1e-6
+"""Where `run.determined_until` ends with a clearance of 0.1 mm [m]."""
+AGREEMENT = AGREED * PARTED
 
 
 def friction_ts():
@@ -113,6 +116,34 @@ def test_relative_errors_refer_to_peaks(result):
     assert scales(reference.samples)["energy"] == pytest.approx(reference.samples.kinetic_energy.max())
 
 
+def test_the_estimate_of_run_error_stands_beside_the_error(result):
+    for row in result.rows:
+        if row.succeeded and result.is_resolved(row):
+            assert 1 / 3 < row.estimates["position"] / row.errors["position"] < 3
+    # It is that of a run which `simulate` makes.
+    row = rows_of(result, "friction", "Dopri8")[0]
+    run = sj.simulate(FRICTION, friction_ts(), rtol=row.rtol, atol=row.atol, solver=diffrax.Dopri8())
+    for quantity, names in (("position", run.system.bodies), ("reaction", run.system.joints)):
+        largest = max(np.linalg.norm(run.error(f"{quantity}.{name}"), axis=1).max() for name in names)
+        assert row.estimates[quantity] == pytest.approx(largest, rel=0.5)
+    note = next(note for note in result.notes["friction"] if note.startswith("run.error estimates"))
+    assert note in str(result)
+    assert "run.error [m]" in str(result)
+
+
+def test_a_companion_over_the_budget_leaves_the_estimate_open(monkeypatch, result):
+    known, budget = result.references["ideal"], TimedProgram.budget
+    monkeypatch.setattr("spherejax.studies.accuracy.study.make_reference", lambda *arguments: known)
+    monkeypatch.setattr(
+        TimedProgram, "budget", lambda self, rtol, seconds: 3 if rtol < 1e-8 else budget(self, rtol, seconds)
+    )
+    found = study(IDEAL, 0.2, n_samples=501, solvers={"Dopri8": SOLVERS["Dopri8"]}, tolerances=(1e-5, 1e-7))
+    estimates = [row.estimates["position"] for row in found.rows]
+    assert estimates[0] > 0, "the run at 1e-7 is its companion"
+    assert np.isnan(estimates[1])
+    assert found.cells(found.rows[1])[5] == "-"
+
+
 # References ----------------------------------------------------------------------------------------------------------
 
 
@@ -162,6 +193,10 @@ def test_a_frictionless_dry_run_has_a_horizon(chaotic):
     assert reference.errors["position"] <= AGREEMENT
     assert "does not repeat" in str(reference)
     assert "one of many" in str(reference)
+    assert "agree to 1e-10 m until" in str(reference)
+    # The same criterion as that of a run: a tight one is determined until then.
+    run = sj.simulate(sj.gallery.four_bar(cases.FOUR_BAR_MODELS["dry"]), jnp.linspace(0.0, 0.6, 601), rtol=1e-10)
+    assert reference.parted == pytest.approx(run.determined_until, rel=0.1)
     assert f"over the first {reference.horizon:.3g} s" in chaotic.advice["dry"]
 
 
@@ -194,12 +229,12 @@ def test_friction_and_ideal_motion_repeat(result):
 
 def test_parting_tells_fast_growth_from_a_poor_reference():
     ts = np.linspace(0.0, 1.0, 1001)
-    agreed, parted = parting(ts, 1e-13 * np.exp(30 * ts))
+    agreed, parted = parting(ts, 1e-13 * np.exp(30 * ts), PARTED)
     assert agreed == pytest.approx(np.log(AGREEMENT / 1e-13) / 30, abs=2e-3)
     assert parted == pytest.approx(np.log(PARTED / 1e-13) / 30, abs=2e-3)
-    assert parting(ts, 1e-13 * np.exp(10 * ts)) == (None, None)  # has not parted yet
-    assert parting(ts, 1e-5 * ts**2) == (None, None)  # grows, but not exponentially: the reference is poor
-    assert parting(ts, np.full(1001, 1e-5)) == (None, None)  # poor from the start
+    assert parting(ts, 1e-13 * np.exp(10 * ts), PARTED) == (None, None)  # has not parted yet
+    assert parting(ts, 1e-5 * ts**2, PARTED) == (None, None)  # grows, but not exponentially: the reference is poor
+    assert parting(ts, np.full(1001, 1e-5), PARTED) == (None, None)  # poor from the start
 
 
 def test_statistics_of_a_known_history(result):
@@ -409,6 +444,7 @@ def test_a_data_set_carries_units_and_survives_a_file(result, tmp_path):
     row = rows_of(result, "friction", "Tsit5")[1]
     chosen = ds.sel(model="friction", solver="Tsit5", rtol=1e-7)
     assert float(chosen.reaction_error) == row.errors["reaction"]
+    assert float(chosen.reaction_estimate) == row.estimates["reaction"]
     assert int(chosen.n_steps) == row.n_steps
     assert float(chosen.energy_reference_error) == result.references["friction"].errors["energy"]
     assert np.isnan(ds.seconds.sel(model="ideal", solver="raises")).all()
@@ -429,7 +465,7 @@ def test_an_error_that_is_not_resolved_is_shown_as_such():
     reference = Reference(("a", "b"), (1e-12, 1e-12), known, dict.fromkeys(UNITS, 1.0), 1.0, None, None)
     row = Row("m", "a", 1e-6, 1e-8, 1e-3, 5, 1.0, 10, errors={**dict.fromkeys(UNITS, 2e-9), "velocity": 4e-9})
     found = WorkPrecision((row,), {"m": reference}, 1.0, 11)
-    assert found.cells(row)[5:7] == ("< 3e-09", "4.0e-09")
+    assert found.cells(row)[6:8] == ("< 3e-09", "4.0e-09")
     assert found.points("m")[0].error == pytest.approx(3e-9)
     assert "as good as the reference resolves" in found.advice["m"]
 
@@ -454,6 +490,7 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
         rows = list(csv.DictReader(file))
     assert [float(row["rtol [-]"]) for row in rows] == [1e-5, 1e-7]
     assert float(rows[0]["position_error [m]"]) > float(rows[1]["position_error [m]"]) > 0
+    assert 1 / 3 < float(rows[0]["position_estimate [m]"]) / float(rows[0]["position_error [m]"]) < 3
     with xarray.open_dataset(folder / "accuracy.nc") as ds:
         assert float(ds.position_error.sel(rtol=1e-5).item()) == float(rows[0]["position_error [m]"])
     assert cli.main([*words, "--out", str(folder)]) == 2

@@ -488,6 +488,7 @@ def test_the_quick_comparison_keeps_the_order_of_the_losses():
     ratios = {row.name: row.eccentricity_ratio for row in found.rows}
     assert ratios["dry"] > 1 > ratios["lubricated"]
     assert all(row.seconds > 0 for row in found.rows)
+    assert found.determined_until == dict.fromkeys(lost)  # all until the end: 0.2 s
     assert [result.study.name for result in found.studies] == ["dry_clearance"]
     assert len(found.models["dry"].ts) == 20001
 

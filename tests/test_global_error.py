@@ -12,6 +12,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.motion.results.global_error import OTHER_STEPS, floor_of
+from spherejax.studies.compare import determined_until
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
@@ -124,6 +125,12 @@ def test_determined_until_is_told_between_coarse_samples():
     fine = chaotic().determined_until
     coarse = sj.simulate(sj.gallery.four_bar(sj.Dry(1e-4)), np.array([0.0, 1.0])).determined_until
     assert coarse == pytest.approx(fine, abs=0.03)
+
+
+def test_a_comparison_tells_the_same_time():
+    run, repeats = chaotic(), pendulum()
+    assert determined_until(run) == run.determined_until < 1.0
+    assert determined_until(repeats) is None
 
 
 def test_an_accuracy_chooses_the_tolerance():
@@ -265,20 +272,32 @@ def test_the_command_takes_an_accuracy(capsys):
     assert "a length" in capsys.readouterr().err
 
 
+def in_a_file(scene, tmp_path) -> str:
+    settings = sj.SimulationSettings(t1=1.0, samples=11, rtol=1e-5, accuracy={"position.rod": "1 nm"})
+    return str(sj.save_scene(scene, tmp_path / "rod.toml", settings=settings))
+
+
 def test_a_scene_file_takes_an_accuracy(tmp_path, capsys):
     from spherejax.cli import main
 
-    settings = sj.SimulationSettings(t1=1.0, samples=11, rtol=1e-5, accuracy={"position.rod": "1 nm"})
-    path = sj.save_scene(sj.gallery.physical_pendulum(sj.Bushing(1e5, 1e-2)), tmp_path / "rod.toml", settings=settings)
-    assert main(["run", str(path)]) == 0
+    path = in_a_file(sj.gallery.physical_pendulum(), tmp_path)
+    assert main(["run", path]) == 0
     told = capsys.readouterr().out
     assert "position.rod" in told
     assert "of 1.0e-09 m" in told
-    # What the command says goes before what the file says, and the work of a joint is integrated for its accuracy.
-    assert main(["run", str(path), "--accuracy", "absorbed_work.pivot=1 uJ"]) == 0
-    told = capsys.readouterr().out
-    assert "absorbed_work.pivot" in told
+    # What the command says goes before what the file says.
+    assert main(["run", path, "--accuracy", "1 um"]) == 0
+    assert "positions" in (told := capsys.readouterr().out)
     assert "position.rod" not in told
+
+
+@pytest.mark.slow
+def test_the_command_integrates_the_work_whose_accuracy_is_asked_for(tmp_path, capsys):
+    from spherejax.cli import main
+
+    path = in_a_file(sj.gallery.physical_pendulum(sj.Bushing(1e5, 1e-2)), tmp_path)
+    assert main(["run", path, "--accuracy", "absorbed_work.pivot=1 uJ"]) == 0
+    assert "absorbed_work.pivot" in capsys.readouterr().out
 
 
 @pytest.mark.slow

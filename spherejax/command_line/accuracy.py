@@ -157,13 +157,12 @@ def solvers_named(names) -> dict:
 
 def print_accuracy(result: sj.WorkPrecision) -> None:
     """The table of each model, then what it means."""
-    from spherejax.studies.accuracy.samples import UNITS
+    from spherejax.studies.accuracy.page import HEADS
 
-    heads = ("solver", "rtol", "time", "steps", "rejected", *(f"{name} [{unit}]" for name, unit in UNITS.items()))
     for model in result.models:
         rows = [result.cells(row) for row in result.rows_of(model)]
         title = f"{model}, {result.t1:g} s: largest errors at the samples (<: the reference resolves no more)"
-        print_table(title, heads, rows, numeric=True)
+        print_table(title, HEADS, rows, numeric=True)
         compiled = {row.solver: row.compile_seconds for row in result.rows_of(model)}
         known = [f"{solver} {seconds:.1f} s" for solver, seconds in compiled.items() if math.isfinite(seconds)]
         print(f"Compiled once for all tolerances: {', '.join(known) or 'nothing'}.")
@@ -202,11 +201,15 @@ def _write_table(result: sj.WorkPrecision, path: Path) -> None:
         "status": "status", "diagnosis": "diagnosis",
     }  # fmt: skip
     kinds = [
-        (f"{name}_error [{unit}]", f"{name}_relative_error [-]", f"{name}_resolved") for name, unit in UNITS.items()
+        (f"{name}_error [{unit}]", f"{name}_relative_error [-]", f"{name}_resolved", f"{name}_estimate [{unit}]")
+        for name, unit in UNITS.items()
     ]
     lines = []
     for row in result.rows:
-        errors = [(row.errors[name], result.relative_error(row, name), result.is_resolved(row, name)) for name in UNITS]
+        errors = [
+            (row.errors[name], result.relative_error(row, name), result.is_resolved(row, name), row.estimates[name])
+            for name in UNITS
+        ]
         lines.append([*(getattr(row, name) for name in heads), *(cell for error in errors for cell in error)])
     write_rows(path, [*heads.values(), *(head for kind in kinds for head in kind)], lines)
 

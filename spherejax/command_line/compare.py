@@ -29,7 +29,7 @@ SAVED_SAMPLES = 2000
 DESCRIPTION = """\
 Simulate a mechanism with five models of one of its joints (ideal, dry, dry with friction, lubricated,
 bushing), vary their parameters, and print a table: energies, peaks, largest eccentricity, steps, computing
-time against the ideal joint, and until when the motion is repeatable. Writes table.csv, one netCDF file
+time against the ideal joint, and until when the motion is determined. Writes table.csv, one netCDF file
 for each model, and figures. Any mechanism can be compared: a scene file or a scene of the gallery, with
 one spherical or revolute joint that is studied. The paper's mechanisms, four-bar and suspension, have
 figures with its numbers (figNN_*.png). A comparison takes a minute or two on two free cores, with --quick
@@ -265,7 +265,7 @@ def _write_table(rows: list[ModelRow], path: Path) -> None:
     heads = {
         "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",
         "eccentricity_ratio": "eccentricity_ratio [-]", "n_onsets": "n_onsets", "n_steps": "n_steps",
-        "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "horizon": "repeatable_until [s]",
+        "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "determined_until": "determined_until [s]",
         "method": "method",
     }  # fmt: skip
     measures = list(dict.fromkeys(name for row in rows for name in row.measures))

@@ -5,7 +5,7 @@ parameters (Figs 10 to 17), and the limits in which every model becomes the idea
 mechanism is its `Subject`. Everything is returned as data; drawing and printing are others'.
 
 Motion without friction may be chaotic: two runs that differ in the tolerance alone part, and from then on a history is
-one of many that are equally right. `horizon` finds that instant from two runs.
+one of many that are equally right. `run.determined_until` says when.
 """
 
 import time
@@ -19,7 +19,6 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
@@ -145,14 +144,14 @@ def compare_models(
         curves = {name: _curves(subject, case, runs[name]) for name, case in models.items()}
         t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
         known = {case: curves[name] for name, case in models.items()}
-        horizons: dict[str, float | None] = {}
+        determined: dict[str, float | None] = {}
         limits_found: dict[LimitStudy, LimitResult] = {}
         timed: dict[Any, Trajectory] = {}
-        # All that is left at once, what compiles first; but for the horizons, which figures wait for.
+        # All that is left at once, what compiles first; but for `determined`, which figures wait for.
         work: list[tuple[dict, Any, Piece]] = [
             *((known, case, _piece("simulated", _curves_only, subject, case, ts)) for case in others),
             *(
-                (horizons, name, _piece("compared with a smaller tolerance", horizon, subject, case, ts, runs[name]))
+                (determined, name, Piece(f"error estimated: {case.label}", partial(determined_until, runs[name])))
                 for name, case in models.items()
             ),
             *((limits_found, study, _piece("limit", _limit, subject, study, t_short)) for study in limits),
@@ -174,14 +173,16 @@ def compare_models(
         def so_far() -> Comparison:
             complete = [study for study in studies if all(case in known for case in study.cases)]
             results = [_study_result(study, known) for study in complete]
-            return Comparison(t_end, [], curves, runs, results, t_limits=t_limits, parted=horizons, subject=subject)
+            return Comparison(
+                t_end, [], curves, runs, results, t_limits=t_limits, determined=determined, subject=subject
+            )
 
         pool.each([piece for *_, piece in work], as_found(so_far), heard)
         limit_results = [limits_found[study] for study in limits]
         usual = _timed(subject, t_end, None, done)
         by_fixed = {} if fixed is None else _timed(subject, t_end, fixed, done)
     rows = [
-        _row(subject, name, runs[name], curves[name], usual[name], horizons[name], by_fixed.get(name))
+        _row(subject, name, runs[name], curves[name], usual[name], determined[name], by_fixed.get(name))
         for name in models
     ]
     results = [_study_result(study, known) for study in studies]
@@ -211,9 +212,8 @@ def _piece(verb: str, work, subject: Subject, case: Case | LimitStudy, *argument
     return Piece(f"{verb}: {case.label}", partial(work, subject, case, *arguments))
 
 
-def _run(subject: Subject, case: Case, ts, rtol: float | None = None) -> Trajectory:
-    rtol = subject.rtol if rtol is None else rtol
-    return simulate(subject.build(case.model), ts, rtol=rtol, track_work=subject.tracks_work)
+def _run(subject: Subject, case: Case, ts) -> Trajectory:
+    return simulate(subject.build(case.model), ts, rtol=subject.rtol, track_work=subject.tracks_work)
 
 
 def _observed(subject: Subject, case: Case, ts) -> Trajectory:
@@ -238,7 +238,7 @@ def _row(
     run: Trajectory,
     one: Curves,
     timed: Timed,
-    part: float | None,
+    until: float | None,
     fixed: Timed | None,
 ) -> ModelRow:
     distance = one.distance[np.isfinite(one.distance)]
@@ -252,7 +252,7 @@ def _row(
         n_steps=timed.n_steps,
         seconds=timed.seconds,
         time_ratio=timed.time_ratio,
-        horizon=part,
+        determined_until=until,
         method=run.choice,
         measures=subject.measures(run, one),
         fixed=fixed,
@@ -260,27 +260,10 @@ def _row(
     )
 
 
-def horizon(subject: Subject, case: Case, ts: Float[Array, " n"], run: Trajectory) -> float | None:
-    """Until when the motion does not depend on the tolerance [s]; None when that is the end.
-
-    The run is repeated at a hundredth of the tolerance (a stiff method at a tenth: it is of lower order and
-    the hundredth would cost ten times more), and where the body is, is compared with `Subject.apart`.
-    """
-    factor = 1e-1 if "Rodas" in run.choice else 1e-2
-    finer = _run(subject, case, ts, rtol=factor * subject.rtol)
-    parted = np.flatnonzero(_apart(subject, run, finer) > subject.apart)
-    return float(ts[parted[0]]) if parted.size else None
-
-
-def _apart(subject: Subject, run: Trajectory, other: Trajectory) -> Float[np.ndarray, " n"]:
-    """How far the body is apart in two runs [m]: along the axis, or where joints hold it if it turns in one place."""
-    body = subject.body
-    assert body is not None
-    assert subject.axis is not None
-    if subject.axis in ROTATIONS:
-        return bodies_apart(run.system, run.state, other.state)[:, list(run.system.bodies).index(body)]
-    at = "xyz".index(subject.axis)
-    return np.abs(np.asarray(run.position(body)[:, at] - other.position(body)[:, at]))
+def determined_until(run: Trajectory) -> float | None:
+    """`run.determined_until` [s], or None when that is the end."""
+    until = run.determined_until
+    return until if until < float(run.ts[-1]) else None
 
 
 def _run_for_timing(subject: Subject, case: Case, t_end: float, solver: diffrax.AbstractSolver | None) -> Trajectory:

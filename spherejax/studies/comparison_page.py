@@ -22,10 +22,10 @@ def page_of(comparison, title: str, scene: Scene | None) -> Page:
     page = Page(title or f"Joint models of {subject.joint} compared: {subject.name}", verdict)
     page.failed += [f"{name}: {runs[name].diagnosis}" for name in failed]
     for row in comparison.rows:
-        if row.horizon is not None:
+        if row.determined_until is not None:
             page.cautions.append(
-                f"{row.label}: the motion is chaotic; from {row.horizon:.3g} s on its history is one of many that are "
-                "equally right."
+                f"{row.label}: the motion is determined until {row.determined_until:.3g} s; what is later is one of "
+                "many histories that are equally right."
             )
         page.cautions += [f"{row.label}: {said}" for said in cautions_of(runs[row.name])]
     labels = {row.name: row.label for row in comparison.rows}

@@ -122,7 +122,6 @@ class Subject:
         limits: limits to the ideal joint, from the models.
         t_limits: length of the motion in the limits [s].
         reference: what eccentricities of all models are compared with [m].
-        apart: two runs have parted when the body's positions differ by this much [m].
         tracks_work: whether the work that the studied joint absorbs is integrated.
         fixed_solver: a method that all models are timed with besides the automatic choice.
         rtol: relative tolerance of all runs.
@@ -147,7 +146,6 @@ class Subject:
     limits: Callable[[Mapping[str, Case]], list[LimitStudy]] = field(default=lambda models: [])
     t_limits: float = 0.0
     reference: float = 1e-4
-    apart: float = 1e-5
     tracks_work: bool = False
     fixed_solver: diffrax.AbstractSolver | None = None
     rtol: float = RTOL
@@ -189,7 +187,9 @@ def usual_columns(comparison: "Comparison") -> "Sequence[TableColumn]":
         TableColumn("steps", lambda row: row.n_steps, ",d"),
         TableColumn("warm run [s]", lambda row: row.seconds, ".3g"),
         TableColumn("time ratio", lambda row: row.time_ratio, ".3g"),
-        TableColumn("repeatable until [s]", lambda row: row.horizon, lambda t: "the end" if t is None else f"{t:.3g}"),
+        TableColumn(
+            "determined until [s]", lambda row: row.determined_until, lambda t: "the end" if t is None else f"{t:.3g}"
+        ),
     )
 
 
@@ -230,7 +230,7 @@ class ModelRow:
         n_steps: steps of the integrator.
         seconds: median time of a warm run with few samples [s].
         time_ratio: `seconds` divided by those of the ideal joint.
-        horizon: until when the motion does not depend on the tolerance [s]; None when that is the end.
+        determined_until: `run.determined_until`, until when the motion is determined [s]; None when that is the end.
         method: which integrator, and why.
         measures: further numbers, by name; see `Subject.measures`.
         fixed: what the run costs with the subject's fixed method, or None.
@@ -246,7 +246,7 @@ class ModelRow:
     n_steps: int
     seconds: float
     time_ratio: float
-    horizon: float | None
+    determined_until: float | None
     method: str
     measures: Mapping[str, float] = field(default_factory=dict)
     fixed: Timed | None = None
@@ -304,8 +304,8 @@ class Comparison(Reported):
         studies: parameter studies.
         limits: limits to the ideal joint, over `t_limits` seconds.
         t_limits: length of the motion in the limits [s].
-        parted: the horizons that are known while there are no rows yet.
-        subject: the mechanism, and what of it is looked at.
+        determined: what of `determined_until` is known while there are no rows yet.
+        subject: the mechanism.
     """
 
     t_end: float
@@ -315,13 +315,13 @@ class Comparison(Reported):
     studies: list[StudyResult] = field(default_factory=list)
     limits: list[LimitResult] = field(default_factory=list)
     t_limits: float = 0.0
-    parted: Mapping[str, float | None] = field(default_factory=dict)
+    determined: Mapping[str, float | None] = field(default_factory=dict)
     subject: Subject = field(kw_only=True)
 
     @property
-    def horizons(self) -> dict[str, float | None]:
-        """Until when each model's motion does not depend on the tolerance [s], by short name."""
-        return {**self.parted, **{row.name: row.horizon for row in self.rows}}
+    def determined_until(self) -> dict[str, float | None]:
+        """Until when each model's motion is determined [s], by short name; None where that is the end."""
+        return {**self.determined, **{row.name: row.determined_until for row in self.rows}}
 
     @property
     def ideal(self) -> Curves:

@@ -19,6 +19,7 @@ errors of all steps need one for each entry of the state.
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -60,6 +61,9 @@ tolerance, Rodas5P 2.5 times, order 3 ten times."""
 SHARE_OF_CLEARANCE, SHARE_OF_LENGTH = 1e-2, 1e-3
 """What `determined_until` asks of positions where nothing else is asked: a hundredth of the smallest clearance, or a
 thousandth of the mechanism's length where there is none."""
+
+Repeat = Callable[[float], Any]
+"""Makes a run, a `Trajectory`, at a relative tolerance."""
 
 POSITIONS = "positions"
 """Stands for the positions of all bodies among the names of quantities."""
@@ -155,24 +159,35 @@ def floor_of(system: System) -> float:
 
 def companion_of(run: Any) -> Any:
     """The run that another one is compared with; see the module's docstring."""
-    asked = repeatable(run)
+    rtol = repeatable(run).rtol
+    return companion_by(run, rtol, lambda tighter: repeated(run, tighter), lambda same: _by_other_method(run, same))
+
+
+def companion_by(run: Any, rtol: float, repeat: Repeat, by_other_method: Repeat) -> Any:
+    """The same with runs by other means than `repeated`: a study has programs of its own.
+
+    Args:
+        run: the `Trajectory` whose error is estimated.
+        rtol: its relative tolerance.
+        repeat: the same motion at another tolerance.
+        by_other_method: the same motion by another method, at a given tolerance; None where there is none.
+    """
     # Tolerances of diffrax's own implicit methods are not lifted to the floor, and below it they follow rounding, too.
     floor = floor_of(run.system)
-    rtol, n_steps = max(asked.rtol, floor), int(run.stats.n_steps)
+    rtol, n_steps = max(rtol, floor), int(run.stats.n_steps)
     if rtol < AT_ROUNDING * floor:
-        found = repeated(run, AT_ROUNDING * rtol)
-        return found if OTHER_STEPS * int(found.stats.n_steps) <= n_steps else _by_other_method(run, rtol) or found
+        found = repeat(AT_ROUNDING * rtol)
+        return found if OTHER_STEPS * int(found.stats.n_steps) <= n_steps else by_other_method(rtol) or found
     found, tighter = None, rtol
     while tighter > floor:
         tighter = max(tighter / TIGHTER, floor)
-        made = repeated(run, tighter)
+        made = repeat(tighter)
         if int(made.ended) != Status.SUCCEEDED:
-            made = repeated(run, rtol / AT_ROUNDING**2) if found is None else found
-            return made
+            return repeat(rtol / AT_ROUNDING**2) if found is None else found
         found = made
         if int(made.stats.n_steps) >= OTHER_STEPS * n_steps:
             return made
-    return _by_other_method(run, max(rtol / TIGHTER, floor)) or found
+    return by_other_method(max(rtol / TIGHTER, floor)) or found
 
 
 def _by_other_method(run: Any, rtol: float) -> Any:

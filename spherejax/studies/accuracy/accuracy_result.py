@@ -9,7 +9,7 @@ import numpy as np
 from spherejax.model.scene import Scene
 from spherejax.motion.results.reported import Reported
 from spherejax.studies.accuracy.frontier import FrontierPoint, advice, duration, efficient, spreads
-from spherejax.studies.accuracy.page import page_of
+from spherejax.studies.accuracy.page import HEADS, page_of
 from spherejax.studies.accuracy.reference import Reference
 from spherejax.studies.accuracy.samples import STATISTICS, UNITS
 
@@ -66,6 +66,8 @@ class Row:
         n_onsets: contact onsets.
         errors: largest error over samples and over bodies or joints, by quantity, in the units of `UNITS`; until the
             horizon where there is one; NaN for a run that did not finish.
+        estimates: the same by the estimate of `run.error`, from a companion at a hundredth of the tolerance in place of
+            the reference; NaN where that did not finish within the budget.
         statistics: see `STATISTICS`; empty for a motion that repeats.
         status: name of the status, `"succeeded"` or what went wrong.
         diagnosis: what went wrong and what to do; empty after success.
@@ -83,6 +85,7 @@ class Row:
     n_evaluations: int = 0
     n_onsets: int = 0
     errors: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(UNITS, float("nan")))
+    estimates: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(UNITS, float("nan")))
     statistics: Mapping[str, float] = field(default_factory=dict)
     status: str = "succeeded"
     diagnosis: str = ""
@@ -171,10 +174,15 @@ class WorkPrecision(Reported):
 
     @property
     def notes(self) -> dict[str, list[str]]:
-        """What else must be known about each model: its reference, what did not finish, statistics out of line."""
-        return {model: [str(self.references[model]), *self._notes_of(model)] for model in self.models}
+        """What else must be known about each model: its reference, how well `run.error` estimates, `cautions_of`."""
+        return {model: [*self.measured_by(model), *self.cautions_of(model)] for model in self.models}
 
-    def _notes_of(self, model: str) -> list[str]:
+    def measured_by(self, model: str) -> list[str]:
+        """What the errors of a model are measured against, and how well `run.error` meets those that are resolved."""
+        return [str(self.references[model]), *filter(None, [self._note_on_estimates(model)])]
+
+    def cautions_of(self, model: str) -> list[str]:
+        """What did not finish, and statistics out of line."""
         notes = []
         failed: dict[str, list[Row]] = {}
         for row in self.rows_of(model):
@@ -193,6 +201,17 @@ class WorkPrecision(Reported):
                 )
         return notes
 
+    def _note_on_estimates(self, model: str) -> str:
+        rows = [row for row in self.rows_of(model) if row.succeeded and self.is_resolved(row)]
+        shares = [row.estimates["position"] / row.errors["position"] for row in rows]
+        known = [share for share in shares if np.isfinite(share)]
+        if not known:
+            return ""
+        return (
+            f"run.error estimates {min(known):.2g} to {max(known):.2g} of the position error, in {len(known)} runs "
+            "whose error the reference resolves."
+        )
+
     def __str__(self) -> str:
         lines = []
         for model in self.models:
@@ -200,27 +219,28 @@ class WorkPrecision(Reported):
         return "\n".join(lines).rstrip()
 
     def _table(self, model: str) -> list[str]:
-        heads = ("solver", "rtol", "time", "steps", "rejected", *(f"{n} [{u}]" for n, u in UNITS.items()))
-        rows = [heads, *(self.cells(row) for row in self.rows_of(model))]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
+        rows = [HEADS, *(self.cells(row) for row in self.rows_of(model))]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(HEADS))]
         return ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
 
     def cells(self, row: Row) -> tuple[str, ...]:
-        """A row as text: solver, tolerance, time, steps, rejected steps, errors (`<` marks those not resolved)."""
+        """A row as text, under `HEADS`; `<` marks errors that the reference does not resolve."""
         if not row.succeeded:
             failure = row.status.replace("_", " ")
-            return (row.solver, f"{row.rtol:.0e}", failure, f"{row.n_steps:,}", f"{row.n_rejected:,}", *("-",) * 5)
+            return (row.solver, f"{row.rtol:.0e}", failure, f"{row.n_steps:,}", f"{row.n_rejected:,}", *("-",) * 6)
         floors = self.references[row.model]
         shown = [
             f"{row.errors[name]:.1e}" if self.is_resolved(row, name) else f"< {floors.floor(name):.0e}"
             for name in UNITS
         ]
+        estimate = row.estimates["position"]
         return (
             row.solver,
             f"{row.rtol:.0e}",
             duration(row.seconds),
             f"{row.n_steps:,}",
             f"{row.n_rejected:,}",
+            f"{estimate:.1e}" if np.isfinite(estimate) else "-",
             *shown,
         )
 
@@ -275,6 +295,8 @@ def _of_rows(grid: list[list[list[Row | None]]]) -> dict:
     for name, unit in UNITS.items():
         meaning = f"largest error of the {name}"
         columns[f"{name}_error"] = column(lambda row, name=name: row.errors[name], nan, unit, meaning)
+        meaning = f"largest error of the {name} by the estimate of run.error"
+        columns[f"{name}_estimate"] = column(lambda row, name=name: row.estimates[name], nan, unit, meaning)
     for name, (unit, meaning) in STATISTICS.items():
         if any(row is not None and name in row.statistics for plane in grid for line in plane for row in line):
             columns[name] = column(lambda row, name=name: row.statistics.get(name, nan), nan, unit, meaning)

@@ -4,7 +4,11 @@ from spherejax.model.scene import Scene
 from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
 from spherejax.studies.accuracy.samples import UNITS
 
-HEADS = ("solver", "rtol", "time", "steps", "rejected", *(f"{name} [{unit}]" for name, unit in UNITS.items()))
+HEADS = (
+    "solver", "rtol", "time", "steps", "rejected", "run.error [m]",
+    *(f"{name} [{unit}]" for name, unit in UNITS.items()),
+)  # fmt: skip
+"""Heads of the table of runs; `run.error` estimates the position's error, which stands beside it."""
 
 
 def page_of(study, title: str, scene: Scene | None) -> Page:
@@ -25,8 +29,7 @@ def page_of(study, title: str, scene: Scene | None) -> Page:
     if n_failed == n:
         page.failed.append("No run finished; see the tables for why.")
     for model in study.models:
-        # The first note is what the reference is; the others are to be minded.
-        page.cautions += [f"{model}: {note}" for note in study.notes[model][1:]]
+        page.cautions += [f"{model}: {note}" for note in study.cautions_of(model)]
     if len(study.models) > 1:
         page.add("All models", PagePicture(study.overview(), "the efficient runs of all models"))
     for model in study.models:
@@ -36,7 +39,7 @@ def page_of(study, title: str, scene: Scene | None) -> Page:
         )
         why = [(row.solver, f"{row.rtol:.0e}", row.diagnosis) for row in study.rows_of(model) if not row.succeeded]
         figures = [PagePicture(figure, f"{name} of {model}") for name, figure in study.figures(model).items()]
-        said = PageText([study.advice[model], *study.notes[model][:1]])
+        said = PageText([study.advice[model], *study.measured_by(model)])
         page.add(model, said, *figures, table, PageTable(("solver", "rtol", "why it did not finish"), why))
     if scene is None:
         add_versions(page)

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.status import Status
+from spherejax.motion.results.global_error import bodies_apart, usual_limit
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.studies.accuracy.runs import TimedProgram
-from spherejax.studies.accuracy.samples import SampledRun, distances, errors, samples_of, scales, statistics
+from spherejax.studies.accuracy.samples import SampledRun, errors, samples_of, scales, statistics
 
 METHODS = ("Dopri8", "Tsit5", "Rodas5P")
 """Methods of reference runs, in the order in which they are tried: an explicit method of high order is the most exact
@@ -27,15 +30,14 @@ method then needs thirty times the steps and errs more."""
 FLOOR_FACTOR = 3.0
 """An error below this many times the reference's own is not resolved."""
 
-AGREEMENT = 1e-10
-"""Histories count while two tight runs agree to this [m]: a millionth of a usual clearance."""
-
-PARTED = 1e-6
-"""Two tight runs have parted when a center of mass differs by this [m]: a hundredth of a usual clearance."""
+AGREED = 1e-4
+"""Two tight runs have parted where `run.determined_until` would end: bodies are apart by a hundredth of the smallest
+clearance, or a thousandth of the length. Histories count while they agree to this share of that. With a clearance of
+0.1 mm they agree to 1e-10 m, and have parted at 1e-6 m."""
 
 FAST_GROWTH = 10.0
-"""Runs that need less than this many times the time at which they differ by `AGREEMENT` to differ by `PARTED` part
-exponentially. A difference that grows like t^p does so only for p > 3; else the reference is merely inexact."""
+"""Runs that need less than this many times the time at which they still agree to part, part exponentially. A difference
+that grows like t^p does so only for p > 4; else the reference is merely inexact."""
 
 SHORTEST_HORIZON = 0.02
 """A horizon shorter than this share of the motion is none: the reference is merely inexact."""
@@ -55,9 +57,10 @@ class Reference:
         scales: peak of each quantity until the horizon, in its unit.
         t1: end of the motion [s].
         horizon: until when histories repeat [s]; None when that is the end.
-        parted: when the two runs differ by `PARTED` [s]; None when they do not.
+        parted: when the two runs have parted [s]; None when they have not.
         members: statistics of the tight runs from `parted` on; empty for a motion that repeats.
         samples: the first run.
+        limit: distance of bodies at which runs have parted [m], that of `run.determined_until`.
     """
 
     methods: tuple[str, str]
@@ -69,6 +72,7 @@ class Reference:
     parted: float | None
     members: Sequence[Mapping[str, float]] = ()
     samples: SampledRun | None = field(default=None, repr=False)
+    limit: float = float("nan")
 
     def floor(self, quantity: str) -> float:
         """Error of a quantity below which the reference says nothing, in the quantity's unit."""
@@ -80,10 +84,11 @@ class Reference:
         if self.horizon is None:
             return f"{known}, {self.errors['acceleration']:.1e} m/s^2 in acceleration."
         return (
-            f"This motion does not repeat: two tight runs ({runs}) agree to {AGREEMENT:.0e} m until "
-            f"{self.horizon:.3g} s and to {PARTED:.0e} m until {self.parted:.3g} s. Errors of histories are measured "
-            f"until {self.horizon:.3g} s; later, every history is one of many that are equally right, and statistics "
-            f"from {self.parted:.3g} s on are compared with their spread over {len(self.members)} tight runs."
+            f"This motion does not repeat: two tight runs ({runs}) agree to {AGREED * self.limit:.0e} m "
+            f"until {self.horizon:.3g} s and to {self.limit:.0e} m until {self.parted:.3g} s. Errors of histories are "
+            f"measured until {self.horizon:.3g} s; later, every history is one of many that are equally right, and "
+            f"statistics from {self.parted:.3g} s on are compared with their spread over {len(self.members)} tight "
+            "runs."
         )
 
 
@@ -107,10 +112,10 @@ def make_reference(
             continue
         second = _first_finished(program_by, [name for name in methods if name != first[0]], rtol, seconds)
         if second is not None:
-            return _compared(program_by, (first[0], second[0]), (rtol, rtol), (first[1], second[1]))
+            return _compared(program_by, (first, second), (rtol, rtol))
         looser = _first_finished(program_by, [first[0]], 10 * rtol, seconds)
         if looser is not None:
-            return _compared(program_by, (first[0], first[0]), (rtol, 10 * rtol), (first[1], looser[1]))
+            return _compared(program_by, (first, looser), (rtol, 10 * rtol))
     raise SceneError(
         f"no method finished a reference run at rtol {tightest / 3:.0e} within {seconds:.3g} s. Raise max_seconds, "
         "shorten t1, or ask for looser tolerances"
@@ -122,26 +127,35 @@ def _ladder(tightest: float) -> list[float]:
     return list(dict.fromkeys(max(TIGHTEST, tightest / factor) for factor in (TIGHTER, TIGHTER / 10, 3.0)))
 
 
-def _first_finished(program_by, methods: Sequence[str], rtol: float, seconds: float) -> tuple[str, SampledRun] | None:
+class Finished(NamedTuple):
+    """A run that reached its end: its method, the run, its samples."""
+
+    method: str
+    run: Trajectory
+    samples: SampledRun
+
+
+def _first_finished(program_by, methods: Sequence[str], rtol: float, seconds: float) -> Finished | None:
     for name in methods:
         program = program_by(name)
         run = program.run(rtol, program.budget(rtol, seconds))
         if int(run.status) == Status.SUCCEEDED and (samples := samples_of(run)).is_finite:
-            return name, samples
+            return Finished(name, run, samples)
     return None
 
 
-def _compared(program_by, methods: tuple[str, str], rtols: tuple[float, float], runs: tuple[SampledRun, SampledRun]):
+def _compared(program_by, finished: tuple[Finished, Finished], rtols: tuple[float, float]) -> Reference:
     """The reference from its two runs; where they part, the ensemble is added."""
-    first, second = runs
-    horizon, parted = parting(first.ts, distances(first, second, "position"))
+    methods, (first, second) = (finished[0].method, finished[1].method), (one.samples for one in finished)
+    system = finished[0].run.system
+    apart = bodies_apart(system, finished[0].run.state, finished[1].run.state)
+    limit = usual_limit(system)
+    horizon, parted = parting(first.ts, np.max(apart, axis=1, initial=0.0), limit)
     members: list[Mapping[str, float]] = []
     if horizon is not None and parted is not None:
         # Tolerances a little looser: other members of the same ensemble, by the program that is compiled already.
-        others = (
-            samples_of(program_by(methods[0]).run(rtols[0] * 1.3 ** (k + 1))) for k in range(N_MEMBERS - len(runs))
-        )
-        members = [statistics(run, parted) for run in (*runs, *others)]
+        others = (samples_of(program_by(methods[0]).run(rtols[0] * 1.3 ** (k + 1))) for k in range(N_MEMBERS - 2))
+        members = [statistics(run, parted) for run in (first, second, *others)]
     return Reference(
         methods,
         rtols,
@@ -152,20 +166,22 @@ def _compared(program_by, methods: tuple[str, str], rtols: tuple[float, float], 
         parted,
         tuple(members),
         first,
+        limit,
     )
 
 
-def parting(ts: np.ndarray, difference: np.ndarray) -> tuple[float | None, float | None]:
-    """Until when two tight runs agree to `AGREEMENT` and to `PARTED` [s]; (None, None) for a motion that repeats.
+def parting(ts: np.ndarray, difference: np.ndarray, limit: float) -> tuple[float | None, float | None]:
+    """Until when two tight runs agree, and have not parted [s]; (None, None) for a motion that repeats.
 
     Args:
         ts: sample times [s], shape (n,).
-        difference: largest distance of the bodies' centers at each sample [m], shape (n,).
+        difference: largest distance of the bodies at each sample [m], shape (n,).
+        limit: at which they have parted [m]; they agree up to the share `AGREED` of it.
     """
     largest = np.maximum.accumulate(difference)
-    if largest[-1] <= PARTED:
+    if largest[-1] <= limit:
         return None, None
-    agreed, parted = (float(ts[max(0, int(np.argmax(largest > level)) - 1)]) for level in (AGREEMENT, PARTED))
+    agreed, parted = (float(ts[max(0, int(np.argmax(largest > level)) - 1)]) for level in (AGREED * limit, limit))
     duration = ts[-1] - ts[0]
     is_fast = parted - ts[0] < FAST_GROWTH * (agreed - ts[0])
     return (agreed, parted) if is_fast and agreed - ts[0] >= SHORTEST_HORIZON * duration else (None, None)

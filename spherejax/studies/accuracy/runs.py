@@ -1,6 +1,8 @@
 """Compiled runs of one scene by one solver, for any tolerance, within a budget."""
 
+import math
 import time
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import diffrax
@@ -12,6 +14,8 @@ from jaxtyping import Array, Float
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.integration.statistics import Statistics
+from spherejax.motion.results.global_error import companion_by
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import NO_LIMIT, simulate
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
@@ -85,6 +89,22 @@ class TimedProgram:
     def run(self, rtol: float, n_steps: int = NO_LIMIT) -> Any:
         """The `Trajectory` or `RunEnding` of a run, finished when this returns."""
         return self.call(_arguments(rtol, n_steps))
+
+    def companion(self, run: Trajectory, rtol: float, seconds: float, known: Mapping[float, Trajectory]) -> Trajectory:
+        """The run that `run.error` would compare a run of this program with; see `motion/results/global_error.py`.
+
+        Args:
+            run: a run of this program.
+            rtol: its tolerance.
+            seconds: budget of a run that must be made [s].
+            known: runs that have been made already, by tolerance.
+        """
+
+        def repeat(tighter: float) -> Trajectory:
+            made = [one for at, one in known.items() if math.isclose(at, tighter, rel_tol=1e-6)]
+            return made[0] if made else self.run(tighter, self.budget(tighter, seconds))
+
+        return companion_by(run, rtol, repeat, by_other_method=lambda same: None)
 
     def call(self, arguments) -> Any:
         """As `run`, for arguments that are made already."""

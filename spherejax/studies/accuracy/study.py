@@ -11,12 +11,13 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.status import diagnosis as told_by_status
+from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.runtime import require_float64
 from spherejax.studies.accuracy.accuracy_result import Row, WorkPrecision
 from spherejax.studies.accuracy.reference import METHODS, STIFF_METHODS, TIGHTEST, Reference, make_reference
 from spherejax.studies.accuracy.runs import RunEnding, TimedProgram, TimedTrial
-from spherejax.studies.accuracy.samples import errors, samples_of, statistics
+from spherejax.studies.accuracy.samples import UNITS, errors, samples_of, statistics
 from spherejax.studies.accuracy.solvers import SOLVERS, SolverOf
 
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
@@ -63,10 +64,12 @@ def work_precision(
     velocities are not compared.
 
     The reference is the first of two runs at up to a hundredth of the tightest tolerance, by different methods where
-    both finish; their difference is its error. An error below three times that is not resolved.
+    both finish; their difference is its error. An error below three times that is not resolved. The estimate of
+    `run.error`, from the same solver at a hundredth of the tolerance, stands beside each error. Solvers are judged by
+    the reference, not by that estimate: it is tighter, of other methods, and the same for all.
 
     Where two tight runs part (dry joints without friction), errors are measured while they agree; beyond, statistics
-    are compared with their spread over an ensemble of tight runs.
+    are compared with their spread over an ensemble of tight runs. They part where `run.determined_until` ends.
 
     Args:
         scene: a scene, or several by name.
@@ -170,6 +173,7 @@ class _Laboratory:
     def rows(self, solver: str, tolerances: Sequence[float], reference: Reference, tell: _Progress) -> list[Found]:
         """The rows of one solver, from the loosest tolerance to the tightest."""
         rows: list[Found] = []
+        runs: dict[float, Trajectory] = {}
         try:
             timed = TimedProgram(
                 self.scene, self.solvers[solver], self.ends, atol_ratio=self.atol_ratio, measures=False
@@ -185,26 +189,49 @@ class _Laboratory:
                 message = "a looser tolerance was over the budget already"
                 rows.append((self._failed(solver, rtol, "not_tried", message), None))
             else:
-                rows.append(self._row(solver, rtol, timed, measured, reference))
+                rows.append(self._row(solver, rtol, timed, measured, reference, runs))
             tell(f"{self.model}: {solver} at rtol {rtol:.0e}")
-        return rows
+        return [
+            (replace(row, estimates=self._estimates(measured, row.rtol, reference, runs)), trial)
+            if row.rtol in runs
+            else (row, trial)
+            for row, trial in rows
+        ]
+
+    def _estimates(
+        self, measured: TimedProgram, rtol: float, reference: Reference, runs: Mapping[float, Trajectory]
+    ) -> dict[str, float]:
+        """What `run.error` estimates, over the samples and bodies that the errors are of; NaN where it cannot."""
+        companion = measured.companion(runs[rtol], rtol, self.max_seconds, runs)
+        if int(companion.status) != Status.SUCCEEDED:
+            return dict.fromkeys(UNITS, float("nan"))
+        return errors(samples_of(runs[rtol]), samples_of(companion), reference.horizon)
 
     def _row(
-        self, solver: str, rtol: float, timed: TimedProgram, measured: TimedProgram, reference: Reference
+        self,
+        solver: str,
+        rtol: float,
+        timed: TimedProgram,
+        measured: TimedProgram,
+        reference: Reference,
+        runs: dict[float, Trajectory],
     ) -> Found:
+        """A row; its run is added to `runs` by tolerance."""
         assert reference.samples is not None
         try:
             trial = TimedTrial(timed, rtol, self.max_seconds)
             end = trial.end
             if int(end.status) != Status.SUCCEEDED:
                 return self._stopped(solver, rtol, timed, end), None
-            samples = samples_of(measured.run(rtol, 4 * int(end.stats.n_steps) + 1000))
+            run = measured.run(rtol, 4 * int(end.stats.n_steps) + 1000)
+            samples = samples_of(run)
         except Exception as error:
             return self._failed(solver, rtol, "raised", _told(error), compile_seconds=timed.compile_seconds), None
         known = {"compile_seconds": timed.compile_seconds, **_counts(end)}
         if not samples.is_finite:
             message = "the sampled motion is not finite; choose another solver or tighten rtol"
             return self._failed(solver, rtol, "not_finite", message, **known), None
+        runs[rtol] = run
         row = Row(
             self.model,
             solver,

@@ -73,6 +73,5 @@ FOUR_BAR = Subject(
     limits=limit_studies,
     t_limits=0.5,  # dry motion is hardly chaotic until then
     reference=CLEARANCE,
-    apart=1e-5,  # a tenth of the clearance
 )
 """The paper's first mechanism."""

@@ -29,9 +29,6 @@ INTERVAL = 1e-5
 MOST_SAMPLES, FEWEST_SAMPLES = 200_001, 2001
 """Of a run; all that is observed at so many samples takes some 0.3 GB."""
 
-APART = 0.1
-"""Two runs have parted when they differ by this share of the smallest clearance."""
-
 T_LIMITS = 0.25
 """How much of the motion the limits to the ideal joint make: dry motion is hardly chaotic until then."""
 
@@ -96,7 +93,6 @@ def own_mechanism(
         limits=limit_studies,
         t_limits=T_LIMITS * t1,
         reference=reference,
-        apart=APART * min(clearances, default=reference),
         tracks_work=True,
         rtol=rtol,
     )
@@ -206,10 +202,10 @@ def figures(comparison: Comparison) -> dict[str, Callable]:
     from spherejax.output.plot.eccentricity import eccentricity_paths
 
     subject, models, ideal = comparison.subject, comparison.models, comparison.ideal
-    parameters, horizons = subject.parameters, comparison.horizons
+    parameters, determined = subject.parameters, comparison.determined_until
     found = {subject.numbered(name): draw for name, draw in subject.figures_ahead(subject).items()}
     for result in comparison.studies:
-        if result.study.of in horizons:
+        if result.study.of in determined:
             found[subject.numbered(result.study.name)] = partial(study_figure, result, comparison)
     others = [one for name, one in models.items() if name != subject.ideal]
     colors = model_colors_of(comparison)
@@ -293,7 +289,7 @@ def study_figure(result: StudyResult, comparison: Comparison):
 
     study, ideal, t_end = result.study, comparison.ideal, comparison.t_end
     colors = ordered_colors(len(study.cases)) if study.ordered else FILM_COLORS if study.of_films else LAW_COLORS
-    horizon = comparison.horizons.get(study.of)
+    horizon = comparison.determined_until.get(study.of)
     if study.histories:
         return histories.four_histories(result.curves, ideal, study.title, colors=colors, horizon=horizon)
     window = None

@@ -289,7 +289,6 @@ SUSPENSION = Subject(
     summaries=summaries,
     remarks=remarks,
     reference=CLEARANCE,
-    apart=1e-5,
     tracks_work=True,
     fixed_solver=diffrax.Dopri5(),
 )
