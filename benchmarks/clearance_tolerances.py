@@ -1,4 +1,4 @@
-"""What it would give to judge positions by the clearance alone: steps and reached errors, on seven scenes.
+"""What it would give to judge positions by the clearance alone: steps and reached errors, on eight scenes.
 
     python benchmarks/clearance_tolerances.py            # ten minutes on two free cores
 

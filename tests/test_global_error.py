@@ -2,16 +2,18 @@
 
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.results.global_error import OTHER_STEPS, floor_of
+from spherejax.motion.results.global_error import OTHER_STEPS, floor_of, usual_limit
 from spherejax.studies.compare import determined_until
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
@@ -298,6 +300,48 @@ def test_the_command_integrates_the_work_whose_accuracy_is_asked_for(tmp_path, c
     path = in_a_file(sj.gallery.physical_pendulum(sj.Bushing(1e5, 1e-2)), tmp_path)
     assert main(["run", path, "--accuracy", "absorbed_work.pivot=1 uJ"]) == 0
     assert "absorbed_work.pivot" in capsys.readouterr().out
+
+
+def dry_journal(clearance=5e-4, heavier=0.0) -> sj.Scene:
+    """The piston with a dry journal; its mass is larger by a share."""
+    scene = sj.gallery.piston(sj.Dry(clearance, conformity=sj.JohnsonCylinder(0.02)))
+    piston = scene.bodies["piston"]
+    heavy = eqx.tree_at(lambda body: body.mass, piston, float(piston.mass) * (1 + heavier))
+    return replace(scene, bodies={**scene.bodies, "piston": heavy})
+
+
+def test_journals_are_judged_against_their_clearance():
+    for clearance in (1e-4, 5e-4):
+        assert usual_limit(sj.compile_scene(dry_journal(clearance)).system) == pytest.approx(1e-2 * clearance)
+    with pytest.raises(sj.SceneError, match=r"a length"):
+        sj.simulate(dry_journal(), SHORT, accuracy={"eccentricity.pin": "50 N"})
+
+
+@pytest.mark.slow
+def test_the_place_of_a_dry_journal_is_as_exact_as_its_motion_lets_it():
+    """The error over the clearance is what the motion makes of a change of its numbers by the tolerance."""
+    ts, clearance = np.linspace(0.0, 0.024, 201), 5e-4
+
+    def places(heavier=0.0, **options):
+        run = sj.simulate(dry_journal(clearance, heavier), ts, **options)
+        return run, np.asarray(run.eccentricity("pin")) / clearance
+
+    def largest(first, second):
+        return bench.size(first - second).max()
+
+    _, exact = places(rtol=1e-12)
+    _, other = places(rtol=1e-12, solver=sj.Dop853())
+    assert largest(other, exact) < 1e-5
+    amplification = largest(places(1e-8, rtol=1e-12)[1], exact) / 1e-8
+    assert amplification == pytest.approx(6e2, rel=0.5)
+    for rtol in (1e-6, 1e-8):
+        run, found = places(rtol=rtol)
+        error = largest(found, exact)
+        assert error < 300 * amplification * rtol, "some thousand steps, each judged against the whole mechanism"
+        assert bench.size(run.error("eccentricity.pin")).max() / clearance == pytest.approx(error, rel=0.5)
+    run, found = places(rtol=1e-6, accuracy={"eccentricity.pin": "50 nm"})
+    assert run.status == sj.Status.SUCCEEDED
+    assert largest(found, exact) * clearance < 50e-9
 
 
 @pytest.mark.slow
