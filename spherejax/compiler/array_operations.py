@@ -102,6 +102,7 @@ def written_by_entry(
 ) -> list[Value]:
     """As `by_entry`, in LLVM's language."""
     (aval,) = avals
+    # Kinds of the arguments, not of the result alone: a comparison of floats is a truth.
     call = Call(tuple(value.kind for value in values), kind_of(aval.dtype), parameters)
     if not operation.can_be_llvm(call):
         raise NotWrittenError(f"{operation.name} of {' and '.join(call.kinds)}")
@@ -146,6 +147,7 @@ def _moving(name: str, moves: Moves) -> ArrayOperation:
         return [np.broadcast_to(array, shape) for array, shape in zip(outputs, use.shapes, strict=True)]
 
     def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
+        # NumPy moves numbers of places, counted through all arguments; the text then reads from these.
         begins = np.cumsum([0, *(value.size for value in values)])
         places = [b + np.arange(v.size).reshape(v.shape) for b, v in zip(begins, values, strict=False)]
         return [
@@ -169,7 +171,7 @@ def _names_by_jax(*moved: int) -> Callable[[Graph, Sequence[np.ndarray], Use], l
     def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
         name = use.primitive.name
         operands = [x if at in moved else _indices(name, graph, x) for at, x in enumerate(inputs)]
-        with jax.ensure_compile_time_eval():
+        with jax.ensure_compile_time_eval():  # also where somebody traces the function that is made a program
             found = np.asarray(use.primitive.bind(*operands, **use.parameters))
         return [_inside(name, found)]
 
@@ -194,6 +196,7 @@ def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.nda
     dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
     kept = [size for dimension, size in enumerate(sizes) if dimension not in dropped]
     found = np.empty((*indices.shape[:-1], *kept), np.int64)
+    # Of the other modes each drops or fills what is outside, and what is promised to be inside is checked here.
     clips = parameters["mode"] == jax.lax.GatherScatterMode.CLIP
     for place in np.ndindex(indices.shape[:-1]):
         begin = np.zeros(array.ndim, np.int64)
@@ -210,7 +213,7 @@ def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.nda
 
 def _broadcast(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
     shape, dimensions = parameters["shape"], parameters["broadcast_dimensions"]
-    aligned = [1] * len(shape)
+    aligned = [1] * len(shape)  # NumPy spreads axes of one entry
     for position, dimension in enumerate(dimensions):
         aligned[dimension] = inputs[0].shape[position]
     return [np.broadcast_to(inputs[0].reshape(aligned), shape)]
@@ -225,6 +228,7 @@ def _slice(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
 def _pad(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
     array, filling = inputs
     config = parameters["padding_config"]
+    # `np.pad` has neither; JAX writes derivatives of strided slices with the latter.
     if any(low < 0 or high < 0 or interior for low, high, interior in config):
         raise NotScalarizable("a negative or interior padding")
     return [np.pad(array, [(low, high) for low, high, _ in config], constant_values=int(filling))]
@@ -248,7 +252,7 @@ def _begin(text: ArrayText, shape: Sequence[int], starts: dict[int, str], room: 
     total = "0"
     for dimension, start in starts.items():
         if room[dimension] == 0:
-            continue
+            continue  # wherever it is asked to begin, it begins at 0
         within = text.clamped(start, 0, room[dimension])
         step = text.made(f"mul nsw i64 {within}, {int(_strides(shape)[dimension])}")
         total = step if total == "0" else text.made(f"add nsw i64 {total}, {step}")
@@ -257,6 +261,7 @@ def _begin(text: ArrayText, shape: Sequence[int], starts: dict[int, str], room: 
 
 def _dynamic_slice(text, values, parameters, avals):
     (aval,), (source, *starts) = avals, values
+    # The place is clamped, so that what is read is always inside: XLA does the same.
     if any(size == 0 for size in aval.shape):
         return [Value(aval.shape, source.kind, "")]
     room = {d: n - size for d, (n, size) in enumerate(zip(source.shape, aval.shape, strict=True))}
@@ -268,7 +273,7 @@ def _dynamic_slice(text, values, parameters, avals):
 def _to_be_changed(text: ArrayText, value: Value) -> Value:
     """An array to write into: a copy, or where it is large the array itself."""
     if value.size >= LARGE:
-        return text.changed(value)
+        return text.changed(value)  # a copy in each turn would cost more than the turn
     target = text.array(value.shape, value.kind)
     text.copy(value, target)
     return target
@@ -281,7 +286,7 @@ def _dynamic_update_slice(text, values, parameters, avals):
         return [target]
     room = {d: n - size for d, (n, size) in enumerate(zip(target.shape, source.shape, strict=True))}
     begin = _begin(text, target.shape, {d: text.read(start) for d, start in enumerate(starts)}, room)
-    if target.size == 1:
+    if target.size == 1:  # a number is no array in memory
         return [source.as_shape(target.shape)]
     target = _to_be_changed(text, target)
     text.put(target, begin, _offsets(target.shape, source.shape), source)
@@ -308,6 +313,7 @@ LARGEST_GATHER = 64
 def _gather(text, values, parameters, avals):
     (aval,), (source, indices) = avals, values
     how, sizes, mode = parameters["dimension_numbers"], parameters["slice_sizes"], parameters["mode"]
+    # Batched indices come from `vmap`; the loop is of a single run.
     if how.operand_batching_dims or not aval.size:
         raise NotWrittenError("a gather by rows")
     of_index, n = how.start_index_map, len(how.start_index_map)
@@ -322,6 +328,7 @@ def _gather(text, values, parameters, avals):
         part = text.picked(source, _begin(text, source.shape, starts, room), block)
         if mode == jax.lax.GatherScatterMode.FILL_OR_DROP:
             filling = parameters.get("fill_value")
+            # JAX fills floats with NaN, and whole numbers by their type, of which nothing is left here.
             if filling is None and source.kind != DOUBLE:
                 raise NotWrittenError("a gather that fills in whole numbers")
             inside = _is_inside(text, starts, room)
@@ -345,6 +352,7 @@ def _scatter(text, values, parameters, avals):
     del avals
     target, indices, source = values
     how, mode = parameters["dimension_numbers"], parameters["mode"]
+    # One block alone: of several the later would have to see what the former have written.
     if how.operand_batching_dims or int(np.prod(indices.shape[:-1])) != 1 or not source.size:
         raise NotWrittenError("a scatter by rows")
     window = iter(source.shape[d] for d in how.update_window_dims)
@@ -396,6 +404,7 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
 
         if dtype not in start:
             raise NotScalarizable(f"{name!r} of {dtype}")
+        # From the neutral element on, which sums and products fold away.
         first = graph.constant(start[dtype], dtype)
         rows = _rows(inputs[0], use.parameters["axes"])
         return [np.array([reduce(joined, map(int, row), first) for row in rows], np.int64).reshape(shape)]
@@ -407,7 +416,7 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
         if value.size > LARGEST_WRITTEN_OUT:
             raise NotWrittenError(f"{value.size} numbers that are put together")
         if value.size == 1 or not aval.size:
-            return [value.as_shape(aval.shape)]
+            return [value.as_shape(aval.shape)]  # nothing is put together
         if not operation.can_be_llvm(call):
             raise NotWrittenError(f"{name} of {kind}")
 
@@ -443,6 +452,7 @@ _REDUCTIONS = (
     _reduction("reduce_prod", "mul", {FLOAT: 1, INT: 1}),
     _reduction("reduce_max", "max", _LEAST),
     _reduction("reduce_min", "min", _MOST),
+    # All bits of -1 are set; 1 would clear all but the last of each number.
     _reduction("reduce_and", "and", {INT: -1, BOOL: True}),
     _reduction("reduce_or", "or", {INT: 0, BOOL: False}),
 )
@@ -463,6 +473,7 @@ def _both_arranged(arrays: Iterable[np.ndarray], parameters: Any) -> tuple[np.nd
 
 def _names_of_product(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
     a, b = _both_arranged(inputs, use.parameters)
+    # From zero on: a structural zero that the first product replaces.
     zero = graph.constant(0, FLOAT)
     names = [
         reduce(graph.add, (graph.mul(int(x), int(y)) for x, y in zip(row, column, strict=True)), zero)
@@ -475,6 +486,7 @@ def _names_of_product(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> l
 
 def _dot_general(text, values, parameters, avals):
     (aval,), (left, right) = avals, values
+    # XLA has a product over nothing, which is zero, and of whole numbers; runs have neither.
     if left.kind != DOUBLE or right.kind != DOUBLE or not left.size or not right.size:
         raise NotWrittenError("a product of whole numbers")
     a, b = _both_arranged((np.arange(v.size).reshape(v.shape) for v in (left, right)), parameters)
@@ -495,7 +507,7 @@ def _dot_general(text, values, parameters, avals):
                         )
                     rows.append((total, width))
                 continue
-            for column in block_b:
+            for column in block_b:  # else entry by entry
                 rows.append((_product(text, left, right, row, column), 1))
     if aval.size == 1:
         return [Value(aval.shape, DOUBLE, rows[0][0])]
@@ -523,6 +535,7 @@ def _product(text: ArrayText, left: Value, right: Value, row: np.ndarray, column
     size, products = row.size, text.array(row.shape, DOUBLE)
     for at, width in chunks(size):
         a, b = (text.read(each, int(of[0]) + at, width) for each, of in ((left, row), (right, column)))
+        # Without `contract`: the sum below goes by halves, and has no place for fused additions.
         text.write(products, at, text.made(f"fmul {vector(DOUBLE, width)} {a}, {b}"), width)
     total = ARRAY_OPERATIONS["reduce_sum"].llvm
     assert total is not None
@@ -567,6 +580,7 @@ _ALL = (
     _moving("pad", _pad),
     _moving("copy", lambda inputs, p: [inputs[0]]),
     _moving("copy_p", lambda inputs, p: [inputs[0]]),
+    # No rule for loops: none has been seen in one.
     ArrayOperation(name="tile", names=_names_by_jax(0)),
     ArrayOperation(name="gather", names=_names_of_gather, llvm=_gather),
     ArrayOperation(name="dynamic_slice", names=_names_by_jax(0), llvm=_dynamic_slice),

@@ -83,6 +83,7 @@ class Forward:
             return None
         if (rule := OPERATIONS[operation].derivative) is not None:
             return rule(self, node, arguments, moving)
+        # Functions without a rule of their own: the sum over arguments of partial derivative times tangent.
         parts = [self.times(self._partial(node, i), slope) for i, slope in enumerate(moving) if slope is not None]
         return self.sum(*parts)
 
@@ -99,11 +100,12 @@ class Forward:
         """A coefficient, a node of `values`, times a tangent; None for a structural zero, as everywhere in a graph."""
         if slope is None or self.values.is_value(coefficient, 0):
             return None
+        # A product of the linear program: one for each tangent, where the coefficient is computed once for all.
         return self.slopes.mul(self.coefficient(coefficient), slope)
 
     def coefficient(self, node: int) -> int:
         """The node of `slopes` that stands for a node of `values`."""
-        if self.values.is_constant(node):
+        if self.values.is_constant(node):  # it folds in the linear program as well
             return self.slopes.constant(self.values.value(node), self.values.dtypes[node])
         if node not in self.given:
             self.given[node] = self.slopes.node("given", (), self.values.dtypes[node], node)
@@ -172,6 +174,7 @@ class Transposed:
         for node, places in outputs.items():
             for place in places:
                 self._add(node, graph.input(place))
+        # Backwards: when a node's turn comes, all that reads it has passed its number on.
         for node in reversed(nodes):
             if node in depends and node not in moving and node in self._along:
                 self._pass_on(node, self._along[node], depends)

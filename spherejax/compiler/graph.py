@@ -65,8 +65,10 @@ class Graph:
 
     def node(self, operation, arguments: tuple[int, ...], dtype: np.dtype, parameters=None) -> int:
         """The node for an operation, made only if it does not exist yet."""
+        # a + b and b + a are one node.
         if operation in _COMMUTATIVE and arguments[0] > arguments[1]:
             arguments = (arguments[1], arguments[0])
+        # The type is part of it: 1.0, 1 and True are equal to Python.
         key = (operation, arguments, parameters, dtype)
         known = self._known.get(key)
         if known is not None:
@@ -82,8 +84,10 @@ class Graph:
     def constant(self, value, dtype: np.dtype) -> int:
         """The node of a constant; -0.0 counts as 0.0, so that zeros of either sign are one structural zero."""
         value = dtype.type(value)
+        # Programs ask whether an entry is zero all the time, and never of which sign.
         if dtype == FLOAT and value == 0:
             value = dtype.type(0)
+        # By its bits, for NaN is not equal to itself, and would be a new node each time.
         return self.node("constant", (), dtype, (value.tobytes(), value))
 
     def input(self, position: tuple[int, int]) -> int:
@@ -177,9 +181,9 @@ class Graph:
         """An operation on known numbers: by NumPy where it has the same, for JAX compiles a program for each."""
         operation = OPERATIONS[name]
         if operation.numpy is not None:
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"):  # compiled code gives infinities and NaN without a word, too
                 return np.asarray(operation.numpy(*values))
-        with jax.ensure_compile_time_eval():
+        with jax.ensure_compile_time_eval():  # a number, also where somebody traces
             return np.asarray(by_jax(name, parameters)(*map(np.asarray, values)))
 
     # Emission ---------------------------------------------------------------------------------------------------
@@ -193,6 +197,7 @@ class Graph:
             with_slopes: with the slopes of marked nodes, and what they depend on.
         """
         given = frozenset(given)
+        # From the last node to the first: a node reads earlier ones alone, so that one pass finds all.
         is_needed = np.zeros(len(self.operations), bool)
         is_needed[list(outputs)] = True
         for index in range(len(self.operations) - 1, -1, -1):
@@ -210,6 +215,7 @@ class Graph:
         """
         is_invariant: dict[int, bool] = {}
         frontier = set()
+        # In the order of evaluation: what a node reads has been looked at before.
         for index in self.needed(outputs):
             operation = self.operations[index]
             if operation == "input":

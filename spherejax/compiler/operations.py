@@ -39,6 +39,7 @@ FLOAT, BOOL, INT = np.dtype("float64"), np.dtype("bool"), np.dtype("int64")
 DOUBLE, WHOLE, TRUTH = "double", "i64", "i1"
 """The same in LLVM's language."""
 
+# Whole numbers are of 64 bits whatever JAX has them in: they count and choose, and nothing relies on their overflow.
 KINDS = {FLOAT: DOUBLE, INT: WHOLE, BOOL: TRUTH}
 
 
@@ -201,6 +202,7 @@ def _fold_sub(graph, a, b, **_):
         return a
     if graph.is_value(a, 0):
         return graph.neg(b)
+    # x - x is a structural zero, as 0 x is.
     if a == b and not graph.is_constant(a) and graph.dtypes[a] == FLOAT:
         return graph.constant(0, graph.dtypes[a])
     if graph.operations[b] == "neg":
@@ -231,14 +233,14 @@ def _fold_div(graph, a, b, **_):
     if graph.is_value(b, 1):
         return a
     if graph.is_value(a, 0) and not graph.is_constant(b):
-        return a
+        return a  # 0 / 0 of constants is NaN, which must be seen
     return graph.apply("div", (a, b))
 
 
 def _fold_neg(graph, a, **_):
     if graph.operations[a] == "neg":
         return graph.arguments[a][0]
-    if graph.operations[a] == "sub":
+    if graph.operations[a] == "sub":  # -(x - y) is y - x to the last bit
         x, y = graph.arguments[a]
         return graph.sub(y, x)
     return graph.apply("neg", (a,))
@@ -277,6 +279,7 @@ def _fold_power(graph, a, b, **_):
 
 
 def _fold_sqrt(graph, a, **_):
+    # By the power, so that x^(1/2) and the root of x are one node.
     return graph.power(a, graph.constant(0.5, FLOAT))
 
 
@@ -286,7 +289,7 @@ def _fold_convert(graph, a, *, new_dtype, **_):
         return a
     if graph.is_constant(a):
         return graph.constant(graph.value(a), target)
-    if source == BOOL:
+    if source == BOOL:  # a selection has a rule in every form, and `cond` finds the truth again behind it
         return graph.select(a, graph.constant(0, target), graph.constant(1, target))
     raise NotScalarizable(f"a conversion from {source} to {target}")
 
@@ -362,6 +365,7 @@ def _derive_div(forward, node, arguments, tangents):
 
 
 def _derive_sqrt(forward, node, arguments, tangents):
+    # 1 / (2 sqrt(a)), from the root that the value has.
     return forward.times(forward.values.div(forward.values.constant(0.5, FLOAT), node), tangents[0])
 
 
@@ -370,6 +374,7 @@ def _derive_select(forward, node, arguments, tangents):
     on_false, on_true = (zero if tangent is None else tangent for tangent in tangents[1:])
     if on_false == on_true == zero:
         return None
+    # The derivative of the branch that is taken alone: a product with 0 and 1 would let NaN of the other one through.
     return forward.slopes.select(forward.coefficient(arguments[0]), on_false, on_true)
 
 
@@ -377,6 +382,7 @@ def _derive_select(forward, node, arguments, tangents):
 
 
 def _transpose_mul(graph, along, arguments, moves):
+    # Of what moves squared there is no transpose: it is not linear.
     return None if all(moves) else [graph.mul(along, arguments[1]), graph.mul(along, arguments[0])]
 
 
@@ -407,7 +413,7 @@ def _quotient(a: float, b: float) -> float:
 
 
 def _root(a: float) -> float:
-    return math.sqrt(a) if a >= 0 else math.nan
+    return math.sqrt(a) if a >= 0 else math.nan  # Python raises an error of negative numbers; NaN is not >= 0
 
 
 def _sine(a: float) -> float:
@@ -419,6 +425,7 @@ def _cosine(a: float) -> float:
 
 
 def _root_guarded_at_zero(a):
+    # The root of 1 stands for that of 0, whose derivative is infinite: times 0 it would be NaN in reverse mode.
     is_zero = lax.eq(a, lax.full_like(a, 0.0))
     root = lax.sqrt(lax.select_n(is_zero, a, lax.full_like(a, 1.0)))
     return lax.select_n(is_zero, root, lax.full_like(a, 0.0))
@@ -429,6 +436,7 @@ def _root_guarded_at_zero(a):
 
 def _compared_in_stablehlo(direction: str) -> Callable[..., Any]:
     def write(a, b):
+        # JAX's types: truths are compared as unsigned, whole numbers as signed.
         element = str(ir.RankedTensorType(a.type).element_type)
         kind = {"f64": "FLOAT", "i1": "UNSIGNED"}.get(element, "SIGNED")
         how = stablehlo.ComparisonTypeAttr.get(kind)
@@ -457,6 +465,7 @@ def _llvm_div(text, call, a, b):
 def _llvm_neg(text, call, a):
     (kind,) = call.kinds
     typed = text.type(kind)
+    # Not 0 - a, which is +0 for 0.
     return text.made(f"fneg {typed} {a}" if kind == DOUBLE else f"sub {typed} {text.number(0, kind)}, {a}")
 
 
@@ -473,6 +482,7 @@ def _extremum(word: str) -> Callable[..., str]:
 
 
 def _llvm_clamp(text, call, low, x, high):
+    # In this order: where the bounds are crossed, StableHLO gives the upper one.
     return _extremum("min")(text, call, _extremum("max")(text, call, low, x), high)
 
 
@@ -511,16 +521,19 @@ def _llvm_sign(text, call, a):
 
 
 def _llvm_rsqrt(text, call, a):
+    # Processors' own approximations have 12 or 14 bits.
     root = text.intrinsic("sqrt", DOUBLE, a)
     return text.made(f"fdiv {text.type(DOUBLE)} {text.number(1, DOUBLE)}, {root}")
 
 
 def _llvm_is_finite(text, call, a):
+    # An ordered comparison: false of NaN, too.
     size = text.intrinsic("fabs", DOUBLE, a)
     return text.made(f"fcmp olt {text.type(DOUBLE)} {size}, {text.number(np.inf, DOUBLE)}")
 
 
 def _llvm_logistic(text, call, a):
+    # Far below zero exp overflows to infinity, and its reciprocal is the 0 that it should be.
     typed, one = text.type(DOUBLE), text.number(1, DOUBLE)
     falling = text.library("exp", text.made(f"fneg {typed} {a}"))
     return text.made(f"fdiv {typed} {one}, {text.made(f'fadd {typed} {one}, {falling}')}")
@@ -625,7 +638,8 @@ def _comparison(name: str, sign: str, numpy: Callable[..., Any], python: Callabl
 _OF_ERF = 2.0 / np.sqrt(np.pi)
 
 _ALL = (
-    # Arithmetic. JAX's `add_any` sums cotangents, and has no public name.
+    # Arithmetic. JAX's `add_any` sums cotangents, and has no public name. Functions of `lax` and not `bind`, for these
+    # take constants as NumPy has them.
     ScalarOperation(
         name="add",
         jax=lax.add,
@@ -704,7 +718,7 @@ _ALL = (
         transpose=_transpose_select,
         stablehlo=lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
         llvm=_llvm_select,
-        accepts=lambda call: True,
+        accepts=lambda call: True,  # a truth and two of any kind; in loops a number and several
         c="{0} ? {2} : {1}",
     ),
     # Powers and roots.
@@ -743,6 +757,7 @@ _ALL = (
         llvm=_intrinsic("sqrt"),
         c="root_guarded_at_zero({})",
     ),
+    # Rare as constants; JAX evaluates those of operations without `numpy`.
     ScalarOperation(name="rsqrt", jax=lax.rsqrt_p.bind, llvm=_llvm_rsqrt, c="1.0 / sqrt({})"),
     _function("cbrt", np.cbrt),
     ScalarOperation(name="square", expand=_expand_square, accepts=same(DOUBLE, WHOLE)),
@@ -756,9 +771,8 @@ _ALL = (
     _function("expm1", np.expm1),
     _function("log", np.log),
     _function("log1p", np.log1p),
-    ScalarOperation(
-        name="log2", fold=_fold_log2, llvm=_in_library("log2"), library="log2"
-    ),  # in a loop exact for powers of 2
+    # In a loop by the library's own, which is exact for powers of 2.
+    ScalarOperation(name="log2", fold=_fold_log2, llvm=_in_library("log2"), library="log2"),
     ScalarOperation(name="logistic", jax=lax.logistic_p.bind, llvm=_llvm_logistic, c="1.0 / (1.0 + exp(-{}))"),
     # Circular and hyperbolic functions.
     _function("sin", np.sin, python=_sine),
@@ -877,6 +891,7 @@ _ALL = (
         fold=_fold_convert,
         copies=True,
         llvm=_llvm_convert,
+        # A float as 32 bits saturates at other bounds than as 64, which is how all whole numbers are computed.
         accepts=lambda call: not (call.kinds == (DOUBLE,) and call.parameters["new_dtype"] == np.int32),
     ),
     ScalarOperation(

@@ -5,6 +5,7 @@ argument may be. All else is the same for all.
 """
 
 import ctypes
+import dataclasses
 import itertools
 import shutil
 import subprocess
@@ -21,9 +22,10 @@ from jax.extend import core as jex
 
 from spherejax.compiler import primitive
 from spherejax.compiler.emit.c import PRELUDE
+from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.loops import looped
-from spherejax.compiler.operations import OPERATIONS, TRUTH, Call
+from spherejax.compiler.operations import OPERATIONS, TRUTH, Call, NotScalarizable
 from spherejax.compiler.program import scalarize
 
 needs_machine_code = pytest.mark.skipif(not machine_code.is_available(), reason="no machine code with this jaxlib")
@@ -245,6 +247,10 @@ def in_a_loop(function: Callable, *values: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ROWS)
 def test_it_is_machine_code_of_arrays(name):
     """All entries, which are taken eight at a time, and the last ones by fewer."""
+    if "llvm" in ROWS[name].without:
+        with pytest.raises(NotWrittenError, match=name):
+            in_a_loop(ROWS[name].function, *arguments(name))
+        return
     agrees(name, in_a_loop(ROWS[name].function, *arguments(name)))
 
 
@@ -280,6 +286,12 @@ def in_c(tmp_path_factory):
         pytest.skip("no compiler of C")
     subprocess.run([compiler, "-O1", "-shared", "-fPIC", "all.c", "-o", "all.so", "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(folder / "all.so"))
+
+
+def test_what_c_does_not_have_is_refused_by_name(monkeypatch):
+    monkeypatch.setitem(OPERATIONS, "cbrt", dataclasses.replace(OPERATIONS["cbrt"], c=None))
+    with pytest.raises(NotScalarizable, match="'cbrt'"):
+        program("cbrt").c_source("f")
 
 
 @pytest.mark.parametrize("name", [name for name, row in ROWS.items() if "c" not in row.without])
