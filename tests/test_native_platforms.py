@@ -111,7 +111,7 @@ def _forbidden(*_, **__):
 
 
 def test_a_host_whose_features_llvm_cannot_tell_has_its_name(monkeypatch):
-    """LLVM 15 of llvmlite 0.44 on a Mac."""
+    """llvmlite 0.44 raises there; newer versions have none."""
     import llvmlite.binding as llvm
 
     def untold():
@@ -134,8 +134,9 @@ def test_code_of_another_platform_has_another_name(monkeypatch):
 
 
 ON_ANOTHER = """
-import os, platform, sys
-import jax, numpy as np, llvmlite.binding  # these look at the system for themselves
+import asyncio, multiprocessing.reduction, os, platform, sys
+# These look at the system for themselves.
+import diffrax, jax, lineax, llvmlite.binding, numpy as np, optax, optimistix
 system, machine, name = sys.argv[1:4]
 platform.system, platform.machine, sys.platform = (lambda: system), (lambda: machine), name
 if name == "win32":

@@ -54,7 +54,7 @@ def host(llvm: Any) -> tuple[str, str, str]:
     """
     try:
         features = llvm.get_host_cpu_features().flatten()
-    except RuntimeError:  # llvmlite 0.44 on macOS: LLVM 15 knows the processor by name there, and no features
+    except RuntimeError:  # llvmlite up to 0.44, where LLVM cannot tell them; the processor's name implies most
         features = ""
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features
 
