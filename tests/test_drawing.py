@@ -15,6 +15,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import spherejax as sj
+from spherejax.output.plot import turning
 from spherejax.output.plot.animation import ffmpeg, frame_times, pace_in_words, usual_pace
 from spherejax.output.plot.camera import best_camera, camera_from, three_projections
 from spherejax.output.plot.magnified import JointMotion, plane_of
@@ -511,6 +512,27 @@ def test_every_kind_has_its_own_symbol(kinds):
         "cylindrical", "prismatic", "universal", "fixed", "point on plane", "revolute", "rotation driver", "distance",
         "position driver",
     }  # fmt: skip
+
+
+def test_joints_of_directions_have_symbols_along_them():
+    def body(x):
+        return sj.Body(1.0, (1e-2, 1e-2, 1e-2), position=(x, 0, 0))
+
+    joints = {
+        "same": sj.SameOrientation(("ground", "a"), (0.2, 0, 0)),
+        "parallel": sj.ParallelAxes(("a", "b"), (0.6, 0, 0), (1, 0, 1)),
+        "perpendicular": sj.PerpendicularAxes(("b", "c"), (1.2, 0, 0), (1, 0, 0), (0, 0, 1)),
+    }
+    scene = sj.Scene({"a": body(0.3), "b": body(0.9), "c": body(1.5)}, joints)
+    drawn = mechanism_of(scene).joints
+    assert {joint.kind for joint in drawn.values()} <= set(SYMBOLS) & set(turning.SYMBOLS)
+    figure = sj.draw(scene, view=(-90, 0))
+    for name, directions in (("parallel", [[1, 1], [1, 1]]), ("perpendicular", [[1, 0], [0, 1]])):
+        lines = [line for line in paths(figure, f"joint:{name}") if len(line) == 2]
+        for line, direction in zip(lines, directions, strict=True):
+            along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+            np.testing.assert_allclose(along, np.array(direction) / np.linalg.norm(direction), atol=1e-9)
+    assert len(paths(figure, "joint:same")) == 2
 
 
 def test_symbols_are_where_the_joints_are(kinds):

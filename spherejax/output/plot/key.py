@@ -41,7 +41,8 @@ def draw_key(ax: Axes, mechanism: Mechanism, *, bodies: bool) -> None:
         apart = camera.right * _SIZE * (1.8 if joint.kind.startswith(("Distance", "PointOnCircle")) else 0.0)
         ends = [-apart, apart]
         axes = [np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])][: max(1, len(joint.axes))]
-        axes = axes if joint.kind != "PointOnPlane" else [np.array([0.0, 0.0, 1.0])]
+        if joint.kind in ("PointOnPlane", "ParallelAxes"):
+            axes = [np.array([0.0, 0.0, 1.0])] * len(axes)
         entries[name] = symbol_strokes(joint, ends, axes, camera, _SIZE)
     _write(ax, entries)
 

@@ -176,7 +176,10 @@ def _kind(joint: Any) -> str:
 
 
 def _axes(joint: Any) -> tuple[tuple[int, np.ndarray], ...]:
-    """Directions of a placed joint: `axis` and `axes` belong to the second body, `normals` to the first."""
+    """Directions of a placed joint: `axis` and `axes` belong to the second body, `normals` to the first.
+
+    Joints that hold directions alone have one of each body, the first body's first.
+    """
     joint = getattr(joint, "ideal", None) or joint
     own = getattr(joint, "axes", ()) or ([joint.axis] if getattr(joint, "axis", None) is not None else [])
     found = [(1, _unit(axis)) for axis in own]
@@ -187,6 +190,11 @@ def _axes(joint: Any) -> tuple[tuple[int, np.ndarray], ...]:
         found.append((0, _unit(joint.right_angles[0][0])))
     if kind == "PointOnPlane":
         found.append((0, _unit(joint.normals[0])))
+    if kind == "ParallelAxes":
+        (first, second), (other, _) = joint.right_angles
+        found = [(0, _unit(np.cross(first, other))), (1, _unit(second))]
+    if kind == "PerpendicularAxes":
+        found = [(which, _unit(axis)) for which, axis in enumerate(joint.right_angles[0])]
     return tuple(found)
 
 

@@ -136,6 +136,43 @@ def _fixed(joint, ends, axes, camera, s) -> list[Stroke]:
     return [Stroke(camera.project(ends[0]) + square, 0.0, INK, 0.8, INK)]
 
 
+def _same_orientation(joint, ends, axes, camera, s) -> list[Stroke]:
+    """An open square on the first body, and a smaller one on the second: their places are free."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    return [
+        Stroke(camera.project(ends[0]) + 0.95 * s * corners, 0.0, INK, 1.1, PAPER),
+        Stroke(camera.project(ends[1]) + 0.5 * s * corners, 0.0, INK, 1.1, PAPER),
+    ]
+
+
+def _parallel_axes(joint, ends, axes, camera, s) -> list[Stroke]:
+    """Two parallel lines along the common direction, one on each body; seen along it, two dots."""
+    if len(axes) < 2:
+        return _unknown(joint, ends, axes, camera, s)
+    lines = []
+    for end, axis, side in zip(ends, axes, (0.4, -0.4), strict=True):
+        along = camera.project(axis)
+        length = float(np.linalg.norm(along))
+        across = np.array([-along[1], along[0]]) / length if length > 1e-6 else np.array([0.0, 1.0])
+        at = camera.project(end) + side * s * across
+        lines.append(Stroke(at + np.outer([-1.9 * s, 1.9 * s], along), 0.0, INK, 1.8))
+        lines.append(Stroke(at + 0.25 * s * CIRCLE, 0.0, "none", 0.0, INK))
+    return lines
+
+
+def _perpendicular_axes(joint, ends, axes, camera, s) -> list[Stroke]:
+    """A line along the direction of each body, and the mark of a right angle between them."""
+    if len(axes) < 2:
+        return _unknown(joint, ends, axes, camera, s)
+    first, second = axes
+    mark = ends[0] + 0.7 * s * np.array([first, first + second, second])
+    lines = [
+        Stroke(camera.project(end + np.outer([-1.9 * s, 1.9 * s], axis)), 0.0, INK, 1.8)
+        for end, axis in zip(ends, axes, strict=True)
+    ]
+    return [*lines, Stroke(camera.project(mark), 0.0, INK, 0.9)]
+
+
 def _distance(joint, ends, axes, camera, s) -> list[Stroke]:
     """A thin link between two small balls."""
     first, second = (camera.project(end) for end in ends)
@@ -231,6 +268,9 @@ SYMBOLS: dict[str, Callable[..., list[Stroke]]] = {
     "Prismatic": _prismatic,
     "Universal": _universal,
     "Fixed": _fixed,
+    "SameOrientation": _same_orientation,
+    "ParallelAxes": _parallel_axes,
+    "PerpendicularAxes": _perpendicular_axes,
     "Distance": _distance,
     "PointOnPlane": _on_plane,
     "PointOnCurve": _on_curve,

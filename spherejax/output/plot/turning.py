@@ -181,6 +181,24 @@ class _Maker:
         """A filled square."""
         return [self._shape("square", joint.bodies[0], joint.places[0], radius=0.75 * self.s, edge=INK, face=INK)]
 
+    def _same_orientation(self, joint: DrawnJoint) -> list[Shape]:
+        """An open square on the first body, and a smaller one on the second."""
+        ends = zip(joint.bodies, joint.places, (0.95, 0.5), strict=True)
+        return [self._shape("square", body, at, radius=size * self.s, edge=INK, face=PAPER) for body, at, size in ends]
+
+    def _parallel_axes(self, joint: DrawnJoint) -> list[Shape]:
+        """Two parallel lines along the common direction, one on each body."""
+        sides = []
+        for (which, axis), side in zip(joint.axes, (0.4, -0.4), strict=True):
+            across, _ = perpendiculars(axis)
+            line = side * self.s * across + np.outer([-1.9 * self.s, 1.9 * self.s], axis)
+            sides.append(self._shape("line", joint.bodies[which], joint.places[which], line, edge=INK, width=1.8))
+        return sides
+
+    def _perpendicular_axes(self, joint: DrawnJoint) -> list[Shape]:
+        """A line along the direction of each body."""
+        return [self._axis_line(joint, i, 1.9 * self.s, edge=INK, width=1.8) for i in range(2)]
+
     def _link(self, ends: Sequence[tuple[str, Any]], color: str, **look) -> Shape:
         (first, at), (second, other) = ends
         shape = self._shape("link", first, at, edge=color, **look)
@@ -271,6 +289,9 @@ SYMBOLS: dict[str, Callable[[_Maker, DrawnJoint], list[Shape]]] = {
     "Prismatic": _Maker._prismatic,
     "Universal": _Maker._universal,
     "Fixed": _Maker._fixed,
+    "SameOrientation": _Maker._same_orientation,
+    "ParallelAxes": _Maker._parallel_axes,
+    "PerpendicularAxes": _Maker._perpendicular_axes,
     "Distance": _Maker._distance,
     "PointOnPlane": _Maker._point_on_plane,
     "PointOnCurve": _Maker._point_on_curve,
@@ -282,7 +303,16 @@ SYMBOLS: dict[str, Callable[[_Maker, DrawnJoint], list[Shape]]] = {
 }
 """Symbols by the kind of joint, as in `symbols`."""
 
-NEED_AXIS = ("Revolute", "Rim", "Cylindrical", "Prismatic", "PointOnPlane", "TranslationDriver")
+NEED_AXIS = (
+    "Revolute",
+    "Rim",
+    "Cylindrical",
+    "Prismatic",
+    "PointOnPlane",
+    "TranslationDriver",
+    "ParallelAxes",
+    "PerpendicularAxes",
+)
 """Kinds whose symbol has a direction; a joint of one's own may not tell it."""
 
 
