@@ -126,7 +126,15 @@ def test_the_error_for_a_kink_says_how_to_declare_it():
 
     with pytest.raises(sj.SceneError, match=r"sj\.Piecewise\(\[0\.7\], \[f, g\]\)"):
         sj.simulate(arm(function), TIMES)
-    # The same function on both sides has half of the jump at the break, which no motion can have.
+
+
+@pytest.mark.slow
+def test_a_kink_declared_with_the_same_function_on_both_sides_does_not_succeed():
+    """It has half of the jump at the break, which no motion can have."""
+
+    def function(t):
+        return jnp.minimum(SPEED * t, SPEED * TURN)
+
     with pytest.warns(sj.SimulationWarning, match="energy"):
         assert not sj.simulate(arm(sj.Piecewise([TURN], [function, function]), True), TIMES).succeeded
 
