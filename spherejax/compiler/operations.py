@@ -132,6 +132,7 @@ class ScalarOperation:
         llvm: from a `LlvmWriter`, a `Call` and names to a name.
         accepts: the calls that `llvm` can write.
         library: the function of the mathematical library that `llvm` calls, where the operation is one.
+        example: arguments of that function, with which a platform's library is tried.
         c: an expression, with `{}` for the arguments; or a function from a `Call` to one. The former is for
             floats and truths alone.
     """
@@ -152,6 +153,7 @@ class ScalarOperation:
     llvm: Callable[..., str] | None = None
     accepts: Callable[[Call], bool] = _OF_FLOATS
     library: str | None = None
+    example: tuple[float, ...] = (0.5,)
     c: str | Callable[[Call], str] | None = None
 
     @property
@@ -609,7 +611,7 @@ def _function(
     name: str, numpy: Callable[..., Any] | None, *, word: str | None = None, **others: Any
 ) -> ScalarOperation:
     """An operation that the mathematical library has, by the same name there, `word`, for LLVM and for C."""
-    word, n_arguments = word or name, others.pop("n_arguments", 1)
+    word, n_arguments = word or name, len(others.get("example", (0.5,)))
     return ScalarOperation(
         name=name,
         jax=getattr(lax, f"{name}_p").bind,
@@ -731,6 +733,7 @@ _ALL = (
         stablehlo=stablehlo.power,
         llvm=_llvm_power,
         library="pow",
+        example=(0.5, -0.75),
         accepts=lambda call: call.kinds in ((DOUBLE, DOUBLE), (DOUBLE, WHOLE)),
         c="pow({}, {})",
     ),
@@ -781,12 +784,12 @@ _ALL = (
     _function("asin", np.arcsin),
     _function("acos", np.arccos),
     _function("atan", np.arctan),
-    _function("atan2", np.arctan2, python=math.atan2, n_arguments=2),
+    _function("atan2", np.arctan2, python=math.atan2, example=(0.5, -0.75)),
     _function("sinh", np.sinh),
     _function("cosh", np.cosh),
     _function("tanh", np.tanh),
     _function("asinh", None),
-    _function("acosh", None),
+    _function("acosh", None, example=(1.5,)),
     _function("atanh", None),
     # JAX takes their derivatives by the bits of a number since 0.11, which scalar programs do not know.
     _function("erf", None, partials=(lambda x: _OF_ERF * lax.exp(-x * x),)),
@@ -811,8 +814,8 @@ _ALL = (
         llvm=_llvm_round,
         c=lambda call: "nearbyint({})" if _rounds_to_even(call) else "round({})",
     ),
-    _function("rem", None, word="fmod", n_arguments=2),
-    _function("nextafter", None, n_arguments=2),
+    _function("rem", None, word="fmod", example=(2.5, 0.75)),
+    _function("nextafter", None, example=(0.5, 1.0)),
     ScalarOperation(
         name="is_finite", jax=lax.is_finite_p.bind, numpy=np.isfinite, llvm=_llvm_is_finite, c="is_finite({})"
     ),

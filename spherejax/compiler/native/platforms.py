@@ -13,7 +13,7 @@ import os
 import platform
 from typing import Any
 
-from spherejax.compiler.operations import LIBRARY
+from spherejax.compiler.operations import LIBRARY, OPERATIONS
 
 SETTING = "SPHEREJAX_MACHINE_CODE"
 """Environment variable: 0 switches native code off, 1 asks for it on a platform that has not been tested."""
@@ -60,9 +60,6 @@ def host(llvm: Any) -> tuple[str, str, str]:
 
 
 # A small program ------------------------------------------------------------------------------------------------------
-
-_ARGUMENTS = {"acosh": (1.5,), "atan2": (0.5, -0.75), "nextafter": (0.5, 1.0), "pow": (0.5, -0.75), "rem": (2.5, 0.75)}
-"""Of functions that 0.5 is no argument of."""
 
 NUMBERS = (0.5, -0.5, 1.5, -2.5, 2.0**-40, 3.25, -1e300, 0.75)
 """One vector. Halves show how a number is rounded to a whole one."""
@@ -113,13 +110,9 @@ def check(llvm: Any) -> str:
 
 def expected() -> list[float]:
     """What the program of `check` has to compute."""
-    of_library = [getattr(math, LIBRARY[name])(*_arguments(name)) for name in sorted(LIBRARY)]
+    of_library = [getattr(math, LIBRARY[name])(*OPERATIONS[name].example) for name in sorted(LIBRARY)]
     of_vectors = [max(float(round(x)), 0.25) + math.sqrt(abs(x)) for x in NUMBERS]  # Python rounds halves to even
     return [*of_library, *of_vectors, float(ROOM)]
-
-
-def _arguments(name: str) -> tuple[float, ...]:
-    return _ARGUMENTS.get(name, (0.5,))
 
 
 def _text() -> str:
@@ -128,7 +121,7 @@ def _text() -> str:
     vector = f"<{n} x double>"
     lines, declared = [], []
     for i, name in enumerate(sorted(LIBRARY)):
-        arguments = _arguments(name)
+        arguments = OPERATIONS[name].example
         declared.append(f"declare double @{LIBRARY[name]}({', '.join(['double'] * len(arguments))})")
         lines += [
             f"  %f{i} = call double @{LIBRARY[name]}({', '.join(f'double {x:.20e}' for x in arguments)})",
