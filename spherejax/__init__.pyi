@@ -1,8 +1,7 @@
 """The public names of `spherejax`, and where each stands; loaded when it is first asked for."""
 
 from . import gallery, plot, priors, runtime
-from .compiler.graph import NotScalarizable
-from .compiler.program import ScalarProgram, scalarize
+from .compiler import NotScalarizable, ScalarProgram, scalarize
 from .files import SceneFile, SimulationSettings, load_mjcf, load_scene, load_urdf, read_scene_file, save_scene
 from .files.robots.urdf_left_out import RobotWarning
 from .foundations.checks import Requirement

@@ -66,6 +66,8 @@ def _save(name: str, content: bytes) -> None:
 
 
 def _object_code() -> settings.ExtraBlobs:
-    from spherejax.compiler.native import compile as native
+    from spherejax.compiler import native_code as native
 
-    return settings.ExtraBlobs(native.is_available, native.listened, native.make_known, native.note_called)
+    return settings.ExtraBlobs(
+        native.is_available, native.record_ffi_targets, native.register_object_code, native.note_ffi_targets
+    )

@@ -1,6 +1,10 @@
 """The house: folders import downwards only, files within a folder too, one importer of matplotlib."""
 
 import ast
+import os
+import re
+import subprocess
+import sys
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -8,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import spherejax
+import spherejax.compiler
 from spherejax.program_cache import disk_cache
 
 PACKAGE = Path(spherejax.__file__).parent
@@ -93,6 +98,35 @@ def test_a_building_that_stands_alone_imports_nothing_else_of_the_package(buildi
     assert [f"{path}: {name}" for path, name in of_ours if name != own and not name.startswith(f"{own}.")] == []
 
 
+PUBLIC_MODULES = {"spherejax.compiler", "spherejax.compiler.hooks", "spherejax.compiler.linear_algebra"}
+"""The doors of the compiler: its public names, and those of them that are modules."""
+
+
+def users_of_the_compiler() -> dict[str, set[str]]:
+    """What each file outside the compiler imports of it, the stub of the public names too."""
+    inside = {path: {n for n in imported(path) if n.startswith("spherejax.compiler")} for path in FILES}
+    used = {module_of(path): names for path, names in inside.items() if names and folder_of(path) != "compiler"}
+    stub = re.findall(r"^from \.(compiler[\w.]*) import", (PACKAGE / "__init__.pyi").read_text(), re.MULTILINE)
+    return used | ({"spherejax": {f"spherejax.{name}" for name in stub}} if stub else {})
+
+
+def test_the_compiler_is_entered_by_public_names_and_from_few_files():
+    users = users_of_the_compiler()
+    assert {module: names - PUBLIC_MODULES for module, names in users.items() if names - PUBLIC_MODULES} == {}
+    assert 0 < len(users) <= 10
+    assert len(spherejax.compiler.__all__) <= 8
+    public = {f"spherejax.compiler.{name}" for name in spherejax.compiler.__all__}
+    assert public >= PUBLIC_MODULES - {"spherejax.compiler"}
+    assert all(getattr(spherejax.compiler, name) is not None for name in spherejax.compiler.__all__)
+
+
+def test_the_compiler_brings_no_jax_before_it_is_used():
+    """`import spherejax` attaches the disk cache to it, and must not take the time that JAX takes."""
+    program = "import sys, spherejax.compiler.hooks; assert 'jax' not in sys.modules"
+    environment = {**os.environ, "SPHEREJAX_CONFIGURE": "0"}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment, capture_output=True)
+
+
 def between_rooms(folder: str, rooms: list[str]) -> list[str]:
     """Imports of a room of a folder by one before it."""
     found = []
@@ -120,7 +154,7 @@ def test_rooms_of_files_go_from_numbers_to_scenes():
 def test_most_of_the_foundations_stands_in_rooms():
     """What is read together (numbers with units) stands in a room; the rest is short."""
     loose = [path for path in FILES if path.parent == PACKAGE / "foundations"]
-    assert len(loose) <= 12
+    assert len(loose) <= 13
     assert sum(len(path.read_text().splitlines()) for path in loose) <= 1200
 
 

@@ -103,8 +103,8 @@ jax.monitoring.register_event_duration_secs_listener(
 import jax.numpy as jnp
 import spherejax
 from spherejax.program_cache.jit import cached_jit
-from spherejax.compiler.linear_algebra import general_solve
-solve = cached_jit(general_solve._by_lapack)
+from spherejax.compiler.linear_algebra import general
+solve = cached_jit(general._by_lapack)
 print(solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.ones((2, 1)))[1, 0], any("_by_lapack" in str(name) for name in traced))
 """
 

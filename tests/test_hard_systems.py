@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.compiler.linear_algebra.symmetric_solve import symmetric_solve
+from spherejax.compiler.linear_algebra.symmetric import symmetric_solve
 
 ALONG_Y = (0.0, 1.0, 0.0)
 

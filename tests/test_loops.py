@@ -20,7 +20,7 @@ SPECIAL = np.array([0.0, -0.0, 1.0, -2.0, 0.5, np.nan, np.inf, -np.inf])
 def on():
     if not machine_code.is_available():
         pytest.skip("no machine code with this jaxlib, or without llvmlite")
-    with machine_code.wanted():
+    with machine_code.native_code():
         yield
 
 
@@ -305,8 +305,8 @@ def left_to_xla(loops_call, caplog):
 
     def left(function, *examples):
         caplog.clear()
-        with machine_code.wanted():
-            found = jax.jit(loop_fusion.in_few_kernels(function))(*examples)
+        with machine_code.native_code():
+            found = jax.jit(loop_fusion.fuse_loops(function))(*examples)
         return found, caplog.text
 
     return left
@@ -378,8 +378,8 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
 def test_a_loop_under_vmap_is_made_for_one_after_the_other():
     y, weights = jnp.array([0.3, -1.2, 2.0]), jnp.array([[0.4, 1.0], [-0.8, 2.0]])
     counts = jnp.array([0, 3, 1])
-    made = jax.vmap(lambda n: loop_fusion.in_few_kernels(swapping)(y, weights, n))
-    with machine_code.wanted():
+    made = jax.vmap(lambda n: loop_fusion.fuse_loops(swapping)(y, weights, n))
+    with machine_code.native_code():
         assert "= loop_in_machine_code[" in str(jax.make_jaxpr(made)(counts))
         found = jax.jit(made)(counts)
     assert_same(found, jax.vmap(lambda n: swapping(y, weights, n))(counts))

@@ -24,7 +24,7 @@ import spherejax as sj
 from spherejax.compiler import primitive
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import loop_fusion
-from spherejax.compiler.native.loop_fusion import in_few_kernels
+from spherejax.compiler.native.loop_fusion import fuse_loops
 from spherejax.compiler.operations import OPERATIONS
 from spherejax.compiler.program import scalarize
 from spherejax.foundations.lanes import in_lanes
@@ -61,7 +61,7 @@ def test_every_model_has_the_numbers_of_its_program(name, small_ones_too):
     ys = np.stack([*states, *(states[0] * (1 + 1e-3 * i) for i in range(16))])
     expected = np.stack([rate.compute(theta, 0.1, y) for y in ys])
     scale = 1 + np.abs(expected).max()
-    with machine_code.wanted():
+    with machine_code.native_code():
         assert n_calls(rate, theta, 0.1, ys[0]) == 1
         one = np.stack([jax.jit(rate)(theta, 0.1, y) for y in ys[:3]])
         many = jax.jit(jax.vmap(rate, (None, None, 0)))(theta, 0.1, ys)
@@ -142,8 +142,8 @@ ARGUMENTS = jnp.array([0.3, -0.7, 1.1]), 0.1 * jnp.arange(12.0).reshape(4, 3), j
 
 def test_loops_in_few_kernels_have_the_numbers_of_loops(small_ones_too):
     expected = jax.jit(wandering(field))(*ARGUMENTS)
-    with machine_code.wanted():
-        run = in_few_kernels(wandering(FIELD))
+    with machine_code.native_code():
+        run = fuse_loops(wandering(FIELD))
         text = jax.jit(run).lower(*ARGUMENTS).as_text()
         found = jax.jit(run)(*ARGUMENTS)
         many = jax.jit(jax.vmap(run, (0, None, None, None)))(jnp.stack([ARGUMENTS[0]] * 2), *ARGUMENTS[1:])
@@ -173,9 +173,9 @@ def test_a_loop_within_a_loop_takes_the_vectors_of_the_outer_one(small_ones_too)
         return until
 
     expected = jax.jit(run(field))(18, ARGUMENTS[0])
-    with machine_code.wanted():
-        made = jax.make_jaxpr(in_few_kernels(run(FIELD)))(18, ARGUMENTS[0]).jaxpr
-        found = jax.jit(in_few_kernels(run(FIELD)))(18, ARGUMENTS[0])
+    with machine_code.native_code():
+        made = jax.make_jaxpr(fuse_loops(run(FIELD)))(18, ARGUMENTS[0]).jaxpr
+        found = jax.jit(fuse_loops(run(FIELD)))(18, ARGUMENTS[0])
     (outer,) = (equation for equation in made.eqns if equation.primitive.name == "while")
     body = outer.params["body_jaxpr"].jaxpr
     (inner,) = (equation for equation in body.eqns if equation.primitive.name == "while")
@@ -195,8 +195,8 @@ def kernels(jaxpr):
 
 @pytest.mark.parametrize("n", [20, 1000])
 def test_what_a_loop_writes_down_is_not_copied_by_kernels(n, small_ones_too):
-    with machine_code.wanted():
-        found = [*kernels(jax.make_jaxpr(in_few_kernels(wandering(FIELD, n)))(*ARGUMENTS).jaxpr)]
+    with machine_code.native_code():
+        found = [*kernels(jax.make_jaxpr(fuse_loops(wandering(FIELD, n)))(*ARGUMENTS).jaxpr)]
     assert found
     sizes = {out.aval.size for kernel in found for out in kernel.outvars}
     assert max(sizes) <= loop_fusion.LARGEST_JOINED
@@ -224,8 +224,8 @@ def test_large_sums_between_calls_are_left_to_xla(kind, n, small_ones_too):
         return jax.lax.while_loop(lambda state: state[0] < 4, turn, start)
 
     expected = jax.jit(lambda: run(field))()
-    with machine_code.wanted():
-        found = jax.jit(in_few_kernels(lambda: run(FIELD)))()
+    with machine_code.native_code():
+        found = jax.jit(fuse_loops(lambda: run(FIELD)))()
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
@@ -234,9 +234,9 @@ def test_loops_without_calls_are_left_alone():
     def text(wrap):
         return jax.jit(wrap(wandering(field))).lower(*ARGUMENTS).as_text()
 
-    with machine_code.wanted():
-        assert "xla_cpu_small_call" not in text(in_few_kernels)
-    assert text(in_few_kernels) == text(lambda function: function)  # and so is everything where it is not wanted
+    with machine_code.native_code():
+        assert "xla_cpu_small_call" not in text(fuse_loops)
+    assert text(fuse_loops) == text(lambda function: function)  # and so is everything where it is not wanted
 
 
 def test_arguments_that_nothing_reads_do_not_end_the_process():
@@ -245,7 +245,7 @@ def test_arguments_that_nothing_reads_do_not_end_the_process():
 import spherejax, jax, jax.numpy as jnp
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler import primitive
-from spherejax.compiler.native.loop_fusion import in_few_kernels
+from spherejax.compiler.native.loop_fusion import fuse_loops
 from spherejax.compiler.program import scalarize
 primitive.SMALLEST_CALLED = 0
 double = scalarize(lambda y: 2.0 * y, jnp.ones(3))
@@ -255,8 +255,8 @@ def body(state):
     return i + 1, y, z, flag, n
 def run(*start):
     return jax.lax.while_loop(lambda state: state[0] < 5, body, (0, *start))[1]
-with machine_code.wanted():
-    print(jax.jit(in_few_kernels(run))(2 * jnp.ones(3), jnp.zeros((2, 2)), jnp.array(True), jnp.array(3)))
+with machine_code.native_code():
+    print(jax.jit(fuse_loops(run))(2 * jnp.ones(3), jnp.zeros((2, 2)), jnp.array(True), jnp.array(3)))
 """
     environment = {**os.environ, "SPHEREJAX_CACHE": "0"}
     found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
@@ -312,7 +312,7 @@ def test_stages_in_one_call_are_those_of_the_loop(method, size, n_runs):
 
     for bend, n in ((0.0, None), (-0.6, None), (0.9, jnp.array(2)), (0.3, jnp.array(0))):
         expected = increments(bend, n)
-        with machine_code.wanted():
+        with machine_code.native_code():
             text = jax.jit(increments).lower(bend, n).as_text()
             found = jax.jit(increments)(bend, n)
         assert text.count("stablehlo.custom_call @spherejax_") == 1
@@ -335,7 +335,7 @@ def test_what_has_no_weight_does_not_count(n_runs):
     steps.coefficients[used:, 0] += 10.0  # the stages behind are in what is infinite
     given = Given(jnp.tile(theta[:, None], n_runs), ())
     lane = jnp.zeros(n_runs), jnp.full(n_runs, 0.1), jnp.zeros((1, n_runs)), given, (), jnp.zeros(n_runs, bool)
-    with machine_code.wanted():
+    with machine_code.native_code():
         trial = jax.jit(steps.step)(*lane, jnp.zeros(n_runs))
     increments = trial.dense_info["k"]
     assert np.all(np.isfinite(increments[:used]))
@@ -400,7 +400,7 @@ def test_stages_with_rows_in_one_call_are_those_of_the_loop(n_rows, size, n_runs
 
     for bend, n in ((0.0, None), (-0.6, None), (0.9, jnp.array(2)), (0.3, jnp.array(0))):
         expected = increments(bend, n)
-        with machine_code.wanted():
+        with machine_code.native_code():
             text = jax.jit(increments).lower(bend, n).as_text()
             found = jax.jit(increments)(bend, n)
         assert text.count("stablehlo.custom_call @spherejax_") == 1
@@ -438,7 +438,7 @@ def test_rows_by_some_numbers_are_those_by_all(n_rows, n_runs):
         def increments(t, t_next, rows, steps=steps):
             return steps.step(t, t_next, rows, given, (), jnp.zeros(n_runs, bool), jnp.zeros(n_runs)).dense_info["k"]
 
-        with machine_code.wanted():
+        with machine_code.native_code():
             found.append(jax.jit(increments)(*lanes))
     assert np.max(np.abs(found[0][:, 1:])) > 0.1
     np.testing.assert_allclose(found[1], found[0], rtol=1e-13, atol=1e-15)
@@ -507,7 +507,7 @@ def test_derivatives_of_an_explicit_run_are_what_xla_makes_of_them(name, n_rows,
         jax.clear_caches()
     for function in (integrate, integrated, started, gone_on_with, _with_slopes):
         function.clear()
-    with machine_code.listened() as codes:
+    with machine_code.record_ffi_targets() as codes:
         found = made()
     assert codes()
     for of_found, of_expected in zip(np.moveaxis(found, -1, 0), np.moveaxis(expected, -1, 0), strict=True):
@@ -549,7 +549,7 @@ def test_what_is_observed_is_what_xla_makes_of_it(monkeypatch):
         yield jax.jit(jax.jacfwd(lambda s: observed(*args, theta_now, run.ts, s * run.ys)))(1.0)
         yield jax.jit(jax.grad(lambda s: jnp.sum(observed(*args, theta_now, run.ts, s * run.ys).kinetic_energy)))(1.0)
 
-    with machine_code.listened() as codes:
+    with machine_code.record_ffi_targets() as codes:
         found = [*made()]
     assert codes()
     with monkeypatch.context() as patched:
@@ -658,9 +658,9 @@ def test_a_loop_whose_lanes_end_one_by_one(small_ones_too, counts):
 
     given = jnp.linspace(0.1, 1.0, 3 * len(counts)).reshape(-1, 3), jnp.array(counts)
     expected = [run(y, n) for y, n in zip(*given, strict=True)]
-    with machine_code.wanted():
-        alone = jax.jit(in_few_kernels(jax.vmap(run)))(*given)
-        within = jax.jit(in_few_kernels(lambda *x: jax.lax.fori_loop(0, 1, lambda _, y: jax.vmap(run)(y, x[1]), x[0])))
+    with machine_code.native_code():
+        alone = jax.jit(fuse_loops(jax.vmap(run)))(*given)
+        within = jax.jit(fuse_loops(lambda *x: jax.lax.fori_loop(0, 1, lambda _, y: jax.vmap(run)(y, x[1]), x[0])))
         np.testing.assert_allclose(alone, expected, rtol=1e-13)
         np.testing.assert_allclose(within(*given), expected, rtol=1e-13)
 
@@ -668,10 +668,10 @@ def test_a_loop_whose_lanes_end_one_by_one(small_ones_too, counts):
 def test_an_unknown_operation_is_left_to_xla(small_ones_too, monkeypatch):
     x = jnp.array([0.3, 1.7])
     made = scalarize(lambda x: jnp.exp(x) + x**2, x)
-    with machine_code.wanted():
+    with machine_code.native_code():
         assert n_calls(made, x) == 1
     other = scalarize(lambda x: jnp.exp(x) + x**2, x)
     monkeypatch.setitem(OPERATIONS, "exp", dataclasses.replace(OPERATIONS["exp"], llvm=None))
-    with machine_code.wanted():
+    with machine_code.native_code():
         assert n_calls(other, x) == 0
         np.testing.assert_allclose(jax.jit(other)(x), np.exp(x) + x**2, rtol=1e-14)

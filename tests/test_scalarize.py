@@ -13,7 +13,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.compiler.graph import Graph
-from spherejax.compiler.linear_algebra.symmetric_solve import symmetric_solve
+from spherejax.compiler.linear_algebra.symmetric import symmetric_solve
 from spherejax.compiler.linear_algebra.unrolled import _minimum_degree_order
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.operations import FLOAT, NotScalarizable
@@ -580,7 +580,7 @@ def test_the_derivative_of_what_remains_in_a_loop_is_that_of_the_array_code(name
         return scalar.inside(theta, scalar.ahead(theta), 0.1, y)
 
     expected = np.asarray(jax.jvp(lambda theta, y: array(theta, 0.1, y), primals, tangents)[1])
-    with machine_code.wanted():
+    with machine_code.native_code():
         found = jax.jit(lambda *tangents: jax.jvp(inside, primals, tangents)[1])(*tangents)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.max(np.abs(expected)))
 

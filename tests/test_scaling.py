@@ -8,7 +8,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.compiler.linear_algebra.block_pattern import BlockPattern
-from spherejax.compiler.linear_algebra.block_solve import block_solve
+from spherejax.compiler.linear_algebra.blocks import block_solve
 from spherejax.foundations.lanes import rows_at, sums_by_index
 from spherejax.model.groups import stacks_from, stacks_of
 from spherejax.model.system import compile_scene, flatten_system

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import spherejax as sj
-from spherejax.compiler.linear_algebra.symmetric_solve import REDUNDANT_PIVOT, SINGULAR_PIVOT, symmetric_solve
+from spherejax.compiler.linear_algebra.symmetric import REDUNDANT_PIVOT, SINGULAR_PIVOT, symmetric_solve
 from spherejax.model.system import compile_scene
 
 G = 9.81

@@ -17,8 +17,8 @@ from spherejax.program_cache.fingerprints import program_fingerprint
 def made(request, monkeypatch):
     """Every test twice: what XLA compiles, and what is machine code of its own, however small."""
     monkeypatch.setattr(primitive, "SMALLEST_CALLED", 0)
-    with machine_code.wanted(request.param == "machine code"):
-        if request.param == "machine code" and not machine_code.is_on():
+    with machine_code.native_code(request.param == "machine code"):
+        if request.param == "machine code" and not machine_code.native_code_enabled():
             pytest.skip("no machine code with this jaxlib, or without llvmlite")
         yield request.param
 

@@ -10,7 +10,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loop_fusion import in_few_kernels
+from spherejax.compiler.native.loop_fusion import fuse_loops
 from spherejax.foundations.lanes import in_lanes
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
@@ -198,8 +198,8 @@ def test_a_step_in_one_call_is_that_of_the_loop(method, name, n_rows):
     """State, sensitivities, error estimate and dense output; time, numbers and state all matter."""
     step, theta, y, y_dot = step_of(method, name, n_rows)
     expected = jax.jit(step)(theta, y)
-    with machine_code.wanted(), machine_code.listened() as codes:
-        found = jax.jit(in_few_kernels(step))(theta, y)
+    with machine_code.native_code(), machine_code.record_ffi_targets() as codes:
+        found = jax.jit(fuse_loops(step))(theta, y)
         traced = str(jax.make_jaxpr(lambda *given: step(*given))(theta, y))
     assert codes()
     assert "rosenbrock_stages" in traced
@@ -229,8 +229,8 @@ def test_steps_of_many_runs_in_one_call_are_those_of_each(method, name, n_rows, 
     thetas = theta * (1 + 1e-3 * jnp.arange(n_runs)[:, None])
     ys = y * (1 + 1e-7 * jnp.arange(n_runs)[:, None])
     expected = jax.lax.map(lambda given: step(*given), (thetas, ys))
-    with machine_code.wanted(), machine_code.listened() as codes:
-        found = jax.jit(in_few_kernels(lambda *given: in_lanes(step)(*given)))(thetas.T, ys.T)
+    with machine_code.native_code(), machine_code.record_ffi_targets() as codes:
+        found = jax.jit(fuse_loops(lambda *given: in_lanes(step)(*given)))(thetas.T, ys.T)
     assert codes()
     found = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
     begin = jnp.concatenate([y[None], y_dot])

@@ -1,4 +1,42 @@
 """A compiler for small functions: array code becomes a straight-line scalar program, and machine code of its own.
 
-It knows nothing of mechanics, and imports nothing else of spherejax.
+It knows nothing of mechanics, and imports nothing else of spherejax. `README.md` says how it works.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from spherejax.compiler import hooks, linear_algebra
+    from spherejax.compiler.graph import NotScalarizable
+    from spherejax.compiler.native.explicit import explicit_stages
+    from spherejax.compiler.native.rosenbrock_systems import RosenbrockSystems
+    from spherejax.compiler.native.switch import native_code
+    from spherejax.compiler.program import ScalarProgram, scalarize
+
+# A name is imported when it is first asked for: `hooks` is needed when the host package is imported, which must not
+# import JAX (0.3 s).
+_PLACES = {
+    "NotScalarizable": ".graph",
+    "RosenbrockSystems": ".native.rosenbrock_systems",
+    "ScalarProgram": ".program",
+    "explicit_stages": ".native.explicit",
+    "hooks": ".hooks",
+    "linear_algebra": ".linear_algebra",
+    "native_code": ".native.switch",
+    "scalarize": ".program",
+}
+
+__all__ = [
+    "NotScalarizable", "RosenbrockSystems", "ScalarProgram", "explicit_stages", "hooks", "linear_algebra",
+    "native_code", "scalarize",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(_PLACES[name], __name__)
+    found = getattr(module, name, module)  # a module that is public stands for itself
+    globals()[name] = found
+    return found

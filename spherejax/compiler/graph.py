@@ -20,6 +20,8 @@ from spherejax.compiler.operations import FLOAT, INT, OPERATIONS, NotScalarizabl
 class TooManyOperations(NotScalarizable):
     """The scalar program of the function would be larger than allowed."""
 
+    is_too_large = True
+
 
 class Graph:
     """Nodes of a scalar program under construction; a node is named by its index.

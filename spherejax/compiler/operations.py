@@ -44,7 +44,13 @@ KINDS = {FLOAT: DOUBLE, INT: WHOLE, BOOL: TRUTH}
 
 
 class NotScalarizable(Exception):  # noqa: N818 - it says what it is
-    """The function has no scalar program; the message says which operation stands in the way."""
+    """The function has no scalar program; the message says which operation stands in the way.
+
+    Attributes:
+        is_too_large: whether its size alone stands in the way.
+    """
+
+    is_too_large = False
 
 
 def graph_dtype(dtype: Any) -> np.dtype:

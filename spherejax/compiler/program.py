@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.compiler.emit.c import c_functions
+from spherejax.compiler.emit.c import PRELUDE, c_functions
 from spherejax.compiler.emit.eager import NumbersNow
 from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.hooks import attached
@@ -36,6 +36,9 @@ class ScalarProgram:
         n_operations: how many in total.
         n_operations_inside: how many remain in a loop over which the leading arguments are constant.
     """
+
+    C_PRELUDE = PRELUDE
+    """What a file of C needs ahead of the functions of `c_source`."""
 
     def __init__(
         self, graph: Graph, outputs: list[np.ndarray], tree, shapes: list[tuple[int, ...]], name: str, n_ahead: int
@@ -60,7 +63,7 @@ class ScalarProgram:
             part: which one.
             in_vectors: whether what goes ahead is passed on in vectors.
         """
-        key = part, in_vectors, machine_code.is_on()
+        key = part, in_vectors, machine_code.native_code_enabled()
         if key not in self._lines:
             ahead = grouped(self._ahead, self._graph, in_vectors)
             outputs, shapes, given = {
@@ -68,7 +71,7 @@ class ScalarProgram:
                 "first": (ahead, self._shapes[: self._n_leading], []),
                 "rest": (self._outputs, self._shapes, ahead),
             }[part]
-            self._lines[key] = StraightLine(self._graph, outputs, shapes, given, machine_code.is_on())
+            self._lines[key] = StraightLine(self._graph, outputs, shapes, given, machine_code.native_code_enabled())
         return self._lines[key]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -129,7 +132,7 @@ class ScalarProgram:
     def ahead(self, *leading) -> tuple[Array, ...]:
         """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""
         leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(leading)]
-        return tuple(self._line("first", machine_code.is_on())(*leaves)) if self._ahead else ()
+        return tuple(self._line("first", machine_code.native_code_enabled())(*leaves)) if self._ahead else ()
 
     def inside(self, ahead: tuple[Array, ...], *arguments) -> Any:
         """As a call, with what `ahead` has evaluated for the same leading arguments."""
@@ -139,7 +142,7 @@ class ScalarProgram:
     def line_inside(self, ahead: tuple[Array, ...]) -> tuple[StraightLine, tuple[Array, ...]]:
         """What `inside` evaluates, from its arguments one after the other and what was evaluated ahead of them."""
         in_vectors = _are_vectors(ahead)
-        if ahead and not in_vectors and machine_code.is_on():
+        if ahead and not in_vectors and machine_code.native_code_enabled():
             kinds = dict.fromkeys(each.dtype for each in ahead)
             ahead = tuple(jnp.stack([each for each in ahead if each.dtype == kind]) for kind in kinds)
             in_vectors = True
@@ -179,7 +182,7 @@ class ScalarProgram:
             ahead: what was evaluated.
             slopes: its derivatives, with a leading axis; None of what is no float.
         """
-        if _are_vectors(ahead) or not machine_code.is_on():
+        if _are_vectors(ahead) or not machine_code.native_code_enabled():
             return slopes
         kinds = dict.fromkeys(each.dtype for each in ahead)
         moving = [each for each in slopes if each is not None]
@@ -188,7 +191,7 @@ class ScalarProgram:
     @property
     def can_be_machine_code(self) -> bool:
         """Whether `inside` becomes machine code where that is wanted."""
-        with machine_code.wanted():
+        with machine_code.native_code():
             return is_called(self._line("rest", True), ())
 
     def _tree_of(self, outputs) -> Any:

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.compiler.linear_algebra.sums import rows_at as rows_at
-from spherejax.compiler.linear_algebra.sums import sums_by_index as sums_by_index
+from spherejax.foundations.linear_algebra import rows_at as rows_at
+from spherejax.foundations.linear_algebra import sums_by_index as sums_by_index
 
 
 def over_lanes(function: Callable, *lanes, shared: tuple = ()) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import BOOL, DOUBLE, KINDS, OPERATIONS, WHOLE, Call
 
 LARGEST_FRAME = 2**18
@@ -42,48 +43,16 @@ def _call(graph: Any, node: int) -> Call:
 FUNCTION = "PROGRAM"
 """Stands for the name of the function, which is a digest of the rest."""
 
-# Offsets in bytes of what is read of XLA_FFI_CallFrame and what it points to, and of what is written when XLA asks
-# which version of the interface a function keeps to.
-_HEAD = f"""\
-define ptr @{FUNCTION}(ptr noalias %frame) nounwind {{
-  %p.extension = getelementptr inbounds i8, ptr %frame, i64 8
-  %extension = load ptr, ptr %p.extension
-  %is.plain = icmp eq ptr %extension, null
-  br i1 %is.plain, label %work, label %extended
-extended:
-  %p.kind = getelementptr inbounds i8, ptr %extension, i64 8
-  %kind = load i32, ptr %p.kind
-  %is.asked = icmp eq i32 %kind, 1
-  br i1 %is.asked, label %asked, label %work
-asked:
-  %p.metadata = getelementptr inbounds i8, ptr %extension, i64 24
-  %metadata = load ptr, ptr %p.metadata
-  %p.major = getelementptr inbounds i8, ptr %metadata, i64 24
-  store i32 0, ptr %p.major
-  %p.minor = getelementptr inbounds i8, ptr %metadata, i64 28
-  store i32 3, ptr %p.minor
-  %p.traits = getelementptr inbounds i8, ptr %metadata, i64 32
-  store i32 0, ptr %p.traits
-  ret ptr null
-work:
-  %p.arguments = getelementptr inbounds i8, ptr %frame, i64 72
-  %arguments = load ptr, ptr %p.arguments
-  %p.results = getelementptr inbounds i8, ptr %frame, i64 112
-  %results = load ptr, ptr %p.results
-"""
-DATA = 24
-"""Where a buffer says where its numbers are."""
-
 
 def head(n_arguments: int, n_results: int) -> str:
     """How a function begins that XLA calls: with pointers to the numbers, `%a0`, ... and `%r0`, ..."""
-    lines = [_HEAD]
+    lines = [ffi_abi.beginning(FUNCTION)]
     for letter, of, n in (("a", "arguments", n_arguments), ("r", "results", n_results)):
         for i in range(n):
             lines += [
                 f"  %{letter}{i}.place = getelementptr inbounds ptr, ptr %{of}, i64 {i}",
                 f"  %{letter}{i}.buffer = load ptr, ptr %{letter}{i}.place",
-                f"  %{letter}{i}.data = getelementptr inbounds i8, ptr %{letter}{i}.buffer, i64 {DATA}",
+                f"  %{letter}{i}.data = getelementptr inbounds i8, ptr %{letter}{i}.buffer, i64 {ffi_abi.BUFFER_DATA}",
                 f"  %{letter}{i} = load ptr, ptr %{letter}{i}.data",
             ]
     return "\n".join(lines)

@@ -10,7 +10,7 @@ import numpy as np
 
 from spherejax.compiler.graph import Graph
 from spherejax.compiler.linear_algebra.block_pattern import BlockPattern, minimum_degree_order
-from spherejax.compiler.linear_algebra.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.compiler.linear_algebra.symmetric import REDUNDANT_PIVOT
 from spherejax.compiler.operations import BOOL, FLOAT, NotScalarizable
 
 

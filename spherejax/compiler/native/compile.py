@@ -7,7 +7,7 @@ given to XLA as the target of a custom call, by the binary interface of `jax.ffi
 
 A loop that calls something is no longer one native function; `loop_fusion` sees to what is between the calls.
 
-Programs are made so inside `wanted()`, on the processor, on the platforms that this has been tested on (`platforms`),
+Programs are made so inside `native_code()`, on the processor, on the platforms that this has been tested on (`platforms`),
 and with the versions of jaxlib that this is known to work with; anywhere else XLA compiles them as before.
 `SPHEREJAX_MACHINE_CODE=0` switches it off.
 """
@@ -29,9 +29,7 @@ import jax.ffi
 from spherejax.compiler.emit.llvm import FUNCTION, FunctionText
 from spherejax.compiler.hooks import attached
 from spherejax.compiler.native import platforms
-
-KNOWN_JAXLIB = (0, 10), (0, 12)
-"""First and last version (major, minor) of jaxlib that this has been tested with; with another one XLA compiles all."""
+from spherejax.compiler.native.ffi_abi import KNOWN_JAXLIB, REGISTERED_API_VERSION
 
 
 # Whether --------------------------------------------------------------------------------------------------------------
@@ -93,10 +91,10 @@ _wanted = threading.local()
 
 
 @contextmanager
-def wanted(is_wanted: bool = True) -> Iterator[None]:
+def native_code(enabled: bool = True) -> Iterator[None]:
     """Programs that are traced within become machine code, or they do not; without `jax.jit` none could be called."""
-    before = is_on()
-    now = is_wanted and is_available() and not jax.config.values["jax_disable_jit"]
+    before = native_code_enabled()
+    now = enabled and is_available() and not jax.config.values["jax_disable_jit"]
     if now == before:
         yield
         return
@@ -108,7 +106,7 @@ def wanted(is_wanted: bool = True) -> Iterator[None]:
             _wanted.now = before
 
 
-def is_on() -> bool:
+def native_code_enabled() -> bool:
     """Whether programs that are traced now become machine code."""
     return getattr(_wanted, "now", False)
 
@@ -141,7 +139,7 @@ def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: b
         if key not in line.called:
             line.called[key] = target_of(written(), is_wide=is_wide, is_optimised=is_optimised)
         name = line.called[key]
-    note_called([name])
+    note_ffi_targets([name])
     return name
 
 
@@ -175,15 +173,15 @@ TARGETS: dict[str, Callable[..., str]] = {}
 """Operations that are calls of machine code: of each the target, from what its arguments are and its parameters."""
 
 
-def note_called(names: Iterable[str]) -> None:
-    """Programs that what is lowered now calls; see `listened`."""
+def note_ffi_targets(names: Iterable[str]) -> None:
+    """Programs that what is lowered now calls; see `record_ffi_targets`."""
     heard = getattr(_listening, "names", None)
     if heard is not None:
         heard.update(names)
 
 
 @contextmanager
-def listened() -> Iterator[Callable[[], dict[str, bytes]]]:
+def record_ffi_targets() -> Iterator[Callable[[], dict[str, bytes]]]:
     """A function that gives the machine code of all programs that were lowered in the context, by name."""
     before, _listening.names = getattr(_listening, "names", None), set()
     names = _listening.names
@@ -195,7 +193,7 @@ def listened() -> Iterator[Callable[[], dict[str, bytes]]]:
             before |= names
 
 
-def make_known(codes: dict[str, bytes]) -> None:
+def register_object_code(codes: dict[str, bytes]) -> None:
     """Machine code that another process has made, for a compiled program that calls it."""
     if codes and not is_available():
         raise RuntimeError("this process cannot run machine code of another one")
@@ -267,7 +265,7 @@ def _load(name: str, content: bytes) -> None:
     if not address:
         raise RuntimeError(f"no function {name} in its machine code")
     llvm.add_symbol(name, address)  # for what calls it without XLA
-    jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu", api_version=1)
+    jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu", api_version=REGISTERED_API_VERSION)
     _loaded[name] = engine, content  # for as long as the process lives: XLA does not forget targets
 
 

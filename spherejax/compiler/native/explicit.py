@@ -35,9 +35,66 @@ from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.groups import Operand, RunGroups, function_of
 from spherejax.compiler.operations import BOOL, FLOAT
 from spherejax.compiler.primitive import Moves, StraightLine
+from spherejax.compiler.program import ScalarProgram
 
 LARGEST_STATE = 512
 """Vectors of a state, with its rows, up to which stages are kept on the stack."""
+
+
+_TIME = 1
+"""Place of t among the arguments (numbers, t, y) of a program."""
+
+
+def explicit_stages(
+    program: ScalarProgram,
+    tableau: tuple[np.ndarray, np.ndarray, Sequence[np.ndarray]],
+    t: Array,
+    h: Array,
+    bend: Array,
+    y: Array,
+    n_made: Any,
+    numbers: Array,
+    ahead: tuple[Array, ...],
+    slopes: tuple[Array, tuple[Array | None, ...]] | None = None,
+    moving: tuple[int, ...] | None = None,
+) -> tuple[Array, Array] | None:
+    """All stages of an explicit Runge-Kutta step of many runs by one call; None where it cannot be machine code.
+
+    Args:
+        program: of a rate f(numbers, t, y) that returns dy/dt. The numbers are its leading argument.
+        tableau: the coefficients a (strictly lower, one row for each stage), the instants c, and weights of the sums
+            over the stages that are wanted.
+        t, h, bend: time, length of the step, and how the time within it is stretched (0: not at all), shape (n_runs,).
+        y: state, shape (size, n_runs), or with tangents below it (1 + rows, size, n_runs).
+        n_made: how many stages are evaluated, the first ones; increments of the others are zero.
+        numbers: shape (n, n_runs).
+        ahead: what `program.ahead` has evaluated, with a last axis of runs.
+        slopes: tangents of `numbers` and of `ahead`, with an axis of rows in front; None without rows.
+        moving: entries of `numbers` that have tangents; None for all.
+
+    Returns:
+        The increments k of the stages, shape (s, size, n_runs), and their sums, shape (m, size, n_runs). With rows each
+        has an axis of 1 + rows in front of its size.
+    """
+    if not machine_code.native_code_enabled():
+        return None
+    # How arguments are passed on is the same for all runs: the first one shows it.
+    first = jax.tree.map(lambda x: x[..., 0], ahead)
+    line, _ = program.line_inside(first)
+    if not can_be_called(line, y.shape[:-1]):
+        return None
+    others = _over_runs(lambda x, ahead: (x, *program.line_inside(ahead)[1]))(numbers, ahead)
+    along = entries = None
+    if slopes is not None:
+        with_numbers = _over_runs(lambda x, *both: (x, *program.slopes_inside(*both)))
+        along = with_numbers(slopes[0], ahead, slopes[1])
+        if moving is not None:
+            entries = program.moving_inside(first, moving)
+    return stages(line, _TIME, ExplicitMethod.of(*tableau), t, h, bend, y, n_made, others, along, entries)
+
+
+def _over_runs(function: Callable) -> Callable:
+    return jax.vmap(function, in_axes=-1, out_axes=-1)
 
 
 def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:

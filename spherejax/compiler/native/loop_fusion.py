@@ -58,7 +58,7 @@ _FUSED = frozenset([
 stand alone, and so does what has an effect."""
 
 
-def in_few_kernels(function: Callable) -> Callable:
+def fuse_loops(function: Callable) -> Callable:
     """The same function; loops in it that call machine code do the rest of each turn in few kernels.
 
     Not to be differentiated: rules that are attached to parts of it are lost.
@@ -66,7 +66,7 @@ def in_few_kernels(function: Callable) -> Callable:
 
     @wraps(function)
     def made(*arguments: Any) -> Any:
-        if not machine_code.is_on():
+        if not machine_code.native_code_enabled():
             return function(*arguments)
         closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
         found = _evaluated(closed.jaxpr, closed.consts, jax.tree.leaves(arguments), is_loop=False)

@@ -20,7 +20,7 @@ from jax.extend import core as jex
 from jax.interpreters import batching, mlir
 
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
-from spherejax.compiler.emit.llvm import DATA, FunctionText, head
+from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
     LARGE,
     ArrayText,
@@ -32,6 +32,7 @@ from spherejax.compiler.emit.llvm_arrays import (
 )
 from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE
 from spherejax.compiler.primitive import is_called
 from spherejax.compiler.trace import counts_of_loop
@@ -63,9 +64,6 @@ class WrittenLoop(NamedTuple):
     called: tuple[str, ...]
 
 
-ARGUMENTS, RESULTS = 72, 112
-"""Offsets in bytes, in a frame, of pointers to tables of buffers; `text` has the others."""
-
 PREFIX = "spherejaxloop_"
 """Of the names of these functions; they come behind those that they call."""
 
@@ -78,7 +76,7 @@ def _shapes(*_: Any, results: tuple, **__: Any) -> list:
 def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple) -> Sequence:
     del results
     name = machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=PREFIX)
-    machine_code.note_called([*written.called, name])
+    machine_code.note_ffi_targets([*written.called, name])
     return jax.ffi.ffi_lowering(name)(context, *arguments)
 
 
@@ -394,11 +392,13 @@ class LoopText:
         """A frame with places for pointers to numbers, made when the function begins."""
         text, begin = self.text, self._at_begin
         frame = text.new("%frame")
-        text.room.append(f"  {frame} = alloca [16 x i64], align 64")
+        text.room.append(f"  {frame} = alloca [{ffi_abi.FRAME_WORDS} x i64], align 64")
         text.declared["declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"] = None
-        begin.append(f"  call void @llvm.memset.p0.i64(ptr align 8 {frame}, i8 0, i64 128, i1 false)")
+        begin.append(
+            f"  call void @llvm.memset.p0.i64(ptr align 8 {frame}, i8 0, i64 {8 * ffi_abi.FRAME_WORDS}, i1 false)"
+        )
         places = []
-        for offset, n in ((ARGUMENTS, n_arguments), (RESULTS, n_results)):
+        for offset, n in ((ffi_abi.FRAME_ARGUMENTS, n_arguments), (ffi_abi.FRAME_RESULTS, n_results)):
             table, buffers = text.new("%table"), text.new("%buffers")
             text.room += [
                 f"  {table} = alloca [{max(n, 1)} x ptr], align 64",
@@ -416,7 +416,7 @@ class LoopText:
                     f"  {entry} = getelementptr inbounds ptr, ptr {table}, i64 {i}",
                     f"  {buffer} = getelementptr inbounds i8, ptr {buffers}, i64 {32 * i}",
                     f"  store ptr {buffer}, ptr {entry}, align 8",
-                    f"  {number} = getelementptr inbounds i8, ptr {buffer}, i64 {DATA}",
+                    f"  {number} = getelementptr inbounds i8, ptr {buffer}, i64 {ffi_abi.BUFFER_DATA}",
                 ]
                 data.append(number)
             places.append(data)

@@ -159,7 +159,7 @@ class RosenbrockSteps(NamedTuple):
 def can_be_called(steps: RosenbrockSteps, size: int) -> bool:
     """Whether the stages of a step of a state of so many entries can be one call."""
     n = _size_of(steps, size, RunGroups())
-    if not machine_code.is_on() or not 0 < n <= LARGEST_STATE * RunGroups().at_a_time:
+    if not machine_code.native_code_enabled() or not 0 < n <= LARGEST_STATE * RunGroups().at_a_time:
         return False
     if not all(part.line.in_machine_code and part.line.can_be_called for part in steps.parts):
         return False

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.compiler.linear_algebra.symmetric_solve import REDUNDANT_PIVOT
 from spherejax.foundations.lanes import over_lanes, rows_at, sums_by_index
+from spherejax.foundations.linear_algebra import REDUNDANT_PIVOT
 from spherejax.foundations.types import Scalar
 from spherejax.model.groups import JointGroup, stacks_of
 from spherejax.model.system import System

@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.compiler.linear_algebra.block_pattern import BlockPattern
-from spherejax.compiler.linear_algebra.block_solve import block_solve
 from spherejax.foundations.lanes import over_lanes, rows_at, sums_by_index
+from spherejax.foundations.linear_algebra import BlockPattern, block_solve
 from spherejax.motion.equations.body_motions import with_ground
 
 

@@ -8,6 +8,7 @@ a law without a scalar program, with a warning.
 
 import warnings
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -17,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.compiler.graph import NotScalarizable, TooManyOperations
-from spherejax.compiler.program import ScalarProgram, scalarize
+from spherejax.compiler import NotScalarizable, ScalarProgram, native_code, scalarize
 from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
 from spherejax.motion.equations.dynamics import state_rate
@@ -77,10 +77,9 @@ class Program:
             usual = LARGEST_COMPUTED if is_computed else LARGEST_SCALAR_PROGRAM
             limit = None if use_scalars else usual
             self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit, is_computed)
-        except TooManyOperations:
-            self.too_large = True
         except NotScalarizable as reason:
-            if is_quiet:
+            self.too_large = reason.is_too_large
+            if is_quiet or self.too_large:
                 return
             disk_cache.note_warning()
             warnings.warn(
@@ -107,6 +106,10 @@ class Program:
             self._require_slopes()
             return self.scalar.ahead(*leading)
         return stacks_from(self.structure, leading[0])
+
+    def native_code(self, enabled: bool = True) -> AbstractContextManager:
+        """A context in which what is traced of this program becomes machine code, where that can be."""
+        return native_code(enabled)
 
     def inside(self, theta, ahead, t, y) -> Any:
         """As a call, inside a loop over which the leading arguments (the parameters) are constant."""
@@ -138,6 +141,11 @@ class Program:
     @cached_property
     def _compiled(self):
         return jax.jit(self)
+
+
+def dependence(function: Callable, *examples: Any) -> np.ndarray:
+    """Which results of a function (rows, flat) depend on which entries of its first argument (columns, flat)."""
+    return scalarize(function, *examples).dependence(0)
 
 
 def program_for(

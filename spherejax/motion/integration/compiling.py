@@ -1,8 +1,9 @@
 """How the compiler is told to make the program of a run: soon, where it is large."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from spherejax.compiler import native_code
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
@@ -44,6 +45,16 @@ def in_machine_code(plan: Any, solver: Any) -> bool:
     if scalar is None:
         return False
     return is_linearly_implicit(solver) or is_explicit(solver) or scalar.n_operations > LARGE
+
+
+def native_run(function: Callable[[], Any], is_native: bool) -> Any:
+    """What a function returns that holds the loop of a run.
+
+    Args:
+        function: without arguments, not to be differentiated.
+        is_native: whether its programs become machine code, and what lies between them in a loop is joined.
+    """
+    return native_code(is_native)(function)()
 
 
 def is_large(plan: Any) -> bool:

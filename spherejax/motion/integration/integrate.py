@@ -12,8 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loop_fusion import in_few_kernels
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
@@ -24,7 +22,7 @@ from spherejax.motion.equations.projection import correction_of
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
 from spherejax.motion.integration.auditing import AuditingSolver, of_audited, watch_of
-from spherejax.motion.integration.compiling import in_machine_code, options_for_stiff
+from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for_stiff
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import SampledElements, SamplingSolver, samples_of
@@ -149,8 +147,8 @@ def integrate(
     """Assemble the start if need be, integrate with diffrax, and gather the outcome."""
     # A derivative is taken beside the run, except with an adjoint of the caller's, which goes through it.
     alone = is_linearly_implicit(options.solver) and isinstance(options.adjoint, diffrax.ForwardMode)
-    with machine_code.wanted(alone and in_machine_code(plan, options.solver)):
-        return in_few_kernels(lambda: _integrated(plan, options, values, known, ts, start, values_are_legal))()
+    is_native = alone and in_machine_code(plan, options.solver)
+    return native_run(lambda: _integrated(plan, options, values, known, ts, start, values_are_legal), is_native)
 
 
 def _integrated(plan, options, values, known, ts, start, values_are_legal) -> Outcome:

@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from spherejax.compiler.native import compile as machine_code
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -226,7 +225,7 @@ def job_of(
     assembly, y0 = beginning(plan, theta, ts[0], start)
     status = start_status(values_are_legal, assembly.residual_after, y0)
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    with machine_code.wanted(in_machine_code(plan, solver)):  # in vectors, if it is read by machine code
+    with rate.native_code(in_machine_code(plan, solver)):  # in vectors, if it is read by machine code
         ahead = rate.ahead(theta)
     numbers = RunNumbers(Parameters(theta, ahead), None, tolerances, limits)
     return Job(numbers, y0, status == Status.SUCCEEDED, status, assembly)

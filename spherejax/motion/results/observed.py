@@ -9,7 +9,6 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
-from spherejax.compiler.native import compile as machine_code
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.motion.equations.observables import Observation, looked_up, observe
@@ -79,7 +78,7 @@ def observed(structure, use_scalars: bool | None, theta, ts, ys) -> Observation:
     """Observe all samples in one call of machine code; or else one after the other, in a loop that writes rows."""
     program = program_for(observe, structure, use_scalars)
     if program.scalar is not None and program.scalar.can_be_machine_code:
-        with machine_code.wanted():
+        with program.native_code():
             ahead = program.ahead(theta)
             return jax.vmap(lambda t, y: program.inside(theta, ahead, t, y))(ts, ys)
     ahead = program.ahead(theta)

@@ -13,12 +13,11 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from spherejax.compiler.primitive import Derivative, StraightLine
+from spherejax.compiler import RosenbrockSystems
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
-from spherejax.motion.solvers.called_steps import Called, CalledStep, called_whole
 from spherejax.motion.solvers.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
 from spherejax.motion.solvers.low_rank import inexact_product, solve_inexact_stage
 from spherejax.motion.solvers.rosenbrock import SolveOfStages, factorize_dense, stages_in_turn
@@ -75,8 +74,8 @@ class LinearSystems:
     stage: Program
     by_time: Callable[..., Float[Array, " size"]] | None
     known_at: Callable[..., tuple[Array, ...]]
-    product_at: Callable[[StepLinearization], tuple[StraightLine, int, tuple[Array, ...]]]
-    called: Called
+    product_at: Callable[[StepLinearization], tuple[Any, int, tuple[Array, ...]]]
+    called: RosenbrockSystems
 
     def jacobian(self, t, y, args) -> tuple[StepLinearization, Float[Array, " size"]]:
         """Where the systems are those of, and df/dt there."""
@@ -85,7 +84,7 @@ class LinearSystems:
 
     def factorize(self, at: StepLinearization, gamma_h: Scalar):
         """The solver of the systems, and that they can be solved."""
-        step = self.called.step(self.rate, at.ahead, at.y.shape[0])
+        step = self.called.step(self.rate.scalar, at.ahead, at.y.shape[0])
         if step is None:
             return self._solver(at, gamma_h, None), jnp.array(True)
         at_once = partial(self._all_stages, step, at, gamma_h)
@@ -98,7 +97,7 @@ class LinearSystems:
         """
         return self._solver(at, gamma_h, self._coefficients(at)), jnp.array(True)
 
-    def _product(self, at: StepLinearization) -> tuple[StraightLine, Derivative, tuple[Array, ...]]:
+    def _product(self, at: StepLinearization) -> tuple[Any, Any, tuple[Array, ...]]:
         line, place, arguments = self.product_at(at)
         return line, line.derivative(tuple(i == place for i in range(len(arguments)))), arguments
 
@@ -141,7 +140,7 @@ class LinearSystems:
 
         return lambda rhs: solution((theta, factors, t, known), coefficients, at, gamma_h, rhs)
 
-    def _all_stages(self, step: CalledStep, at: StepLinearization, gamma_h, tableau, *start):
+    def _all_stages(self, step: Any, at: StepLinearization, gamma_h, tableau, *start):
         """What `stages_in_turn` returns by one call of machine code; its derivative is that of the loop."""
 
         @jax.custom_jvp
@@ -179,7 +178,7 @@ class LinearSystems:
             value, slopes: what the right-hand side is given (theta, ahead), and its derivatives.
             by: entries of theta that these are by; None for all.
         """
-        step = self.called.step(self.rate, value.ahead, rows.shape[1], slopes, by)
+        step = self.called.step(self.rate.scalar, value.ahead, rows.shape[1], slopes, by)
         if step is None:
             return None
         slope = jnp.zeros_like(rows)
@@ -224,7 +223,7 @@ def systems_of(structure: Structure) -> LinearSystems | None:
         line, ahead = scalar.line_inside(at.ahead)
         return line, _STATE, (at.theta, at.t, at.y, *ahead)
 
-    called = Called.exact(stage, frozen_at, change, pattern.seeds)
+    called = RosenbrockSystems.exact(stage.scalar, frozen_at.scalar, change.scalar, pattern.seeds)
     return LinearSystems(rate, stage, by_time if scalar.reads(1) else None, known_at, product_at, called)
 
 
@@ -240,13 +239,14 @@ def inexact_systems_of(structure: Structure) -> LinearSystems | None:
     product = program_for(inexact_product, structure, None, (layout.size, layout.size))
     if rate.scalar is None or stage.scalar is None or product.scalar is None:
         return systems_of(structure)
+    multiplied = product.scalar
     if np.any(rate.scalar.dependence(_STATE)[layout.memory_start : layout.work_start]):
         return systems_of(structure)
 
     def product_at(at: StepLinearization):
-        return called_whole(product), _VECTOR, (at.theta, at.t, at.y, jnp.zeros_like(at.y))
+        return multiplied.line_called(), _VECTOR, (at.theta, at.t, at.y, jnp.zeros_like(at.y))
 
-    called = Called.inexact(stage, product)
+    called = RosenbrockSystems.inexact(stage.scalar, product.scalar)
     return LinearSystems(rate, stage, None, lambda theta, t, y: (), product_at, called)
 
 

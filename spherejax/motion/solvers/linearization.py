@@ -25,8 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.compiler.linear_algebra.general_solve import general_solve
 from spherejax.foundations.lanes import over_lanes
+from spherejax.foundations.linear_algebra import general_solve
 from spherejax.foundations.rotation import quaternion_rate, skew
 from spherejax.foundations.types import Scalar
 from spherejax.model.groups import stacks_of

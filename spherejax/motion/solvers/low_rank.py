@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from spherejax.compiler.linear_algebra.general_solve import general_solve
+from spherejax.foundations.linear_algebra import general_solve
 from spherejax.foundations.rotation import quaternion_rate, skew
 from spherejax.foundations.types import Scalar, Vector3
 from spherejax.model.system import System

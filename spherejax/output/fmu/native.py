@@ -20,8 +20,6 @@ from typing import Any, NamedTuple
 import diffrax
 import numpy as np
 
-from spherejax.compiler.emit.c import PRELUDE
-from spherejax.compiler.graph import NotScalarizable
 from spherejax.files.paths.drafts import draft_of
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
@@ -165,7 +163,7 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Def
     }
     lines = [
         "/* Written by spherejax: the equations of one mechanism as straight-line programs. */",
-        PRELUDE,
+        programs.c_prelude,
         *(f"#define {name} {value}" for name, value in sizes.items()),
         *(f"#define {name} {_number(value)}" for name, value in levels.items()),
         f"#define VITALS {', '.join(field.upper() for field in Vitals._fields)}",
@@ -180,11 +178,7 @@ def model_source(programs: Written, ports: Ports, explicit: Any, experiment: Def
         _array("weights", tableau.b_sol[:n_stages]),
         _array("error_weights", tableau.b_error[:n_stages]),
     ]
-    try:
-        lines += [program.c_source(name) for name, program in programs.programs.items()]
-    except NotScalarizable as reason:
-        raise SceneError(f'export_fmu: {reason}; export with kind="python"') from None
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *programs.c_functions()]) + "\n"
 
 
 def state_ports(system: System) -> list[Port]:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.compiler.program import scalarize
 from spherejax.files.fields.number_units import unit_at
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number
@@ -16,6 +15,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.constraints import constraint_set, velocity_violation
+from spherejax.motion.equations.programs import dependence
 from spherejax.motion.equations.quantities import LETTERS, Quantity, quantity
 from spherejax.physics.state import unpack
 
@@ -104,7 +104,7 @@ def refuse_moving_inputs(scene: Scene, ports: Ports) -> None:
         return
     size = compile_scene(scene).system.layout.size
     shapes = [jax.ShapeDtypeStruct((n,), jnp.float64) for n in (len(ports.values), size)]
-    moved = np.any(scalarize(held, *shapes).dependence(0), axis=0)
+    moved = np.any(dependence(held, *shapes), axis=0)
     for port, moves in zip(ports.inputs, moved[: len(ports.inputs)], strict=True):
         if moves:
             raise SceneError(

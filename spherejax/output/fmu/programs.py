@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from spherejax.compiler.graph import NotScalarizable, TooManyOperations
-from spherejax.compiler.program import ScalarProgram, scalarize
+from spherejax.compiler import NotScalarizable, ScalarProgram, scalarize
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
@@ -51,6 +50,22 @@ class Written(NamedTuple):
     system: System
     has_room: bool
     reads_time: bool
+
+    @property
+    def c_prelude(self) -> str:
+        """What a file of C needs ahead of the functions."""
+        return ScalarProgram.C_PRELUDE
+
+    def c_functions(self) -> list[str]:
+        """The programs as functions of C.
+
+        Raises:
+            SceneError: for an operation that C does not have.
+        """
+        try:
+            return [program.c_source(name) for name, program in self.programs.items()]
+        except NotScalarizable as reason:
+            raise SceneError(f'export_fmu: {reason}; export with kind="python"') from None
 
 
 def written(scene: Scene, ports: Ports) -> Written:
@@ -105,12 +120,12 @@ def _program(scene: Scene, ports: Ports, function: Callable | None, size: int, i
     shapes = [jax.ShapeDtypeStruct((n,), jnp.float64) for n in (len(ports.values), 1, size)]
     try:
         return scalarize(of_values, *shapes, maximum_operations=LARGEST)
-    except TooManyOperations:
-        raise SceneError(
-            f"export_fmu: the scene has more than {LARGEST} scalar operations, which no C compiler takes in reasonable "
-            'time; export it with kind="python"'
-        ) from None
     except NotScalarizable as reason:
+        if reason.is_too_large:
+            raise SceneError(
+                f"export_fmu: the scene has more than {LARGEST} scalar operations, which no C compiler takes in "
+                'reasonable time; export it with kind="python"'
+            ) from None
         raise SceneError(
             f"export_fmu: a law of the scene cannot be written in C ({reason}). Write it with elementwise operations, "
             'jnp.where, dot and cross, or export with kind="python"'

@@ -16,10 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loop_fusion import in_few_kernels
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
+from spherejax.motion.integration.compiling import native_run
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
@@ -78,8 +77,7 @@ def steps_in_lanes(
 
 
 def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
-    with machine_code.wanted(problem.in_machine_code):
-        return in_few_kernels(lambda: Queue(problem, parameters, y0, *others).worked_off())()
+    return native_run(lambda: Queue(problem, parameters, y0, *others).worked_off(), problem.in_machine_code)
 
 
 class Queue:

@@ -7,7 +7,6 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.compiler.program import ScalarProgram
 from spherejax.motion.integration.audit import Audit, Watch
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.integration.status import Status
@@ -72,7 +71,7 @@ class LaneProblem(NamedTuple):
     samples: SampledElements | None = None
     slack_of: Callable | None = None
     in_machine_code: bool = False
-    program: ScalarProgram | None = None
+    program: Any = None
     moving: tuple[int, ...] | None = None
     unseen: Unseen | None = None
     n_touches: int = 0

@@ -15,17 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.explicit import ExplicitMethod, can_be_called, stages
-from spherejax.compiler.program import ScalarProgram
+from spherejax.compiler import ScalarProgram, explicit_stages
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
 from spherejax.motion.solvers.dop853 import TwoErrors
 from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
-
-_TIME = 1
-"""Place of t among the arguments of a program; y is behind it."""
 
 
 class TrialStep(NamedTuple):
@@ -126,23 +121,14 @@ class ExplicitStages:
 
     def _called(self, t, h, y, parameters, bend, n_made) -> tuple[Array, Array] | None:
         """The increments of all stages and their sums by one call of machine code; None where there is none."""
-        program = self.program
-        if program is None or not machine_code.is_on():
-            return None
-        line, _ = program.line_inside(jax.tree.map(lambda x: x[..., 0], parameters.ahead))
-        if not can_be_called(line, y.shape[:-1]):
+        if self.program is None:
             return None
         n = self.n_stages
-        method = ExplicitMethod.of(self.coefficients[:n, :n], self.instants[:n], self.sums)
-        theta, ahead, slopes = parameters.theta, parameters.ahead, parameters.slopes if y.ndim == 3 else None
-        others = in_lanes(lambda theta, ahead: (theta, *program.line_inside(ahead)[1]))(theta, ahead)
-        along = moving = None
-        if slopes is not None:
-            with_theta = in_lanes(lambda theta, *ahead: (theta, *program.slopes_inside(*ahead)))
-            along = with_theta(slopes.theta, ahead, slopes.ahead)
-            if self.moving is not None:
-                moving = program.moving_inside(jax.tree.map(lambda x: x[..., 0], ahead), self.moving)
-        return stages(line, _TIME, method, t, h, bend, y, n_made, others, along, moving)
+        tableau = self.coefficients[:n, :n], self.instants[:n], self.sums
+        # Rows below the state are tangents, which come with those of the numbers.
+        slopes = (parameters.slopes.theta, parameters.slopes.ahead) if y.ndim == 3 else None
+        given = parameters.theta, parameters.ahead
+        return explicit_stages(self.program, tableau, t, h, bend, y, n_made, *given, slopes, self.moving)
 
     def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
         n = self.n_stages

@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loop_fusion import in_few_kernels
+from spherejax.motion.integration.compiling import native_run
 from spherejax.motion.integration.lanes.account import AccountLayout, samples_are_finite, written
 from spherejax.motion.integration.lanes.engine import Queue
 from spherejax.motion.integration.lanes.first_step import Looks
@@ -181,7 +180,7 @@ def begun(
         looks = Looks.of_nothing(lanes.y) if queue.looks else None
         return RunUnderWay(lanes, jnp.zeros((), jnp.int64), looks, queue.nothing_last(lanes))
 
-    return Paused.of(_compiled(problem, begin))
+    return Paused.of(native_run(begin, problem.in_machine_code))
 
 
 def gone_on(
@@ -194,13 +193,8 @@ def gone_on(
         run = paused.run
         return _Windows(problem, run.lanes, ends, window).gone_on_from(run, n_turns)
 
-    outcome, run, progress = _compiled(problem, go_on)
+    outcome, run, progress = native_run(go_on, problem.in_machine_code)
     return outcome, Paused.of(run).vectors, progress
-
-
-def _compiled(problem: LaneProblem, function):
-    with machine_code.wanted(problem.in_machine_code):
-        return in_few_kernels(function)()
 
 
 class _Windows(Queue):

@@ -40,17 +40,11 @@ from spherejax.compiler.native.rosenbrock import (
     rows_of,
 )
 from spherejax.compiler.primitive import Moves, StraightLine
-from spherejax.motion.equations.programs import Program
+from spherejax.compiler.program import ScalarProgram
 
 T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6
 """Arguments of the call: t, h, y, slope, theta, gamma h, others, what the right-hand side has evaluated ahead; then
 what has an axis of rows."""
-
-
-def called_whole(program: Program) -> StraightLine:
-    """All of a scalar program as one line."""
-    assert program.scalar is not None
-    return program.scalar.line_called()
 
 
 class CalledStep(NamedTuple):
@@ -64,15 +58,14 @@ class CalledStep(NamedTuple):
     """
 
     steps: RosenbrockSteps
-    rate: Program
+    rate: ScalarProgram
     others: tuple[Float[np.ndarray, " n"], ...]
     moving: tuple[Moves, ...] = ()
 
     def __call__(self, tableau: Any, theta, ahead, gamma_h, start: tuple, slopes: Any = None) -> Array:
         """All stages, from (t, h, h, y, slope)."""
         t, h, _, y, slope = start
-        scalar = self.rate.scalar
-        assert scalar is not None
+        scalar = self.rate
         given = [theta, gamma_h, *map(jnp.asarray, self.others), *scalar.line_inside(ahead)[1]]
         if slopes is not None:
             along = slopes.theta, *scalar.slopes_inside(ahead, slopes.ahead)
@@ -81,7 +74,7 @@ class CalledStep(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Called:
+class RosenbrockSystems:
     """How a step's linear systems are made and solved by calls.
 
     Attributes:
@@ -93,15 +86,21 @@ class Called:
         place: of its argument that k is a tangent of.
     """
 
-    stage: Program
-    ahead: tuple[tuple[Program, tuple[int | str, ...], int], ...]
+    stage: ScalarProgram | None
+    ahead: tuple[tuple[ScalarProgram | None, tuple[int | str, ...], int], ...]
     known: tuple[str, ...]
     others: tuple[Float[np.ndarray, " n"], ...]
-    product: tuple[Program, tuple[int, ...]] | None
+    product: tuple[ScalarProgram | None, tuple[int, ...]] | None
     place: int
 
     @classmethod
-    def exact(cls, stage: Program, frozen: Program, change: Program, seeds: Float[np.ndarray, "k n"]) -> "Called":
+    def exact(
+        cls,
+        stage: ScalarProgram | None,
+        frozen: ScalarProgram | None,
+        change: ScalarProgram | None,
+        seeds: Float[np.ndarray, "k n"],
+    ) -> "RosenbrockSystems":
         """With the derivatives of the residuals along seeds."""
         wide = len(seeds) if len(seeds) > 1 else 0
         along = THETA, T, Y, made(0, 0), made(0, 1), OTHER
@@ -109,13 +108,13 @@ class Called:
         return cls(stage, ahead, (made(1, 0),), (np.ascontiguousarray(seeds.T) if wide else seeds[0],), None, 2)
 
     @classmethod
-    def inexact(cls, stage: Program, product: Program) -> "Called":
+    def inexact(cls, stage: ScalarProgram | None, product: ScalarProgram | None) -> "RosenbrockSystems":
         """With a matrix that a program multiplies by."""
         # What it is multiplied with does not matter to what follows from the rest; a vector of its size is at hand.
         return cls(stage, (), (), (), (product, (THETA, T, Y, Y)), 3)
 
     def step(
-        self, rate: Program, ahead: Any, size: int, slopes: Any = None, by: tuple[int, ...] | None = None
+        self, rate: ScalarProgram | None, ahead: Any, size: int, slopes: Any = None, by: tuple[int, ...] | None = None
     ) -> CalledStep | None:
         """What is called in a step of a state of a size; None where it cannot be.
 
@@ -128,22 +127,23 @@ class Called:
         """
         programs = [rate, self.stage, *(program for program, *_ in self.ahead)]
         programs += [] if self.product is None else [self.product[0]]
-        if not machine_code.is_on() or any(program.scalar is None for program in programs):
+        if not machine_code.native_code_enabled() or any(program is None for program in programs):
             return None
-        assert rate.scalar is not None
-        assert self.stage.scalar is not None
+        assert rate is not None
+        assert self.stage is not None
         given = ahead
-        line, ahead = rate.scalar.line_inside(given)
+        line, ahead = rate.line_inside(given)
         parts = [
             LinePart(
-                called_whole(program),
+                program.line_called(),
                 sources,
                 (wide,) if wide else (),
                 (*(0 for _ in sources[1:]), 1) if wide else (),
             )
             for program, sources, wide in self.ahead
+            if program is not None
         ]
-        first, rest = self.stage.scalar.lines_ahead_and_inside()
+        first, rest = self.stage.lines_ahead_and_inside()
         leading = THETA, T, Y, GAMMA_H, *self.known
         factors = []
         if first is not None:
@@ -156,7 +156,7 @@ class Called:
         moving: tuple[Moves, ...] = ()
         if slopes is not None:
             n, n_numbers = slopes.theta.shape
-            moving = rate.scalar.moving_inside(given, range(n_numbers) if by is None else by)
+            moving = rate.moving_inside(given, range(n_numbers) if by is None else by)
             moves = {
                 place: some
                 for place, some in zip((THETA, *of_rate), moving, strict=True)
@@ -170,7 +170,8 @@ class Called:
     def _product(self) -> tuple[StraightLine, tuple[int, ...]]:
         assert self.product is not None
         program, sources = self.product
-        return called_whole(program), sources
+        assert program is not None
+        return program.line_called(), sources
 
 
 class _Tangents:

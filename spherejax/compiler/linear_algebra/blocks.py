@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from spherejax.compiler.linear_algebra.block_pattern import BlockPattern, Segment
 from spherejax.compiler.linear_algebra.sums import sums_by_index
-from spherejax.compiler.linear_algebra.symmetric_solve import REDUNDANT_PIVOT
+from spherejax.compiler.linear_algebra.symmetric import REDUNDANT_PIVOT
 
 block_solve_p = Primitive("block_solve")
 

@@ -1,0 +1,53 @@
+"""The switch for machine code, as users of the compiler see it."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.loop_fusion import fuse_loops
+
+
+class native_code:  # noqa: N801 - a context manager, as those of contextlib
+    """Programs that are traced in this context become machine code; or they do not, where `enabled` is False.
+
+        with native_code():
+            dy = jax.jit(program)(t, y)
+
+    As a decorator it does more: loops in the function that call machine code become machine code as a whole, or have
+    the rest of each turn in few kernels. A context cannot do that, because it does not see the loops. A function that
+    is decorated is not to be differentiated: derivative rules of its parts are lost.
+
+    Without llvmlite, on a GPU, under `jax.disable_jit()` and with a version of jaxlib that is not known, the context
+    changes nothing, and XLA compiles everything.
+    """
+
+    def __init__(self, enabled: bool = True):
+        self._enabled = enabled
+        # One stack for each entry: the same object may be entered again within itself.
+        self._entered: list[ExitStack] = []
+
+    def __enter__(self) -> None:
+        """Begin."""
+        stack = ExitStack()
+        stack.enter_context(machine_code.native_code(self._enabled))
+        self._entered.append(stack)
+
+    def __exit__(self, *error: Any) -> None:
+        """End, as it was before."""
+        self._entered.pop().close()
+
+    def __call__(self, function: Callable) -> Callable:
+        """The same function within the context, with fused loops."""
+        fused = fuse_loops(function)
+
+        def made(*arguments: Any) -> Any:
+            with machine_code.native_code(self._enabled):
+                return fused(*arguments)
+
+        return made
+
+    is_available = staticmethod(machine_code.is_available)
+    record_ffi_targets = staticmethod(machine_code.record_ffi_targets)
+    register_object_code = staticmethod(machine_code.register_object_code)
+    note_ffi_targets = staticmethod(machine_code.note_ffi_targets)
