@@ -229,7 +229,7 @@ def texts_of(*calls):
 def texts_of_programs():
     """Of one evaluation, and of lanes."""
     program = scalarize(field, NUMBERS, T, Y)
-    with machine_code.wanted():
+    with machine_code.native_code():
         return texts_of(
             lambda: jax.jit(program).lower(NUMBERS, T, Y),
             lambda: jax.jit(jax.vmap(program, (None, None, 0))).lower(NUMBERS, T, jnp.stack([Y] * 19)),
@@ -343,7 +343,7 @@ def test_arm_code_has_the_numbers_of_this_processor(tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(machine_code, "target_of", seen)
         patch.setattr(primitive, "SMALLEST_CALLED", 0)
-        with machine_code.wanted():
+        with machine_code.native_code():
             right = np.asarray(jax.jit(jax.vmap(program, (None, None, 0), 1))(NUMBERS, T, ys))
     (text,) = made
     triple = "aarch64-unknown-linux-gnu"

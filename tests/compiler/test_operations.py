@@ -219,7 +219,7 @@ def test_xla_compiles_it(name):
 def test_it_is_machine_code_in_lanes(name, monkeypatch):
     monkeypatch.setattr(primitive, "SMALLEST_CALLED", 0)
     made = scalarize(ROWS[name].function, *[jnp.zeros(())] * n_arguments(name))
-    with machine_code.wanted():
+    with machine_code.native_code():
         compiled = jax.jit(jax.vmap(made)).lower(*arguments(name))
         has_call = "stablehlo.custom_call @spherejax_" in compiled.as_text()
         assert has_call == ("llvm" not in ROWS[name].without)

@@ -7,8 +7,9 @@ given to XLA as the target of a custom call, by the binary interface of `jax.ffi
 
 A loop that calls something is no longer one native function; `loop_fusion` sees to what is between the calls.
 
-Programs are made so inside `native_code()`, on the processor, on the platforms that this has been tested on (`platforms`),
-and with the versions of jaxlib that this is known to work with; anywhere else XLA compiles them as before.
+Programs are made so inside `native_code()`, on the processor, on the platforms that this has been tested on
+(`platforms`), and with the versions of jaxlib that this is known to work with. Anywhere else XLA compiles them as
+before.
 `SPHEREJAX_MACHINE_CODE=0` switches it off.
 """
 
@@ -30,7 +31,6 @@ from spherejax.compiler.emit.llvm import FUNCTION, FunctionText
 from spherejax.compiler.hooks import attached
 from spherejax.compiler.native import platforms
 from spherejax.compiler.native.ffi_abi import KNOWN_JAXLIB, REGISTERED_API_VERSION
-
 
 # Whether --------------------------------------------------------------------------------------------------------------
 
