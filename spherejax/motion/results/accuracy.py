@@ -12,7 +12,9 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.units.units import in_si
 from spherejax.model.system import System
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.results.global_error import POSITIONS
+
+POSITIONS = "positions"
+"""Stands for the positions of all bodies among the names of quantities."""
 
 Limits = tuple[tuple[str, float], ...]
 """Names of quantities, or `POSITIONS`, with the largest error that each may have, in its SI unit."""

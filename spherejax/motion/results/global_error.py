@@ -38,6 +38,7 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.integrate import Options, Plan
 from spherejax.motion.integration.one_run import bound_run
 from spherejax.motion.integration.status import Status
+from spherejax.motion.results.accuracy import POSITIONS
 from spherejax.motion.solvers.dop853 import Dop853
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P
@@ -64,9 +65,6 @@ thousandth of the mechanism's length where there is none."""
 
 Repeat = Callable[[float], Any]
 """Makes a run, a `Trajectory`, at a relative tolerance."""
-
-POSITIONS = "positions"
-"""Stands for the positions of all bodies among the names of quantities."""
 
 REFINED = 200
 """`determined_until` is told to this share of the motion, also where samples are coarser."""

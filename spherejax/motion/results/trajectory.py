@@ -20,9 +20,9 @@ from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findi
 from spherejax.motion.integration.not_finite import not_finite_part
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
-from spherejax.motion.results.accuracy import Accuracy
+from spherejax.motion.results.accuracy import POSITIONS, Accuracy
 from spherejax.motion.results.dataset import table_of, to_dataset
-from spherejax.motion.results.global_error import POSITIONS, GlobalError, floor_of, usual_limit
+from spherejax.motion.results.global_error import GlobalError, floor_of, usual_limit
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
 from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of, observation_of, state_of
