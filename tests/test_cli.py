@@ -405,6 +405,16 @@ def test_list_names_everything(capsys):
     assert "mu = 0.1 [-], v1 = 0.001 [m/s]" in out
 
 
+def test_list_shows_only_what_contains_a_word(capsys):
+    assert cli.main(["list", "pid"]) == 0
+    out = capsys.readouterr().out
+    assert "sampled-pid" in out
+    assert "proportional" in out  # a kind that is called so is shown whole
+    assert "four-bar" not in out
+    assert cli.main(["list", "xyzzy"]) == 2
+    assert "nothing that can be asked for contains 'xyzzy'" in capsys.readouterr().err
+
+
 def test_every_scene_of_the_gallery_has_its_name():
     scenes = {getattr(sj.gallery, name) for name in sj.gallery.__all__}
     assert set(catalog.SCENES.values()) == scenes

@@ -425,3 +425,22 @@ def test_a_page_fits_a_phone(written):
         driver.get(written.as_uri())
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 360
         assert driver.execute_script(DRAWN)[0] > 500
+
+
+def test_force_elements_and_joints_are_told_by_what_they_are(tmp_path):
+    """A body on a spring and a hinge: the range of the spring's force, its work, and the joint by its name."""
+    arm = sj.Body(1.0, (0.01, 0.01, 0.01), position=(0.3, 0, 0), points={"end": (0.1, 0, 0)})
+    scene = sj.Scene(
+        {"arm": arm},
+        {"hinge": sj.Revolute(("ground", "arm"), (0, 0, 0), (0, 1, 0))},
+        {"spring": sj.SpringDamper(("ground.hook", "arm.end"), 200.0, 5.0, 0.2)},
+        ground_points={"hook": (0.4, 0.0, 0.2)},
+    )
+    run = sj.simulate(scene, np.linspace(0.0, 0.2, 41))
+    page = run.report(tmp_path / "page.html").read_text()
+    force = np.asarray(run.force("spring")["force"])
+    assert "Results of force elements at the samples" in page
+    assert f"<td>{force.min():.6g}</td><td>{force.max():.6g}</td>" in page.replace("<wbr>", "")
+    assert "work put into the bodies" in page
+    assert "Revolute" in page
+    assert "PlacedPair" not in page

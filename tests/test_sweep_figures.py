@@ -10,6 +10,7 @@ from spherejax.cli import main
 from spherejax.command_line.shown import ShownNumbers, in_units
 from spherejax.motion.integration.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
+from spherejax.output.plot.swept_axes import outliers
 from spherejax.studies.sweep import product, sobol_samples, zipped
 from spherejax.studies.sweep.dataset import COUNTED, RunsColumn, SweepAccount, coordinates_of, dataset_of
 
@@ -152,3 +153,21 @@ def test_the_command_tells_why_runs_failed(tmp_path, capsys):
     result = sj.open_sweep(out)
     assert result["status"].values.tolist() == [Status.BAD_VALUE, 0, 0]
     assert sorted(path.name for path in (tmp_path / "masses").iterdir()) == ["final_position_bob.png", "n_steps.png"]
+    command[3] = "bob.mass=-1,-2"
+    assert main([*command, "--solver", "dopri8", "--out", str(tmp_path / "none.nc")]) == 3
+    assert "all 2 runs failed" in capsys.readouterr().err
+    assert (tmp_path / "none.nc").exists()
+
+
+def test_an_outlier_leaves_the_colors_to_the_others_and_is_told():
+    result = swept(product({"a": np.linspace(1.0, 2.0, 9), "b": np.linspace(0.0, 0.3, 7)}))
+    name = next(name for name in result.data_vars if set(result[name].dims) == {"a", "b"} and name != "status")
+    values = np.outer(1.0 + np.arange(9), 1.0 + np.arange(7))
+    values[5, 2] = 4000.0
+    result = result.assign({name: (("a", "b"), values, result[name].attrs), "status": 0 * result["status"]})
+    figure = figures_of_sweep(result, "one run is far beyond")[name]
+    mesh = next(one for ax in figure.axes for one in ax.collections if hasattr(one, "get_clim") and one.get_clim()[1])
+    assert mesh.get_clim() == (1.0, 63.0)
+    told = " ".join(text.get_text() for ax in figure.axes for text in ax.texts)
+    assert "beyond the colors:\n4e+03 at" in told
+    assert not outliers(values[:5]).any()  # a steady slope has none

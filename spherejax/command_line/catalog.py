@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import spherejax as sj
@@ -97,6 +97,7 @@ defaults, solvers and drift controls. With --kinds: everything that can stand in
 EPILOG = """examples:
   spherejax list
   spherejax list --kinds
+  spherejax list pid
 """
 
 
@@ -110,56 +111,92 @@ def add_list(commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
+        "word", nargs="?", metavar="WORD", help="show only entries that contain this word, here and among --kinds"
+    )
+    parser.add_argument(
         "--kinds", action="store_true", help="name what can stand in a scene file: kinds, their keys and units"
     )
     parser.set_defaults(action=list_names)
 
 
 def list_names(options: argparse.Namespace) -> int:
-    """Print the catalog."""
-    from spherejax.command_line.printing import print_table
-
-    if options.kinds:
-        list_kinds()
-        return 0
-    short = {name: f"{name} ({alias})" for alias, name in ALIASES.items()}
-    scenes = [(short.get(name, name), (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
-    print_table("Scenes", ("name", "what"), scenes)
-    print_table("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
-    print_table("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))
-    print_table("Friction laws (--friction)", ("name", "parameters and defaults"), _with_parameters(FRICTION_LAWS))
-    films = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in (*FILMS.items(), *BEARING_FILMS.items())]
-    print_table("Films (--film; short and long of a revolute joint, with --length)", ("name", "what"), films)
-    boundaries = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in BOUNDARIES.items()]
-    print_table("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
-    pressures = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in PRESSURES.items()]
-    print_table("Pressures in ideal joints with friction (in scene files)", ("name", "what"), pressures)
-    print_table("Elastomers (--elastomer)", ("name", "parameters and defaults"), _with_parameters(ELASTOMERS))
-    print_table("Solvers (--solver)", ("name", "what"), list(SOLVERS.words.items()))
-    print_table("Drift control (--drift)", ("name", "what"), list(DRIFT_CONTROLS.words.items()))
-    print(
-        "A mechanism of your own is a scene file: `spherejax write four-bar --out my.toml` writes one to start from,\n"
-        "`spherejax run my.toml` runs it, `spherejax list --kinds` names what can stand in it."
-    )
+    """Print the catalog, or what of it contains a word."""
+    show = _Filtered(options.word)
+    if not options.kinds:
+        _list_parts(show)
+    if options.kinds or options.word:
+        list_kinds(show)
+    if options.word and not show.n_shown:
+        raise sj.SceneError(f"nothing that can be asked for contains {options.word!r}; spherejax list names everything")
+    if options.kinds and not options.word:
+        print(ABOUT_FILES)
+    elif not options.word:
+        print(
+            "A mechanism of your own is a scene file: `spherejax write four-bar --out my.toml` writes one to start "
+            "from,\n`spherejax run my.toml` runs it, `spherejax list --kinds` names what can stand in it."
+        )
     return 0
 
 
-def list_kinds() -> None:
+class _Filtered:
+    """Prints tables, or those of their rows that contain a word.
+
+    Args:
+        word: in any case; everything is printed without one.
+    """
+
+    def __init__(self, word: str | None):
+        self.word = (word or "").lower()
+        self.n_shown = 0
+
+    def __call__(self, title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Print a table. A row without a first cell belongs to the last one that has it; a kind is shown whole."""
+        from spherejax.command_line.printing import print_table
+
+        shown, first, whole, last_shown = [], "", False, ""
+        for row in rows:
+            if row[0]:
+                first, whole = row[0], self.word in row[0].lower()
+            if whole or any(self.word in cell.lower() for cell in row[1:]):
+                shown.append((first if last_shown != first else "", *row[1:]))
+                last_shown = first
+        if shown:
+            print_table(title, heads, shown)
+        self.n_shown += len(shown)
+
+
+def _list_parts(show: _Filtered) -> None:
+    short = {name: f"{name} ({alias})" for alias, name in ALIASES.items()}
+    scenes = [(short.get(name, name), (build.__doc__ or "").splitlines()[0]) for name, build in SCENES.items()]
+    show("Scenes", ("name", "what"), scenes)
+    show("Joint models (--joint)", ("name", "what"), list(JOINTS.items()))
+    show("Normal laws (--normal)", ("name", "parameters and defaults"), _with_parameters(NORMAL_LAWS))
+    show("Friction laws (--friction)", ("name", "parameters and defaults"), _with_parameters(FRICTION_LAWS))
+    films = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in (*FILMS.items(), *BEARING_FILMS.items())]
+    show("Films (--film; short and long of a revolute joint, with --length)", ("name", "what"), films)
+    boundaries = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in BOUNDARIES.items()]
+    show("Film boundary conditions (--boundary)", ("name", "what"), boundaries)
+    pressures = [(name, (law.__doc__ or "").splitlines()[0]) for name, law in PRESSURES.items()]
+    show("Pressures in ideal joints with friction (in scene files)", ("name", "what"), pressures)
+    show("Elastomers (--elastomer)", ("name", "parameters and defaults"), _with_parameters(ELASTOMERS))
+    show("Solvers (--solver)", ("name", "what"), list(SOLVERS.words.items()))
+    show("Drift control (--drift)", ("name", "what"), list(DRIFT_CONTROLS.words.items()))
+
+
+def list_kinds(show: _Filtered) -> None:
     """Print what can stand in a scene file."""
-    from spherejax.command_line.printing import print_table
     from spherejax.files.fields.kinds import family_names, keys_of, kinds_of
     from spherejax.files.scenes.settings import FIELDS as SETTINGS
 
-    print_table("[bodies.NAME]", ("key", "what", "meaning"), keys_of(sj.Body))
+    show("[bodies.NAME]", ("key", "what", "meaning"), keys_of(sj.Body))
     for title, family in family_names():
         rows = [
             (kind if first else "", *row)
             for kind, cls in kinds_of(family).items()
             for first, row in _marked(keys_of(cls))
         ]
-        print_table(title, ("kind", "key", "what", "meaning"), rows)
-    print_table("[simulation]", ("key", "what"), [(key, field.what) for key, field in SETTINGS.items()])
-    print(ABOUT_FILES)
+        show(title, ("kind", "key", "what", "meaning"), rows)
+    show("[simulation]", ("key", "what"), [(key, field.what) for key, field in SETTINGS.items()])
 
 
 def _marked(rows):

@@ -281,8 +281,19 @@ def _peaks(run: sj.Trajectory, wanted: list[WantedQuantity]) -> list[tuple[str, 
     return found
 
 
-def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
+def _energies(run: sj.Trajectory) -> list[tuple[str, str]]:
+    """What was put in, and what was lost: put in, or there at the start, and no longer there at the end."""
     energy = np.asarray(run.mechanical_energy)
+    put_in = float(np.asarray(run.supplied_work)[-1])
+    lost = float(energy[0] - energy[-1]) + put_in
+    unit, factor = ("J", 1.0) if max(abs(lost), abs(put_in)) >= 1.0 else ("mJ", 1e3)
+    rows = [(f"energy lost at the end [{unit}]", f"{factor * lost:.6g}")]
+    if run.system.tracks_supply:
+        rows.insert(0, (f"work put in by drivers and forces [{unit}]", f"{factor * put_in:.6g}"))
+    return rows
+
+
+def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
     peaks = {
         body: float(np.max(np.linalg.norm(np.asarray(run.acceleration(body)), axis=1))) for body in run.system.bodies
     }
@@ -292,7 +303,7 @@ def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:
         ("steps", f"{int(run.stats.n_steps):,} ({int(run.stats.n_rejected):,} rejected)"),
         ("time of the first run, with compilation [s]", f"{seconds:.2f}"),
         *([] if run.accuracy is None else [("tolerance by accuracy", str(run.accuracy))]),
-        ("mechanical energy lost at the end [mJ]", f"{1e3 * (energy[0] - energy[-1]):.6g}"),
+        *_energies(run),
         ("largest acceleration at the samples [m/s^2]", f"{peaks[body]:.4g} ({body})"),
         ("drift control", type(run.system.drift).__name__),
         ("largest constraint violation", f"{float(np.max(np.asarray(run.constraint_violation))):.2e}"),

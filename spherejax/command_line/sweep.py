@@ -143,6 +143,8 @@ def sweep_scene(options: argparse.Namespace) -> int:
     pictures = [] if options.no_pictures else _draw(result, found, path)
     write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", scene)
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
+    if bool((result["status"] != 0).all()):
+        raise sj.SimulationError(f"all {result['status'].size:,} runs failed; why is told above")
     return 0
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, new_figure
+from spherejax.output.plot.style import LAW_COLORS, legend_below, new_figure
 
 
 def history_figure(
@@ -39,7 +39,7 @@ def history_figure(
         unit = units.get(name, "")
         ax.set_ylabel(f"{name}{f' [{unit}]' if unit else ''}", fontsize=8)
     axes[-1, 0].set_xlabel("design")
-    axes[0, 0].legend(fontsize=8)
+    legend_below(figure, axes[0, 0])
     return figure
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, legend_below, letter, new_figure, note, number_decades
+from spherejax.output.plot.style import LAW_COLORS, legend_below, legend_under, letter, new_figure, note, number_decades
 
 LARGEST_SHEET = 12
 """Panels of a sheet; components beyond are left out, and the sheet says so."""
@@ -76,7 +76,7 @@ def _distribution(ax: Axes, residuals: np.ndarray) -> None:
     ax.set_xlabel("residual / noise")
     ax.set_ylabel("density")
     ax.set_title("how often each size occurs", loc="left")
-    ax.legend(fontsize=7, frameon=False)
+    legend_under(ax, gap=0.2)
     note(ax, f"standard deviation {np.std(residuals):.3g}", place=(0.02, 0.98))
 
 

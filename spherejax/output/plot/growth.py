@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, legend_below, letter, new_figure
+from spherejax.output.plot.style import LAW_COLORS, legend_below, legend_under, letter, new_figure
 
 STYLES = ("-", "--", ":", "-.")
 """Of experiments."""
@@ -45,7 +45,7 @@ def growth_figure(
     right.set_xlabel("change of the parameters (share of their sizes)")
     right.set_ylabel("followed by the tangent until [s]")
     right.set_title("how far the gradient means something", loc="left")
-    right.legend(fontsize=8, frameon=False)
+    legend_under(right, n_columns=1, gap=0.18)
     letter([left, right])
     if len(sizes) * len(names) <= len(LAW_COLORS):
         legend_below(figure, left)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spherejax.foundations.errors import SceneError
-from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, letter, new_figure, note, repeated
+from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, legend_below, letter, new_figure, note, repeated
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.joints.lubricated import Lubricated
 from spherejax.physics.laws.film import film_force, hybrid_weight
@@ -133,7 +133,7 @@ def friction_curves(
     for ax, limit, name in zip(axes.flat, (fastest, close_up), ("all velocities", "near zero sliding"), strict=True):
         _draw_friction(ax, laws, limit)
         ax.set_title(name, loc="left", fontsize=9)
-    axes[0, 0].legend(fontsize=7.5, loc="lower right")
+    legend_below(figure, axes[0, 0])
     letter(list(axes.flat))
     return figure
 
@@ -177,7 +177,7 @@ def hybrid_force(joint: Lubricated, *, rate: float = 1e-4) -> Figure:
         ax.set_title(name, loc="left", fontsize=9)
     axes[0, 0].set_yscale("log")
     axes[0, 0].set_ylim(1.0, 1e4)
-    axes[0, 0].legend(fontsize=7.5, loc="upper left")
+    legend_below(figure, axes[0, 0])
     note(axes[0, 1], "dotted lines: e = c and e = c + e_h0", place=(0.02, 0.9))
     letter(list(axes.flat))
     return figure

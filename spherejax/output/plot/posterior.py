@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from spherejax.output.plot.style import LAW_COLORS, new_figure
+from spherejax.output.plot.style import LAW_COLORS, legend_below, new_figure
 
 LARGEST_GRID = 8
 """Numbers in a figure of pairs; those beyond are left out, and the title says so."""
@@ -47,7 +47,7 @@ def pairs_figure(
                 ax.set_xlabel(names[column])
             _few_ticks(ax, both=row != column)
         axes[row, row].set_xlim(axes[-1, row].get_xlim())
-    axes[0, 0].legend(fontsize=7, frameon=False)
+    legend_below(figure, axes[0, 0])
     return figure
 
 
@@ -101,5 +101,5 @@ def traces_figure(draws: np.ndarray, names: list[str], title: str) -> Figure:
             ax.plot(values, lw=0.5, color=LAW_COLORS[chain % len(LAW_COLORS)], label=f"chain {chain + 1}")
         ax.set_ylabel(names[at])
     axes[-1, 0].set_xlabel("draw")
-    axes[0, 0].legend(fontsize=7, ncols=4, loc="upper right")
+    legend_below(figure, axes[0, 0])
     return figure

@@ -132,7 +132,7 @@ def _distinct(points: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _drawn_joint(name: str, joint: Any, others: Sequence[Any]) -> DrawnJoint:
-    kind, bodies, axes = _kind(joint), tuple(joint.bodies), _axes(joint)
+    kind, bodies, axes = kind_of_joint(joint), tuple(joint.bodies), _axes(joint)
     first, second = (np.asarray(point, float) for point in joint.points)
     if kind == "RotationDriver":  # a torque has no point: it is drawn at the joint that it drives
         driven = [one for one in others if set(one.bodies) == set(bodies) and not getattr(one, "is_driven", False)]
@@ -166,7 +166,7 @@ KINDS = {
 """What a joint made of elementary equations is: whether its points coincide, numbers of planes and of right angles."""
 
 
-def _kind(joint: Any) -> str:
+def kind_of_joint(joint: Any) -> str:
     """What a placed joint is: by its equations where it is made of elementary ones, else by its class."""
     joint = getattr(joint, "ideal", None) or joint  # an elastic joint is drawn as the ideal one that it softens
     if hasattr(joint, "right_angles"):
@@ -183,7 +183,7 @@ def _axes(joint: Any) -> tuple[tuple[int, np.ndarray], ...]:
     joint = getattr(joint, "ideal", None) or joint
     own = getattr(joint, "axes", ()) or ([joint.axis] if getattr(joint, "axis", None) is not None else [])
     found = [(1, _unit(axis)) for axis in own]
-    kind = _kind(joint)
+    kind = kind_of_joint(joint)
     if kind == "TranslationDriver":
         found = [(0, _unit(joint.axis))]
     if kind == "Universal":

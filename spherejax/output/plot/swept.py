@@ -5,12 +5,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, new_figure, note
+from spherejax.output.plot.style import LAW_COLORS, legend_below, new_figure, note
 from spherejax.output.plot.swept_axes import (
     at_the_bottom,
+    beyond,
     has_failed,
     label,
     logarithmic_where_even,
+    outliers,
+    told_outliers,
     wide_parameters,
     with_unit,
 )
@@ -102,7 +105,7 @@ def _curves(swept, panels, parameter: str, title: str) -> Figure:
         label(ax, with_unit(parameter, swept[parameter]), with_unit(name, values))
         logarithmic_where_even(ax, places, "x")
     if failed.any():
-        axes[0].legend(fontsize=7.5, frameon=False)
+        legend_below(figure, axes[0])
     return figure
 
 
@@ -111,8 +114,13 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
     across, up = parameters
     for ax, (name, values) in zip(axes, panels, strict=True):
         grid = np.asarray(_squeezed(values, parameters).transpose(up, across), float)
-        drawn = ax.pcolormesh(values[across], values[up], grid, cmap="viridis", shading="nearest", rasterized=True)
-        figure.colorbar(drawn, ax=ax).set_label(with_unit(name, values), fontsize=9)
+        far = outliers(grid)
+        low, high = (np.nanmin(grid[~far]), np.nanmax(grid[~far])) if far.any() else (None, None)
+        drawn = ax.pcolormesh(
+            values[across], values[up], grid, cmap="viridis", shading="nearest", rasterized=True, vmin=low, vmax=high
+        )
+        figure.colorbar(drawn, ax=ax, extend=beyond(grid, low, high)).set_label(with_unit(name, values), fontsize=9)
+        told = told_outliers(grid, far, (up, np.asarray(values[up])), (across, np.asarray(values[across])))
         ax.grid(False)
         label(ax, with_unit(across, values[across]), with_unit(up, values[up]))
         logarithmic_where_even(ax, values[across], "x")
@@ -125,4 +133,7 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
             ax.set_title(f"crosses: {n_failed} failed runs", loc="right", fontsize=8)
         if np.isnan(grid).sum() > n_failed:
             note(ax, f"{int(np.isnan(grid).sum())} runs without a value are left white")
+        if told:
+            # Below the axis: a remark in the panel would cover runs.
+            ax.text(0.0, -0.17, told, transform=ax.transAxes, va="top", fontsize=7, color="0.25")
     return figure

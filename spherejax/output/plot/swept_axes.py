@@ -1,6 +1,6 @@
 """What the figures of sweeps share: axes with names and units, logarithms where they fit, marks of failed runs."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -65,3 +65,55 @@ def logarithmic_where_even(ax: Axes, values: Any, axis: str) -> None:
     """A logarithmic axis where the values ask for it."""
     if is_even_in_ratio(np.asarray(values)):
         (ax.set_xscale if axis == "x" else ax.set_yscale)("log")
+
+
+FENCE, FLATTENED = 5.0, 3.0
+"""A value is an outlier beyond five interquartile ranges from the quartiles, where it makes the range of the colors
+three times as wide as the others need."""
+
+MOST_TOLD = 3
+"""Outliers that are told by name."""
+
+
+def outliers(values: np.ndarray) -> np.ndarray:
+    """Which values would leave no color to the others: far beyond the quartiles of all; none of a steady slope."""
+    finite = values[np.isfinite(values)]
+    none = np.zeros(values.shape, bool)
+    if finite.size < 5:
+        return none
+    first, third = np.quantile(finite, [0.25, 0.75])
+    reach = FENCE * (third - first)
+    far = (values < first - reach) | (values > third + reach)
+    if reach == 0 or not far.any():
+        return none
+    rest = values[np.isfinite(values) & ~far]
+    return far if np.ptp(finite) > FLATTENED * np.ptp(rest) else none
+
+
+def beyond(values: np.ndarray, low: float | None, high: float | None) -> Literal["neither", "both", "min", "max"]:
+    """At which ends of a range of colors there are values beyond it."""
+    below = low is not None and bool(np.nanmin(values) < low)
+    above = high is not None and bool(np.nanmax(values) > high)
+    return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
+def told_outliers(
+    values: np.ndarray, far: np.ndarray, rows: tuple[str, np.ndarray], columns: tuple[str, np.ndarray]
+) -> str:
+    """Which runs have values beyond the colors, the farthest first; empty without such runs.
+
+    Args:
+        values: shape (rows, columns).
+        far: which are outliers.
+        rows: name and values of the parameter along the rows.
+        columns: the same along the columns.
+    """
+    places = np.argwhere(far)
+    middle = float(np.nanmedian(values))
+    places = sorted(places, key=lambda place: -abs(values[tuple(place)] - middle))
+    lines = [
+        f"{values[i, j]:.3g} at {rows[0]} = {rows[1][i]:.4g}, {columns[0]} = {columns[1][j]:.4g}"
+        for i, j in places[:MOST_TOLD]
+    ]
+    more = [f"and {len(places) - MOST_TOLD} more"] if len(places) > MOST_TOLD else []
+    return "\n".join(["beyond the colors:", *lines, *more]) if lines else ""

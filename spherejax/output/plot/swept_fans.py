@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, new_figure, note, ordered_colors
+from spherejax.output.plot.style import LAW_COLORS, legend_under, new_figure, note, ordered_colors
 from spherejax.output.plot.swept_axes import label, with_unit
 
 if TYPE_CHECKING:
@@ -41,15 +41,11 @@ def fan_figure(
         for ax, parameter in zip(axes[1:, column], shown, strict=True):
             _medians(ax, swept, values, parameter)
             if column == 0:
-                ax.legend(
-                    fontsize=6.5,
-                    frameon=False,
-                    title=f"median by {with_unit(parameter, swept[parameter])}",
-                    title_fontsize=7,
-                )
+                legend_under(ax, n_columns=3, gap=0.2)
+                ax.get_legend().set_title(f"median by {with_unit(parameter, swept[parameter])}", {"size": 7})
         for ax in axes[:, column]:
             label(ax, "time [s]", with_unit(name, values))
-    axes[0, 0].legend(fontsize=7.5, frameon=False)
+    legend_under(axes[0, 0], gap=0.2)
     return figure
 
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from spherejax.output.plot.style import LAW_COLORS, letter, new_figure, typeset_number
+from spherejax.output.plot.style import LAW_COLORS, legend_under, letter, new_figure, typeset_number
 
 SHOWN = 0.999
 """Share of the volume that a map shows."""
@@ -137,7 +137,7 @@ def _draw_cycles(ax: Axes, maps: Sequence[WearMap], cycles: np.ndarray) -> None:
     depths.set_ylabel("largest depth [$\\mu$m]", fontsize=9)
     depths.tick_params(labelsize=8)
     depths.spines["top"].set_visible(False)
-    ax.legend(fontsize=7.5, frameon=False, loc="upper left")
+    legend_under(ax)
 
 
 def _middle(directions: np.ndarray, depths: np.ndarray) -> np.ndarray:

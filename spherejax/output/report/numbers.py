@@ -17,6 +17,7 @@ from spherejax.files.fields.quantities import Coefficients, Points
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
+from spherejax.output.plot.reading import kind_of_joint
 from spherejax.physics.functions.base import AbstractFunction
 from spherejax.physics.joints.joint import AbstractPlacedJoint
 
@@ -71,7 +72,7 @@ def _of(name: str, made: Any, context: Context) -> Iterator[Used]:
     """An object: what it is, then its numbers, then the objects in it."""
     cls = type(made)
     told, known = _asked(attributes_told, cls), _asked(fields_of, cls)
-    yield Used(name, cls.__name__, "", "")
+    yield Used(name, kind_of_joint(made) if isinstance(made, AbstractPlacedJoint) else cls.__name__, "", "")
     inside = context._replace(words={**context.words, **_asked(numbers_in_units, made)})
     for one in fields(made):
         value = getattr(made, one.name, None)

@@ -189,6 +189,8 @@ def add_run(page: Page, run: Trajectory) -> None:
     figures = [PagePicture(figure, what) for what, figure in figures_of_run(run).items()]
     page.add("Histories", *figures)
     page.add("Peaks", _peaks(run))
+    if run.system.forces:
+        page.add("Force elements", _force_elements(run))
     for joint in run.system.contact_joints:
         page.add(f"Contacts of {joint}", *_contacts(run, joint))
 
@@ -208,6 +210,29 @@ def _peaks(run: Trajectory) -> PageTable | PageText:
     ]
     caption = "Largest magnitudes, seen at five instants of each step"
     return PageTable(("quantity", "largest", "unit", "at [s]"), rows, caption)
+
+
+def _force_elements(run: Trajectory) -> PageTable:
+    """What each force element did: ranges of its named results, and the work that it put into the bodies."""
+    rows = []
+    ts = np.asarray(run.ts)
+    for name, element in run.system.forces.items():
+        for key, values in run.force(name).items():
+            values = np.asarray(values)
+            sizes = np.linalg.norm(values.reshape(len(ts), -1), axis=1) if values.ndim > 1 else values
+            there = np.isfinite(sizes)
+            if not there.any():
+                continue
+            what = f"{key}, magnitude" if values.ndim > 1 else key
+            least, most = float(sizes[there].min()), float(sizes[there].max())
+            unit = element.part_units.get(key, "")
+            rows.append((name, what.replace("_", " "), unit, f"{least:.6g}", f"{most:.6g}", f"{sizes[there][-1]:.6g}"))
+            if key == "power":
+                work = np.concatenate([np.zeros(1), np.cumsum(0.5 * (sizes[1:] + sizes[:-1]) * np.diff(ts))])
+                told = f"{work[there].min():.6g}", f"{work[there].max():.6g}", f"{work[there][-1]:.6g}"
+                rows.append((name, "work put into the bodies, by the samples", "J", *told))
+    heads = ("element", "result", "unit", "smallest", "largest", "at the end")
+    return PageTable(heads, rows, "Results of force elements at the samples")
 
 
 def _contacts(run: Trajectory, joint: str) -> list[PageTable | PageText]:
