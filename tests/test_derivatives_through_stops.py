@@ -1,8 +1,12 @@
-"""Derivatives through stops whose stiffness is there at once: the rates of the derivatives jump where they touch.
+"""Derivatives through stops and contacts whose stiffness is there at once: rates of derivatives jump where they touch.
 
-A ball between linear stops has a closed form: it flies, and is in contact for pi / omega.
+A ball between linear stops has a closed form: it flies, and is in contact for pi / omega. So has any ball that bounces
+once off a stop, whatever its law: the end moves by v_end / v_start where the start moves by 1.
 """
 
+from typing import Any
+
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +32,25 @@ def ball_scene(stiffness, start=0.0, speed=1.0, mass=1.0) -> sj.Scene:
     )
 
 
-def exact(stiffness, start, speed, mass, t):
+def socket_scene(stiffness, start=0.0, speed=1.0, mass=1.0, is_bearing=False) -> sj.Scene:
+    """The same ball in a socket, or journal in a bearing, with a linear contact; the walls are at -+ the clearance."""
+    center = {"center": (0.0, 0.0, 0.0)}
+    ball = sj.Body(mass, (1e-3,) * 3, position=(start, 0.0, 0.0), velocity=(speed, 0.0, 0.0), points=center)
+    model = sj.Dry(NEAR, socket_radius=1.0, normal=sj.Hertz(stiffness=stiffness, exponent=1))
+    if is_bearing:
+        places = {"point": "ground.o", "second_point": "ball.center", "axis": (0.0, 0.0, 1.0)}
+        joint: Any = sj.Revolute(("ground", "ball"), model=model, starts_concentric=False, **places)
+    else:
+        joint = sj.Spherical("ground.o", "ball.center", model, starts_concentric=False)
+    return sj.Scene({"ball": ball}, {"joint": joint}, gravity=(0.0, 0.0, 0.0), ground_points={"o": (0.0, 0.0, 0.0)})
+
+
+def bearing_scene(*numbers) -> sj.Scene:
+    """The journal of a revolute joint, across whose axis the ball flies."""
+    return socket_scene(*numbers, is_bearing=True)
+
+
+def exact(stiffness, start, speed, mass, t, far=FAR):
     """Position and velocity at time t: in flight and in contact by turns."""
     omega = jnp.sqrt(stiffness / mass)
     begin, place, wall, way = 0.0, start, NEAR, 1.0
@@ -39,21 +61,21 @@ def exact(stiffness, start, speed, mass, t):
         phase = omega * (t - touch)
         pressed = jnp.stack([wall + way * speed / omega * jnp.sin(phase), way * speed * jnp.cos(phase)])
         answer = jnp.where(t >= begin, jnp.where(t < touch, flying, pressed), answer)
-        begin, place, wall, way = touch + jnp.pi / omega, wall, NEAR + FAR - wall, -way
+        begin, place, wall, way = touch + jnp.pi / omega, wall, NEAR + far - wall, -way
     return answer
 
 
-def found(numbers, ts, **options):
-    run = sj.simulate(ball_scene(*numbers), jnp.concatenate([jnp.zeros(1), jnp.asarray(ts)]), **options)
+def found(numbers, ts, make=ball_scene, **options):
+    run = sj.simulate(make(*numbers), jnp.concatenate([jnp.zeros(1), jnp.asarray(ts)]), **options)
     return jnp.stack([run.position("ball")[1:, 0], run.velocity("ball")[1:, 0]], 1)
 
 
-def errors(stiffness, ts, derivative=jax.jacfwd, **options):
+def errors(stiffness, ts, derivative=jax.jacfwd, far=FAR, **options):
     """By stiffness, start, speed and mass, each in units of itself, relative to the largest effect of any of them."""
     numbers = jnp.array([stiffness, 0.0, 1.0, 1.0])
     units = jnp.array([stiffness, 1.0, 1.0, 1.0])
     slopes = derivative(lambda numbers: found(numbers, ts, **options))(numbers) * units
-    wanted = jnp.stack([jax.jacfwd(lambda n, t=t: exact(*n, t))(numbers) for t in ts]) * units
+    wanted = jnp.stack([jax.jacfwd(lambda n, t=t: exact(*n, t, far))(numbers) for t in ts]) * units
     scale = jnp.max(jnp.abs(wanted), axis=2, keepdims=True)
     return np.max(np.abs((slopes - wanted) / scale))
 
@@ -90,6 +112,125 @@ def test_in_reverse_and_in_lanes():
 @pytest.mark.slow
 def test_by_an_array_program():
     assert errors(1e7, [0.5, 1.0], scalar=False) < 1e-6
+
+
+@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()], ids=["Rodas5P", "W"])
+def test_rosenbrock_methods(solver):
+    """They were wrong by 2e-6 to 3e-4 (3e-3 by Ros34PW2), as their steps happened to fall."""
+    for stiffness in (1e4, 1e6, 1e8):
+        at, lasts = touch_of(stiffness)
+        assert errors(stiffness, [at + 0.4 * lasts, at + lasts + 1e-7, 0.5, 1.9], solver=solver) < 1e-6
+    assert errors(1e10, [0.5], solver=solver) < 1e-5  # what the rounding of a position of 0.5 m leaves is 1e-6
+
+
+@pytest.mark.parametrize("make", [socket_scene, bearing_scene])
+@pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
+def test_a_linear_contact_by_all_its_numbers(make, solver):
+    """Both its ends: from 1e9 N/m on runs failed where they were differentiated, at the end of the contact."""
+    for stiffness in (1e6, 1e8, 1e10):
+        at, lasts = touch_of(stiffness)
+        ts = [at + 0.4 * lasts, at + lasts + 1e-7, 0.5]
+        assert errors(stiffness, ts, far=-NEAR, make=make, solver=solver) < (1e-6 if stiffness < 1e10 else 1e-5)
+
+
+def test_a_linear_contact_in_reverse_jit_and_lanes():
+    def end(stiffness, start):
+        return found((stiffness, start, 1.0, 1.0), [0.8], make=socket_scene)[0, 0]
+
+    stiffnesses = jnp.array([1e5, 1e7, 1e9])
+    for slope in (jax.grad(end, 1), jax.jacfwd(end, 1)):
+        np.testing.assert_allclose(jax.jit(jax.vmap(slope, (0, None)))(stiffnesses, 0.05), -1.0, atol=1e-6)
+
+
+def bounce(law, start):
+    """A ball that meets a stop, or two at once, or the wall of a socket."""
+    center = {"center": (0.0, 0.0, 0.0)}
+    ball = sj.Body(1.0, (1e-3,) * 3, position=(start, 0.0, 0.0), velocity=(1.0, 0.0, 0.0), points=center)
+    joints, forces = {}, law if isinstance(law, dict) else {}
+    if not forces:
+        model = sj.Dry(NEAR, socket_radius=1.0, normal=law)
+        joints = {"joint": sj.Spherical("ground.socket", "ball.center", model, starts_concentric=False)}
+    points = {"o": (NEAR + 0.2, 0.0, 0.0), "socket": (0.0, 0.0, 0.0)}
+    return sj.Scene({"ball": ball}, joints, forces, gravity=(0.0, 0.0, 0.0), ground_points=points)
+
+
+def stop(**law):
+    return sj.BumpStop(("ball", "ground.o"), shortest=0.2, **law)
+
+
+LAWS = {
+    "restitution": {"stop": stop(stiffness=1e7, restitution=0.6)},
+    "spring function": {"stop": stop(spring=lambda depth: 1e6 * depth + 1e9 * depth**2)},
+    "two at once": {"a": stop(stiffness=1e7), "b": stop(stiffness=3e7)},
+    "one behind the other": {
+        "a": stop(stiffness=1e7),
+        "b": sj.BumpStop(("ball", "ground.o"), 0.2 - 1e-5, stiffness=1e8),
+    },
+    "hysteresis": sj.Flores(restitution=0.7, stiffness=1e7, exponent=1),
+    "dissipation": sj.HuntCrossleyDissipation(0.1, stiffness=1e7, exponent=1),
+    "nearly linear": sj.Hertz(stiffness=1e7, exponent=1.05),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
+def test_laws_of_all_kinds(name, solver):
+    """Whatever the law, the ball comes back later by v_end / v_start for each unit of its start."""
+
+    def end(start):
+        run = sj.simulate(bounce(LAWS[name], start), jnp.array([0.0, 0.6]), solver=solver)
+        return run.position("ball")[-1, 0], run.velocity("ball")[-1, 0]
+
+    slope, speed = jax.jacfwd(end, has_aux=True)(0.01)
+    assert speed < -0.3
+    assert abs(slope - speed) < 1e-6
+
+
+@pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
+def test_a_torsional_stop(solver):
+    """A wheel between its limits: the closed form of the ball, with angles."""
+
+    def end(numbers):
+        stiffness, start, speed, inertia = numbers
+        half = start / 2
+        wheel = sj.Body(
+            1.0, inertia * jnp.ones(3), quaternion=jnp.array([jnp.cos(half), 0.0, 0.0, jnp.sin(half)]),
+            angular_velocity=speed * jnp.array([0.0, 0.0, 1.0]),
+        )  # fmt: skip
+        limits = sj.TorsionalStop(("ground", "wheel"), (0.0, 0.0, 1.0), smallest=FAR, largest=NEAR, stiffness=stiffness)
+        joint = sj.Revolute(("ground", "wheel"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        scene = sj.Scene({"wheel": wheel}, {"joint": joint}, {"limits": limits}, gravity=(0.0, 0.0, 0.0))
+        run = sj.simulate(scene, jnp.array([0.0, 0.6]), solver=solver)
+        q = run.quaternion("wheel")[-1]
+        return jnp.stack([2 * jnp.arctan2(q[3], q[0]), run.angular_velocity("wheel")[-1, 2]])
+
+    numbers = jnp.array([1e6, 0.0, 1.0, 1.0])
+    slopes = jax.jacfwd(end)(numbers) * numbers.at[1].set(1.0)
+    wanted = jax.jacfwd(lambda n: exact(*n, 0.6))(numbers) * numbers.at[1].set(1.0)
+    np.testing.assert_allclose(slopes, wanted, atol=1e-6)
+
+
+def test_a_sweep_records_them():
+    def build(stiffness, start):
+        return ball_scene(stiffness, start)
+
+    stiffnesses = [1e5, 1e7, 1e9]
+    result = sj.sweep(build, {"stiffness": stiffnesses, "start": [0.05]}, np.array([0.0, 0.8]),
+                      record=[sj.Sensitivity("final position.ball", by=("start",))])  # fmt: skip
+    slopes = np.asarray(result["sensitivity_final_position.ball"])
+    np.testing.assert_allclose(slopes[..., 0, 0], -1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [({"solver": diffrax.Kvaerno5()}, "Kvaerno5"), ({"adjoint": diffrax.RecursiveCheckpointAdjoint()}, "Recursive")],
+    ids=["implicit", "adjoint"],
+)
+@pytest.mark.parametrize("make", [ball_scene, socket_scene])
+def test_methods_that_cannot_are_refused(options, names, make):
+    """The derivative of a step with stages on both sides of the surface was wrong, or not finite."""
+    with pytest.raises(sj.SceneError, match=f"derivatives by {names}.*Rodas5P"):
+        jax.grad(lambda start: found((1e6, start, 1.0, 1.0), [0.5], make=make, **options)[0, 0])(0.0)
 
 
 def test_a_damped_stop_with_an_onset_against_differences():

@@ -46,6 +46,7 @@ from spherejax.motion.integration.integrate import (
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights, linearized
 from spherejax.motion.integration.status import Status
+from spherejax.motion.solvers.kinks import over_kink
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
 from spherejax.motion.solvers.traits import can_step_in_lanes, is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
@@ -197,7 +198,7 @@ def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray)
 @cached_jit(what="the gradient of a run")
 def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    step, event = _step_of(plan, solver, rate), _event_of(plan, rate)
+    step, event, begun = _step_of(plan, solver, rate), _event_of(plan, rate), _start_of(plan, rate)
     taken = samples_of(plan.structure, plan.scalar)
 
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
@@ -210,7 +211,8 @@ def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
         y, y_next = states[number], states[number + 1]
 
         def end_of_leg(parameters, y):
-            end = step(parameters, t, t_next, y)
+            begins, y = begun(parameters, t, y)
+            end = step(parameters, begins, t_next, y)
             end = end if event is None else event(parameters, t_next, y, end, y_next, is_step)
             return end if taken is None else taken.update(parameters, t_next, end)
 
@@ -285,6 +287,18 @@ def _rosenbrock_step(plan: Plan, solver: Any, rate: Program) -> Callable:
         return own.step(term, t, t_next, y, parameters, None, jnp.array(False))[0]
 
     return step
+
+
+def _start_of(plan: Plan, rate: Program) -> Callable:
+    """Time and state from which a step is made: behind the kink that it begins by going over; see `solvers.kinks`."""
+    contacts = contacts_of(plan.structure, plan.scalar)
+    if contacts is None or not contacts.kinks:
+        return lambda parameters, t, y: (t, y)
+
+    def begun(parameters: Parameters, t, y):
+        return over_kink(contacts, _evaluated_again(rate), t, y, parameters)[:2]
+
+    return begun
 
 
 def _event_of(plan: Plan, rate: Program) -> Callable | None:

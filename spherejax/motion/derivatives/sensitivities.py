@@ -19,10 +19,11 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
+from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
-from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix
+from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, slack_of
 from spherejax.motion.integration.integrate import (
     Options,
     Outcome,
@@ -251,6 +252,29 @@ def _refuse_large(plan: Plan) -> None:
         )
 
 
+def refuse_through_kinks(plan: Plan, method: str) -> None:
+    """Refuse derivatives of a run's own steps where a force may have a kink: stages on both sides mix its slopes.
+
+    Args:
+        plan: what the run is compiled for.
+        method: that integrates, or differentiates.
+    """
+    if kinks_of(plan.structure):
+        raise SceneError(through_kinks(plan, method))
+
+
+def through_kinks(plan: Plan, method: str) -> str:
+    """Why there is no derivative by a method, and what to do."""
+    system = example_of(plan.structure)
+    contacts = [name for i, name in enumerate(system.contact_joints) if i in kinks_of(plan.structure)]
+    names = " and ".join(map(repr, (*contacts, *system.touching_forces)))
+    return (
+        f"derivatives by {method} are not right through {names}: where it begins to press, its stiffness may be there "
+        "at once, and a step with stages on both sides gives derivatives that are wrong by any amount, or not finite. "
+        "Leave solver= and adjoint= out, or take solver=spherejax.Rodas5P()"
+    )
+
+
 NO_SECOND_DERIVATIVES = (
     "second derivatives of a run with a clearance joint, a stop or a tyre are not right: they miss what happens when "
     "contact begins (6 % on a dry four-bar). Take differences of jax.grad, which is right through contact: with a step "
@@ -319,6 +343,7 @@ def integrate_along(
         )
     if has_controlled_sensitivities(options.solver):
         return _controlled(plan, options, values, directions, known, ts, start, values_are_legal)
+    refuse_through_kinks(plan, type(options.solver).__name__)
 
     def floats(values):
         outcome = integrate(plan, options, values, known, ts, start, values_are_legal)
@@ -338,6 +363,7 @@ def _slopes_through_the_loop(
     plan, options, values, known, ts, start, values_are_legal, by_start: bool = False
 ) -> Slopes:
     """The derivative of every step of the run, in forward mode."""
+    refuse_through_kinks(plan, type(options.solver).__name__)
 
     def floats(v):
         result = integrate(plan, options, v, known, ts, start, values_are_legal)
@@ -500,7 +526,9 @@ def integrate_rows(
     t1 = jnp.where(began.may_run, ts[-1], ts[0])
     saved = [samples(jnp.minimum(ts, t1), correct, taken), diffrax.SubSaveAt(t1=True), *also_saved]
     solver = with_loop_of(options.adjoint, rows_with_fixed_matrix(options.solver, plan.structure, rate))
-    judging = replace(options, controller=judging_rows(options.controller))
+    # As the state's; through kinks those of a W-method less.
+    slack = min(1.0, slack_of(solver, bool(kinks_of(plan.structure))))
+    judging = replace(options, controller=judging_rows(options.controller, slack))
     solution = diffeqsolve(
         diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
         wrapped(solver, correct, contacts, taken, audit_of(plan).of_rows()),

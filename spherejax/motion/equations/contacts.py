@@ -1,5 +1,6 @@
 """Contacts of a system as functions of the flat state: where contact begins and ends, and what is remembered then."""
 
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -9,12 +10,28 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Scalar
-from spherejax.model.system import System
+from spherejax.model.system import Structure, System
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.physics.joints.base import Crossing
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import unpack
+
+
+@lru_cache(maxsize=64)
+def kinks_of(structure: Structure) -> tuple[int, ...]:
+    """Indices of the crossing functions of `crossings` where the slope of the force by the depth may jump.
+
+    All touches, and contacts whose force does not surely grow from a slope of zero; see `stiffens_from_zero`.
+    """
+    numbers = np.full(sum(int(np.prod(shape)) for shape in structure.shapes), np.nan)
+    for index, value in structure.special:
+        numbers[index] = value
+    system = structure.system(numbers)  # what is not known is NaN
+    contacts = [system.spherical(name).model for name in system.contact_joints]
+    n_touches = sum(system.forces[name].n_touches for name in system.touching_forces)
+    of_contacts = [i for i, model in enumerate(contacts) if not model.stiffens_from_zero]
+    return (*of_contacts, *range(len(contacts), len(contacts) + n_touches))
 
 
 def relative_motions(system: System, y: Float[Array, " size"]) -> dict[str, RelativeMotion]:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.system import Structure, System, example_of, flatten_system
-from spherejax.motion.equations.contacts import crossings, initial_memory, memory_after_step, onset_slopes
+from spherejax.motion.equations.contacts import crossings, initial_memory, kinks_of, memory_after_step, onset_slopes
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_of
@@ -32,6 +32,7 @@ from spherejax.motion.integration.unseen import Unseen, unseen_of
 from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.correcting import CorrectingSolver
 from spherejax.motion.solvers.implicit import with_structure
+from spherejax.motion.solvers.kinks import OverKinks
 from spherejax.motion.solvers.landing import (
     ContactFunctions,
     LandingController,
@@ -270,6 +271,7 @@ def wrapped(
 ) -> AuditingSolver:
     """The solver with what happens at the end of each step: correction of drift, contact events, samples, the audit."""
     solver = solver if correct is None else CorrectingSolver(solver, correct)
+    solver = solver if contacts is None or not contacts.has_rates_that_jump else OverKinks(solver, contacts)
     solver = solver if contacts is None else MemorySolver(solver, contacts)
     solver = solver if taken is None else SamplingSolver(solver, taken)
     return AuditingSolver(solver, audit)
@@ -308,7 +310,7 @@ def contacts_of(structure: Structure, scalar: bool | None) -> ContactFunctions |
         return crossing(args.theta, t, y)
 
     if not example.contact_joints:
-        return without_memory(crossing_at)
+        return without_memory(crossing_at, kinks_of(structure))
     layout, n_contacts = example.layout, len(example.contact_joints)
     update = program_for(memory_after_step, structure, scalar, (layout.size, layout.size, n_contacts))
 
@@ -336,7 +338,7 @@ def contacts_of(structure: Structure, scalar: bool | None) -> ContactFunctions |
 
     slots = {slot.joint: slot for slot in example.memory_slots}
     entries = tuple(layout.memory_start + slots[name].start for name in example.contact_joints)
-    return ContactFunctions(crossing_at, updated, updated_lanes, entries)
+    return ContactFunctions(crossing_at, updated, updated_lanes, entries, kinks=kinks_of(structure))
 
 
 def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[Array, " size"]:

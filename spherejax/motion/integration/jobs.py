@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
+from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import magnitudes
@@ -47,6 +48,9 @@ from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.implicit import with_structure
+from spherejax.motion.solvers.kinks import OverKinks
+from spherejax.motion.solvers.landing import ContactFunctions
+from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import controller_for
 
@@ -156,24 +160,26 @@ class JobKind:
             in_machine_code=in_machine_code(plan, self.solver),
             program=rate.scalar,
             unseen=unseen_of(self.structure, self.scalar, self.solver),
-            n_touches=n_touches_of(example_of(self.structure)),
         )
         return self._of_rows(problem, solver, rate) if self.with_rows else problem
 
     def _of_rows(self, problem: LaneProblem, solver: Any, rate) -> LaneProblem:
         """The same for the state and its sensitivities."""
-        watch, usual = problem.watch, slack_of(self.solver) if self.slack is None else self.slack
+        watch, usual = problem.watch, self.slack
+        if usual is None:
+            usual = slack_of(self.solver, bool(kinks_of(self.structure)))
 
         def slack(numbers):
             return usual if numbers.slack is None else numbers.slack
 
+        contacts = None if problem.contacts is None else with_rows(problem.contacts, rate)
         return problem._replace(
-            solver=solver_of_rows(solver, self.structure, rate, self.moving),
+            solver=_over_kinks(solver_of_rows(solver, self.structure, rate, self.moving), contacts),
             controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack(numbers)),
             slack_of=slack,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
             correct=correcting_rows(problem.correct),
-            contacts=None if problem.contacts is None else with_rows(problem.contacts, rate),
+            contacts=contacts,
             watch=None if watch is None else lambda t, rows, numbers: watch(t, rows[0], numbers),
             audit=None if problem.audit is None else problem.audit.of_rows(),
             room=of_first_row(problem.room),
@@ -183,9 +189,12 @@ class JobKind:
         )
 
 
-def n_touches_of(system: System) -> int:
-    """Surfaces of forces that act from one side."""
-    return sum(system.forces[name].n_touches for name in system.touching_forces)
+def _over_kinks(solver: Any, contacts: ContactFunctions | None) -> Any:
+    """The solver, going over kinks; an explicit one leaves that to `lanes.landing`."""
+    if contacts is None or not contacts.has_rates_that_jump or is_explicit(solver):
+        return solver
+    made: Any = OverKinks  # pyright takes its fields for those of diffrax's base class
+    return made(solver, contacts)
 
 
 def watching(structure: Structure, names: tuple[str, ...]) -> Callable | None:

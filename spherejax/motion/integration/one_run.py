@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.model.system import Structure, example_of
-from spherejax.motion.equations.contacts import crossings
+from spherejax.motion.equations.contacts import crossings, kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
@@ -82,7 +82,7 @@ def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_le
 def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
     """`run_of` these arguments, to be called again and again."""
     if can_be_a_job(plan.structure, options):
-        request = _Request.of(options)
+        request = _Request.of(plan.structure, options)
         given = plan, request, values, known, ts, start, values_are_legal
         return _in_windows(*given) if ts.shape[0] > 1 and _are_known(given) else integrated.bound(*given)
     return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
@@ -204,7 +204,7 @@ def slopes_as_job(
 
     With `by_start` the directions have the first sample time as their last entry.
     """
-    request = _Request.of(options)
+    request = _Request.of(plan.structure, options)
     return _with_slopes(plan, request, values, directions, known, ts, start, values_are_legal, by_start)
 
 
@@ -234,7 +234,7 @@ class _Request(eqx.Module):
     limit: float = eqx.field(static=True, default=math.inf)
 
     @classmethod
-    def of(cls, options: Options) -> "_Request":
+    def of(cls, structure: Structure, options: Options) -> "_Request":
         """From the options of a run that can be a job."""
         solver, rest = eqx.partition(options.solver, eqx.is_array)
         controller: Any = options.controller
@@ -242,7 +242,8 @@ class _Request(eqx.Module):
         budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
         alike = all(is_concrete(each) for each in tolerances)
         shared, own = (tolerances, None) if alike else (None, tolerances)
-        slack = np.asarray(slack_of(options.solver)) if options.slack is None else options.slack
+        usual = slack_of(options.solver, bool(kinks_of(structure)))
+        slack = np.asarray(usual) if options.slack is None else options.slack
         given = solver, shared, own, budget, rest, slack
         if options.at_start is None:
             return cls(*given)

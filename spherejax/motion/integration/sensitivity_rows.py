@@ -177,7 +177,7 @@ def with_rows(contacts: ContactFunctions, rate: Program) -> ContactFunctions:
         return jax.lax.cond(jnp.any(delays != 0), with_jumps, lambda: rows)
 
     entries = tuple((0, entry) for entry in contacts.onset_entries)
-    return ContactFunctions(crossings, update, update_lanes, entries, first_row)
+    return ContactFunctions(crossings, update, update_lanes, entries, first_row, contacts.kinks)
 
 
 def delay_weights(contacts: ContactFunctions, parameters: Any, t, start, end, updated) -> Float[Array, " n_contacts"]:

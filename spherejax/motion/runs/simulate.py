@@ -21,7 +21,8 @@ from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.derivatives.refused import without_derivative
-from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
+from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
+from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
@@ -217,7 +218,9 @@ def _call(
     arguments = plan, options, values, found.known, ts, assembly, values_are_legal
     if not by_sensitivities:
         fixed = without_derivative(ts, f"{type(adjoint).__name__} gives no derivative by sample times. {BY_TIMES}")
-        outcome_of = integrate.bound(*arguments[:4], fixed, *arguments[5:])
+        if kinks_of(found.structure):
+            values = without_derivative(values, through_kinks(plan, type(adjoint).__name__))
+        outcome_of = integrate.bound(plan, options, values, found.known, fixed, *arguments[5:])
     elif unknown or not is_concrete(ts):
         outcome_of = partial(integrate_with_sensitivities, *arguments)
     else:

@@ -14,6 +14,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.motion.solvers.crossing_search import FoundCrossings, first_event
@@ -23,6 +24,9 @@ from spherejax.physics.joints.base import Crossing
 LANDING_WINDOW = 1e-9
 """A step has landed when the crossing function is within this of zero, on the far side: for a clearance of 0.1 mm
 a penetration of 1e-13 m, at which the contact force is some nanonewtons."""
+
+TOUCH_WINDOW = 1e-12
+"""The same of a touch [m] where derivatives are integrated; positions of meters are rounded to 1e-16 of them."""
 
 LONGEST_FLIGHT_STEP = 4.0
 """A step in flight is as long as the ball takes to this many clearances, at most. Free flight has no error that would
@@ -40,6 +44,16 @@ DEEPER = 3.0
 NOT_FINITE_RESULT: Any = diffrax.RESULTS.nonfinite
 """What a controller says where steps that have shrunk to the rounding of time still end in NaN or infinity."""
 
+SHORT_OF_KINK = 1e-2
+"""A step ends by this share of its size short of a kink. Stages of the first one stray from the motion by less; after
+it steps are so short that nothing strays."""
+
+APPROACH = 0.1
+"""From this share of a step on before a kink the following step is made to end short of it, without a trial."""
+
+SLOWEST_KINK = 1e-6
+"""Kinks that are met more slowly [m/s], or by contacts [1/s], are landed on like others: a time has no derivative."""
+
 SHORTEST = 1e-30
 """No step [s] is shorter, wherever zero of time is; light goes 3e-22 m in it."""
 
@@ -53,6 +67,8 @@ class ContactFunctions(NamedTuple):
         update: the flat state at the end of a step with its memory updated; takes (parameters, t, y_start, y_end).
         update_lanes: the same of a block of lanes, all arguments and results with their lanes on the last axis.
         onset_entries: index in the state of each contact's onset rate, which is zero in flight (static).
+        kinks: indices of the crossing functions at which the slope df/dy of the right-hand side may jump (static): of
+            every touch, and of a contact where it ends; where it begins, the frozen mode keeps the slope of the flight.
         first_row: picks, from arrays whose last axes are those of what is integrated, what belongs to the state: its
             first row, where sensitivities are rows below it. With it come the crossing functions of the state alone.
     """
@@ -62,6 +78,25 @@ class ContactFunctions(NamedTuple):
     update_lanes: Callable
     onset_entries: tuple[Any, ...]
     first_row: tuple[Callable, Callable] | None = None
+    kinks: tuple[int, ...] = ()
+
+    @property
+    def has_rates_that_jump(self) -> bool:
+        """Whether there are sensitivities, whose rates jump where a slope of the right-hand side does."""
+        return self.first_row is not None and bool(self.kinks)
+
+    def may_kink(self, y: Float[Array, " ..."]) -> Bool[Array, "n_kinks *lanes"]:
+        """Which of the kinks can come next: all touches, and those contacts that are in contact mode."""
+        n, is_touching = self.n_contacts, self.is_touching(y)
+        always = jnp.ones(y.shape[self.n_axes :], bool)
+        return jnp.stack([is_touching[i] if i < n else always for i in self.kinks])
+
+    def at_kinks(self, values: Any) -> Any:
+        """Those of values, one for each crossing function, that belong to kinks.
+
+        By slices: XLA (JAX 0.7) aborts on some programs in which they are gathered and transposed.
+        """
+        return jnp.stack([values[i] for i in self.kinks])
 
     def of_state(self, array: Array) -> Array:
         """What of an array belongs to the state alone."""
@@ -92,14 +127,62 @@ class ContactFunctions(NamedTuple):
         return 1 if self.first_row is None else 2
 
 
-def without_memory(crossings: Callable) -> ContactFunctions:
+def windows_of(contacts: ContactFunctions) -> Float[np.ndarray, " n"]:
+    """How far behind zero each crossing function may be at a step's end, where derivatives are integrated."""
+    n_touches = sum(kink >= contacts.n_contacts for kink in contacts.kinks)
+    return np.array([LANDING_WINDOW] * contacts.n_contacts + [TOUCH_WINDOW] * n_touches)
+
+
+def is_short_of_kink(contacts: ContactFunctions, crossing: Crossing, y, t) -> Bool[Array, " n_kinks"]:
+    """Which kinks the coming step begins by going over: those within their window, or the rounding of time, ahead.
+
+    Args:
+        contacts: with sensitivities or without; not in lanes.
+        crossing: crossing functions at the state.
+        y: the state, with sensitivities or without.
+        t: its time [s].
+    """
+    value = contacts.at_kinks(crossing.value)
+    sign = jnp.where(value > 0, -1.0, 1.0)
+    way, speed = -sign * value, sign * contacts.at_kinks(crossing.rate)
+    window = jnp.maximum(contacts.at_kinks(windows_of(contacts)), 16 * shortest_step(t, t) * speed)
+    return contacts.may_kink(y) & (speed > SLOWEST_KINK) & (way <= window)
+
+
+def start_of_step(contacts: ContactFunctions, crossing: Crossing, y, t) -> tuple[Crossing, Array]:
+    """Crossing functions and state at the start of a step, behind the kink that it begins by going over (`OverKinks`).
+
+    Of the state only what says in which mode a contact is. Unchanged where nothing kinks. Arguments as of
+    `is_short_of_kink`.
+    """
+    if not contacts.has_rates_that_jump:
+        return crossing, y
+    is_short = is_short_of_kink(contacts, crossing, y, t)
+    windows, value = windows_of(contacts), crossing.value
+    for i, kink in enumerate(contacts.kinks):
+        behind = jnp.where(value[kink] > 0, -0.5, 0.5) * windows[kink]
+        value = value.at[kink].set(jnp.where(is_short[i], behind, value[kink]))
+        if kink < contacts.n_contacts:
+            entry = contacts.onset_entries[kink]
+            y = y.at[entry].set(jnp.where(is_short[i], 0.0, y[entry]))
+    return crossing._replace(value=value), y
+
+
+def state_at_start(contacts: ContactFunctions, parameters: Any, t, y) -> Array:
+    """The state of `start_of_step`; without what costs where no contact ends by a kink."""
+    if not (contacts.has_rates_that_jump and contacts.kinks[0] < contacts.n_contacts):
+        return y
+    return start_of_step(contacts, contacts.crossings(parameters, t, y), y, t)[1]
+
+
+def without_memory(crossings: Callable, kinks: tuple[int, ...]) -> ContactFunctions:
     """Touches of one-sided forces alone: nothing happens to the state where they begin or end."""
 
     def unchanged(parameters, t, start, end):
         del parameters, t, start
         return end
 
-    return ContactFunctions(crossings, unchanged, unchanged, ())
+    return ContactFunctions(crossings, unchanged, unchanged, (), kinks=kinks)
 
 
 class ErrorAndInside(NamedTuple):
@@ -129,6 +212,7 @@ class MemorySolver(AbstractForwardingSolver):
         """A step of the wrapped solver, then the events at its end."""
         inner_state, n_onsets = solver_state
         y1, error, dense_info, inner_state, result = self.solver.step(terms, t0, t1, y0, args, inner_state, made_jump)
+        y0 = state_at_start(self.contacts, args, t0, y0)
         updated = self.contacts.update(args, t1, y0, y1)
         began = ~self.contacts.is_touching(y0) & self.contacts.is_touching(updated)
         return updated, ErrorAndInside(error, dense_info), dense_info, (inner_state, n_onsets + began), result
@@ -144,6 +228,7 @@ class LandingState(NamedTuple):
         is_landing: whether the coming step was shortened to land.
         start: crossing functions at the start of the coming step.
         acceleration: how fast their velocities changed in the step before [1/s^2]; negative where that says nothing.
+        resumes: size of the step [s] that was shortened to end short of a kink; 0 while none is ahead.
     """
 
     inner: object
@@ -152,6 +237,7 @@ class LandingState(NamedTuple):
     is_landing: Bool[Array, ""]
     start: Crossing | None
     acceleration: Float[Array, " n"]
+    resumes: Float[Array, ""]
 
 
 class LandingController(AbstractForwardingController):
@@ -197,7 +283,7 @@ class LandingController(AbstractForwardingController):
         first = t0 + finite_size(first - t0, t1 - t0)
         start = None if self.contacts is None else jax.lax.stop_gradient(self.contacts.crossings(args, t0, y0))
         unknown = jnp.zeros(0) if start is None else -jnp.ones_like(start.value)
-        state = LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False), start, unknown)
+        state = LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False), start, unknown, jnp.array(0.0))
         return self._limited(t0, first, args, y0), state
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
@@ -233,13 +319,19 @@ class LandingController(AbstractForwardingController):
         if self.contacts is None:
             state = controller_state._replace(inner=inner)
             return keep, next_t0, next_t1, made_jump, state, result
-        contacts, start = self.contacts, controller_state.start
+        contacts = self.contacts
+        start, y0 = start_of_step(contacts, controller_state.start, y0, t0)
         was_touching = contacts.is_touching(y0)
         end = contacts.crossings(args, t1, y1_candidate)
         bend_before = controller_state.acceleration * size**2
         found = self._event(t0, t1, start, end, inside, args, contacts.is_pressing(y0, start), keep, bend_before)
         # Where the rounding of time leaves no instant between the start and the end, the step has landed.
         landing = t0 + jnp.maximum(found.x * size, shortest)
+        ends_short = jnp.array(False)
+        if contacts.has_rates_that_jump:
+            is_kink = found.crosses & jnp.any(contacts.at_kinks(found.beyond) & contacts.may_kink(y0))
+            ends_short = is_kink & (found.x * size > 8 * shortest)
+            landing = jnp.where(ends_short, t0 + _short_of(found.x * size, shortest), landing)
         must_land = keep & found.crosses & (landing < t1)
         keep = keep & ~must_land
         is_touching = contacts.is_touching(y1_candidate)
@@ -254,13 +346,25 @@ class LandingController(AbstractForwardingController):
         longest = longest_ball_step(end, acceleration, is_touching)
         next_t0 = jnp.where(must_land, t0, next_t0)
         next_t1 = jnp.where(must_land, landing, jnp.where(keep, jnp.minimum(next_t1, t1 + longest), next_t1))
+        resumes, goes_over = state.resumes, jnp.array(False)
+        if contacts.has_rates_that_jump:
+            goes_over = keep & jnp.any(is_short_of_kink(contacts, end, y1_candidate, t1))
+            delay = _time_to_kink(contacts, end, y1_candidate)
+            approaches = keep & ~goes_over & (delay <= APPROACH * size)
+            next_t1 = jnp.where(approaches, jnp.minimum(next_t1, t1 + _short_of(delay, shortest)), next_t1)
+            next_t1 = jnp.where(goes_over, t1 + jnp.maximum(resumes, next_t1 - t1), next_t1)
+            shortened = jnp.where(must_land & ends_short & (resumes == 0), size, resumes)
+            resumes = jnp.where(keep & ~goes_over & ~approaches, 0.0, shortened)
         state = LandingState(
             inner,
             first_steps,
             is_first=has_landed | (state.is_first & ~records),
             is_landing=jnp.asarray(must_land),
             start=jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
-            acceleration=jnp.where(keep, jnp.where(has_landed | jumps, -1.0, acceleration), state.acceleration),
+            acceleration=jnp.where(
+                keep, jnp.where(has_landed | jumps | goes_over, -1.0, acceleration), state.acceleration
+            ),
+            resumes=resumes,
         )
         return keep, next_t0, next_t1, made_jump | has_landed, state, result
 
@@ -280,7 +384,8 @@ class LandingController(AbstractForwardingController):
             return by_fraction(contacts.crossings_of_state(args, t, states.evaluate(t)))
 
         numbers = by_fraction(start), by_fraction(end)
-        return first_event(*numbers, inside, was_pressing, keep, LANDING_WINDOW, contacts.n_contacts, before)
+        window = windows_of(contacts) if contacts.has_rates_that_jump else LANDING_WINDOW
+        return first_event(*numbers, inside, was_pressing, keep, window, contacts.n_contacts, before)
 
     def _limited(self, t0, t1, args, y):
         """The end of a step from the state y, no later than the longest step and what comes next allow."""
@@ -288,6 +393,20 @@ class LandingController(AbstractForwardingController):
             room = jax.lax.stop_gradient(self.room(args, t0, y))
             t1 = jnp.minimum(t1, t0 + jnp.maximum(room, shortest_step(t0, t1)))
         return t1 if self.longest is None else jnp.minimum(t1, t0 + self.longest)
+
+
+def _short_of(way, shortest) -> Float[Array, ""]:
+    """The size of a step [s] that ends short of a kink so far ahead [s]."""
+    return jnp.maximum(way - jnp.maximum(SHORT_OF_KINK * way, 4 * shortest), shortest)
+
+
+def _time_to_kink(contacts: ContactFunctions, crossing: Crossing, y) -> Float[Array, ""]:
+    """How soon the next kink comes [s] at the speed of the moment; infinite where none does."""
+    value = contacts.at_kinks(crossing.value)
+    sign = jnp.where(value > 0, -1.0, 1.0)
+    speed = sign * contacts.at_kinks(crossing.rate)
+    comes = contacts.may_kink(y) & (speed > SLOWEST_KINK)
+    return jnp.min(jnp.where(comes, -sign * value / jnp.where(comes, speed, 1.0), jnp.inf))
 
 
 def longest_ball_step(crossing: Crossing, acceleration, is_touching) -> Float[Array, " *lanes"]:

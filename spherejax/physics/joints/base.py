@@ -140,6 +140,11 @@ class AbstractSphericalModel(eqx.Module):
         return None
 
     @property
+    def stiffens_from_zero(self) -> bool:
+        """Whether the contact force surely grows from a slope of zero: no derivative then jumps where contact ends."""
+        return False
+
+    @property
     def detects_onsets(self) -> bool:
         """Whether contact onsets and releases must be located (static)."""
         return False

@@ -1,8 +1,9 @@
 """What the dry and the lubricated joint share: a ball in a socket with clearance, and the memory of their contact."""
 
 import equinox as eqx
+import numpy as np
 
-from spherejax.foundations.checks import Requirement
+from spherejax.foundations.checks import Requirement, is_concrete
 from spherejax.foundations.forms import real_number
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Numeric, Scalar
@@ -14,7 +15,7 @@ from spherejax.physics.joints.contact import (
 from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO, AbstractConformity
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
-from spherejax.physics.laws.normal import AbstractNormalLaw
+from spherejax.physics.laws.normal import HERTZIAN_EXPONENT, AbstractNormalLaw
 from spherejax.physics.memory import MemoryEntry, contact_memory, is_touching, memory_at_onset
 
 
@@ -68,6 +69,14 @@ class AbstractClearanceModel(AbstractSphericalModel):
     def detects_onsets(self) -> bool:
         """For every law: a step that flies through the wall would not feel it."""
         return True
+
+    @property
+    def stiffens_from_zero(self) -> bool:
+        """With an exponent that is known to be Hertz's, or a conformity that says so."""
+        if self.conformity is not None:
+            return self.conformity.stiffens_from_zero
+        exponent = self.normal.exponent
+        return is_concrete(exponent) and bool(np.all(np.asarray(exponent) == HERTZIAN_EXPONENT))
 
     @property
     def never_adds_energy(self) -> bool:

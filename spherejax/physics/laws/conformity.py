@@ -56,10 +56,13 @@ class AbstractConformity(AbstractLaw):
 
     Attributes:
         is_line_contact: whether it is that of a journal in a bearing.
+        stiffens_from_zero: whether the slope of the force by the penetration is zero at a penetration of zero, and
+            grows at least like its root: derivatives of runs then need no care where contact ends.
     """
 
     never_adds_energy: ClassVar[bool] = True
     is_line_contact: ClassVar[bool] = False
+    stiffens_from_zero: ClassVar[bool] = False
 
     @property
     def largest_ratio(self) -> float | None:
@@ -135,6 +138,7 @@ class WinklerLiner(AbstractConformity):
     youngs_modulus: Annotated[Number, Unit("Pa")]
     poissons_ratio: Annotated[Number, Unit("1")]
     thickness: Annotated[Number, Unit("m")]
+    stiffens_from_zero: ClassVar[bool] = True
 
     def foundation(self) -> Number:
         """k_w [Pa/m]."""
@@ -184,6 +188,8 @@ class SphericalProfile(AbstractConformity):
 
     Source: Sneddon (1965), Int. J. Eng. Sci. 3:47-57, for the punch with the difference of both profiles.
     """
+
+    stiffens_from_zero: ClassVar[bool] = True
 
     def contact_radius(self, penetration: Number, pair: Pair) -> Scalar:
         """a [m]. Limits: sqrt(R_i R_j delta/c) for small delta, below R_j for any; 0 for delta <= 0."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.status import status_of
-from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
+from spherejax.motion.solvers.landing import ErrorAndInside, LandingController, state_at_start
 
 
 class Judgment(NamedTuple):
@@ -98,8 +98,9 @@ class Repeating:
         if self.problem.correct is not None:
             y = self.problem.correct(step.parameters, step.t1, y)
         if contacts is not None:
-            y = contacts.update(step.parameters, step.t1, step.y0, y)
-            began = ~contacts.is_touching(step.y0) & contacts.is_touching(y)
+            y0 = state_at_start(contacts, step.parameters, step.t0, step.y0)
+            y = contacts.update(step.parameters, step.t1, y0, y)
+            began = ~contacts.is_touching(y0) & contacts.is_touching(y)
             error = ErrorAndInside(error, step.dense_info)
         if self.problem.samples is not None:
             y = self.problem.samples.update(step.parameters, step.t1, y)

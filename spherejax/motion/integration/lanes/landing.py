@@ -13,7 +13,8 @@
 * A touch (of a stop, a tyre) has no memory: beyond its surface the stages of a step feel it, and where its stiffness is
   there at once the derivatives of the state (`sensitivity_rows`) have rates that jump there. A stage on the wrong side
   is an error of the size of the jump, however near to the surface the step ends. So with sensitivities a step ends
-  short of a touch, and a step whose stages all lie before its end goes over the surface (`_over_the_touch`).
+  short of a touch, and a step whose stages all lie before its end goes over the surface (`_over_the_kink`). Contacts
+  whose stiffness is there at once end in the same way; they begin in the mode of flight, which has no such jump.
 
 Arrays have their lanes on the last axis.
 """
@@ -41,6 +42,7 @@ from spherejax.motion.solvers.landing import (
     finite_size,
     longest_ball_step,
     shortest_step,
+    windows_of,
 )
 from spherejax.physics.joints.base import Crossing
 
@@ -68,9 +70,6 @@ _NEAR = 1e-2
 
 BEHIND = 2 * _NEAR
 """States so far behind a step, by its size, are states inside it too: that step over a touch is not one of its own."""
-
-_TOUCH_WINDOW = 1e-12
-"""Where that step ends, behind the surface [m]: positions of meters are rounded to 1e-16 of them."""
 
 _TOUCH_TURNS = 3
 """Newton's method finds the end of that step; each turn squares an error that is a thousandth at first."""
@@ -235,10 +234,9 @@ class Landing:
         lands = passes & found.crosses & found.is_exact & is_accurate
         ends_short = jnp.zeros_like(lands)
         if self.has_rates_that_jump:
-            # Where the rounding of time leaves room for the step over the touch.
-            ends_short = (
-                found.crosses & jnp.any(found.beyond[contacts.n_contacts :], axis=0) & (size > shortest / _SHORT)
-            )
+            is_kink = found.beyond[np.array(contacts.kinks)] & contacts.may_kink(step.y0)
+            # Where the rounding of time leaves room for the step over the kink.
+            ends_short = found.crosses & jnp.any(is_kink, axis=0) & (size > shortest / _SHORT)
             up_to_event = jnp.where(ends_short, size * share * (1 - _SHORT), up_to_event)
             lands = lands & ~ends_short
         repeats = passes & found.crosses & ~lands & can_repeat
@@ -249,7 +247,7 @@ class Landing:
         end = in_lanes(contacts.crossings)(step.parameters, t, y)
         touched = jnp.zeros_like(lands)
         if self.has_rates_that_jump:
-            t, y, end, touched = self._over_the_touch(contacts, step, t, y, end, keep & ~lands)
+            t, y, end, touched = self._over_the_kink(contacts, step, t, y, end, keep & ~lands)
         is_touching = contacts.is_touching(y)
         began = ~was_touching & is_touching
         is_event = keep & jnp.any(was_touching != is_touching, axis=0)
@@ -258,10 +256,11 @@ class Landing:
         expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
         if self.has_rates_that_jump:
-            may_release = may_release.at[contacts.n_contacts :].set(False)  # a step ends short of these
+            may_release = may_release.at[np.array(contacts.kinks)].set(False)  # a step ends short of these
         following, until = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
         if self.has_rates_that_jump:
-            following = following * self._share_to_touch(state, end, t - step.t0, following, ~is_event & ~touched)
+            is_like = ~is_event & ~touched & contacts.may_kink(y)
+            following = following * self._share_to_kink(state, end, t - step.t0, following, is_like)
         acceleration = found.bend / size**2
         longest = longest_ball_step(end, acceleration, is_touching)
         following = jnp.minimum(following, longest)
@@ -287,28 +286,28 @@ class Landing:
         """How far behind zero each crossing function may be where a step ends on its event."""
         if self.contacts is None or not self.has_rates_that_jump:
             return LANDING_WINDOW
-        n, n_touches = self.contacts.n_contacts, self.problem.n_touches
-        return np.array([LANDING_WINDOW] * n + [_TOUCH_WINDOW] * n_touches)[:, None]
+        return windows_of(self.contacts)[:, None]
 
     @property
     def has_rates_that_jump(self) -> bool:
-        """Whether there are sensitivities, and touches at which their rates may jump."""
-        contacts = self.contacts
-        return contacts is not None and contacts.first_row is not None and self.problem.n_touches > 0
+        """Whether there are sensitivities, and surfaces at which their rates may jump."""
+        return self.contacts is not None and self.contacts.has_rates_that_jump
 
-    def _over_the_touch(self, contacts: ContactFunctions, step: BlockSteps, t, y, end: Crossing, may_cross):
-        """The time, the rows and the crossings behind a touch that the kept steps have come near to, and whose it was.
+    def _over_the_kink(self, contacts: ContactFunctions, step: BlockSteps, t, y, end: Crossing, may_cross):
+        """The time, the rows and the crossings behind a kink that the kept steps have come near to, and whose it was.
 
         The step over it is Heun's of the third order, whose last stage is at two thirds of its way: none is beyond the
         surface. For the time that it ends behind the surface the rates are those behind it: that is linear in what is
         left of the crossing function.
         """
-        n, room = contacts.n_contacts, self._room(step.parameters, t, y)
+        kinks, room = np.array(contacts.kinks), self._room(step.parameters, t, y)
+        windows = windows_of(contacts)[kinks, None]
+        sign = jnp.where(end.value[kinks] > 0, -1.0, 1.0)
 
         def over(t, y, end):
-            sign, way = jnp.where(end.value[n:] > 0, -1.0, 1.0), end.value[n:]
-            speed = sign * end.rate[n:]
-            comes = (speed > 0) & (sign * way <= 0)
+            way = end.value[kinks]
+            speed = sign * end.rate[kinks]
+            comes = (speed > 0) & (sign * way <= 0) & contacts.may_kink(y)
             delays = jnp.where(comes, -sign * way / jnp.where(comes, speed, 1.0), jnp.inf)
             first = jnp.argmin(delays, axis=0)
 
@@ -318,7 +317,8 @@ class Landing:
             delay = of_first(delays)
             is_near = may_cross & (delay <= _NEAR * (step.t1 - step.t0)) & (delay < room)
             is_near = is_near & (t + 2 * delay < step.t_end)
-            first_try = jnp.where(is_near, delay + _TOUCH_WINDOW / 2 / of_first(jnp.where(comes, speed, 1.0)), 0.0)
+            behind_by = of_first(windows / 2 + 0 * speed)
+            first_try = jnp.where(is_near, delay + behind_by / of_first(jnp.where(comes, speed, 1.0)), 0.0)
             rate, crossings = in_lanes(self.problem.rate), in_lanes(contacts.crossings)
 
             def turn(_, found):
@@ -333,11 +333,11 @@ class Landing:
                 k = jax.lax.fori_loop(0, 3, stage, jnp.zeros((3, *y.shape)))
                 after = y + size * (k[0] + 3 * k[2]) / 4
                 there = crossings(step.parameters, t + size, after)
-                speed = of_first(sign * there.rate[n:])
-                beyond = of_first(sign * there.value[n:])
+                speed = of_first(sign * there.rate[kinks])
+                beyond = of_first(sign * there.value[kinks])
                 is_over = (speed > 0) & (beyond > 0)
                 late = beyond / jnp.where(speed > 0, speed, 1.0)
-                aim = _TOUCH_WINDOW / 2 / jnp.where(speed > 0, speed, 1.0)
+                aim = behind_by / jnp.where(speed > 0, speed, 1.0)
                 better = jnp.where(is_near & (speed > 0), jnp.maximum(size + aim - late, 0.0), size)
                 return better, size, after, 1.5 * k[2] - 0.5 * k[0], late, is_over, there
 
@@ -346,11 +346,12 @@ class Landing:
             touched = is_near & is_over & (late <= delay)
             behind = rate(t + size, after, step.parameters)
             after = after + jnp.where(touched, late, 0.0) * (behind - slope)
+            if kinks[0] < contacts.n_contacts:
+                after = contacts.update_lanes(step.parameters, t + size, y, after)
             chosen = jax.tree.map(lambda new, old: jnp.where(touched, new, old), (t + size, after, there), (t, y, end))
             return (*chosen, touched)
 
-        sign = jnp.where(end.value[n:] > 0, -1.0, 1.0)
-        near = (-sign * end.value[n:]) <= _NEAR * (step.t1 - step.t0) * sign * end.rate[n:]
+        near = (-sign * end.value[kinks]) <= _NEAR * (step.t1 - step.t0) * sign * end.rate[kinks]
         is_any = jnp.any(may_cross & jnp.any(near, axis=0))
         none = jnp.zeros_like(may_cross)
         return jax.lax.cond(is_any, over, lambda t, y, end: (t, y, end, none), t, y, end)
@@ -405,13 +406,16 @@ class Landing:
         shares = jnp.where(may_release, fractions, 1.0)
         return jnp.min(shares, axis=0)
 
-    def _share_to_touch(self, state: Pace, end, size, following, is_like) -> Float[Array, " n_lanes"]:
-        """The share of the following step that ends short of a touch, as the motion of the last one has it."""
-        n = self.contacts.n_contacts if self.contacts is not None else 0
+    def _share_to_kink(self, state: Pace, end, size, following, is_like) -> Float[Array, " n_lanes"]:
+        """The share of the following step that ends short of a kink, as the motion of the last one has it."""
+        assert self.contacts is not None
+        kinks = np.array(self.contacts.kinks)
+        start, end = (jax.tree.map(lambda values: values[kinks], each) for each in (state.start, end))
         sign = jnp.where(end.value > 0, -1.0, 1.0)
-        fractions = _fractions_ahead(state.start, end, size, following, sign, _TOUCH_WINDOW)
+        windows = windows_of(self.contacts)[kinks, None]
+        fractions = _fractions_ahead(start, end, size, following, sign, windows)
         shares = jnp.where(is_like & (fractions < 1), fractions * (1 - _SHORT), 1.0)
-        return jnp.min(shares[n:], axis=0)
+        return jnp.min(shares, axis=0)
 
     def _state_inside(self, step: BlockSteps, state: Pace, share, is_first=False) -> Float[Array, "... n_lanes"]:
         """The states after a share of the steps' time; with all rows below them, or the first row alone."""

@@ -54,7 +54,6 @@ class LaneProblem(NamedTuple):
         program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
         moving: entries of theta that the sensitivities are by; None for all.
         unseen: looks between the stages for pulses of functions of time, or None.
-        n_touches: surfaces of stops, tyres and the like, which act from one side and have no memory.
     """
 
     solver: diffrax.AbstractSolver
@@ -74,7 +73,6 @@ class LaneProblem(NamedTuple):
     program: Any = None
     moving: tuple[int, ...] | None = None
     unseen: Unseen | None = None
-    n_touches: int = 0
 
 
 class StepLog(NamedTuple):
