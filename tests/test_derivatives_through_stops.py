@@ -50,7 +50,7 @@ def bearing_scene(*numbers) -> sj.Scene:
     return socket_scene(*numbers, is_bearing=True)
 
 
-def exact(stiffness, start, speed, mass, t, far=FAR):
+def exact(stiffness, start, speed, mass, t, *, far=FAR):
     """Position and velocity at time t: in flight and in contact by turns."""
     omega = jnp.sqrt(stiffness / mass)
     begin, place, wall, way = 0.0, start, NEAR, 1.0
@@ -75,7 +75,7 @@ def errors(stiffness, ts, derivative=jax.jacfwd, far=FAR, **options):
     numbers = jnp.array([stiffness, 0.0, 1.0, 1.0])
     units = jnp.array([stiffness, 1.0, 1.0, 1.0])
     slopes = derivative(lambda numbers: found(numbers, ts, **options))(numbers) * units
-    wanted = jnp.stack([jax.jacfwd(lambda n, t=t: exact(*n, t, far))(numbers) for t in ts]) * units
+    wanted = jnp.stack([jax.jacfwd(lambda n, t=t: exact(*n, t, far=far))(numbers) for t in ts]) * units
     scale = jnp.max(jnp.abs(wanted), axis=2, keepdims=True)
     return np.max(np.abs((slopes - wanted) / scale))
 
@@ -114,7 +114,9 @@ def test_by_an_array_program():
     assert errors(1e7, [0.5, 1.0], scalar=False) < 1e-6
 
 
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()], ids=["Rodas5P", "W"])
+@pytest.mark.parametrize(
+    "solver", [sj.Rodas5P(), pytest.param(sj.Ros34PW2(), marks=pytest.mark.slow)], ids=["Rodas5P", "W"]
+)
 def test_rosenbrock_methods(solver):
     """They were wrong by 2e-6 to 3e-4 (3e-3 by Ros34PW2), as their steps happened to fall."""
     for stiffness in (1e4, 1e6, 1e8):
@@ -123,8 +125,16 @@ def test_rosenbrock_methods(solver):
     assert errors(1e10, [0.5], solver=solver) < 1e-5  # what the rounding of a position of 0.5 m leaves is 1e-6
 
 
-@pytest.mark.parametrize("make", [socket_scene, bearing_scene])
-@pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
+@pytest.mark.parametrize(
+    ("make", "solver"),
+    [
+        (socket_scene, None),
+        pytest.param(socket_scene, sj.Rodas5P(), marks=pytest.mark.slow),
+        pytest.param(bearing_scene, None, marks=pytest.mark.slow),
+        pytest.param(bearing_scene, sj.Rodas5P(), marks=pytest.mark.slow),
+    ],
+    ids=["socket", "socket-Rodas5P", "bearing", "bearing-Rodas5P"],
+)
 def test_a_linear_contact_by_all_its_numbers(make, solver):
     """Both its ends: from 1e9 N/m on runs failed where they were differentiated, at the end of the contact."""
     for stiffness in (1e6, 1e8, 1e10):
@@ -133,6 +143,7 @@ def test_a_linear_contact_by_all_its_numbers(make, solver):
         assert errors(stiffness, ts, far=-NEAR, make=make, solver=solver) < (1e-6 if stiffness < 1e10 else 1e-5)
 
 
+@pytest.mark.slow
 def test_a_linear_contact_in_reverse_jit_and_lanes():
     def end(stiffness, start):
         return found((stiffness, start, 1.0, 1.0), [0.8], make=socket_scene)[0, 0]
@@ -142,16 +153,16 @@ def test_a_linear_contact_in_reverse_jit_and_lanes():
         np.testing.assert_allclose(jax.jit(jax.vmap(slope, (0, None)))(stiffnesses, 0.05), -1.0, atol=1e-6)
 
 
-def bounce(law, start):
-    """A ball that meets a stop, or two at once, or the wall of a socket."""
+def bounce(law: Any, start) -> sj.Scene:
+    """A ball that meets stops, or the wall of a socket."""
     center = {"center": (0.0, 0.0, 0.0)}
     ball = sj.Body(1.0, (1e-3,) * 3, position=(start, 0.0, 0.0), velocity=(1.0, 0.0, 0.0), points=center)
-    joints, forces = {}, law if isinstance(law, dict) else {}
-    if not forces:
-        model = sj.Dry(NEAR, socket_radius=1.0, normal=law)
-        joints = {"joint": sj.Spherical("ground.socket", "ball.center", model, starts_concentric=False)}
     points = {"o": (NEAR + 0.2, 0.0, 0.0), "socket": (0.0, 0.0, 0.0)}
-    return sj.Scene({"ball": ball}, joints, forces, gravity=(0.0, 0.0, 0.0), ground_points=points)
+    if isinstance(law, dict):
+        return sj.Scene({"ball": ball}, forces=law, gravity=(0.0, 0.0, 0.0), ground_points=points)
+    model = sj.Dry(NEAR, socket_radius=1.0, normal=law)
+    joint = sj.Spherical("ground.socket", "ball.center", model, starts_concentric=False)
+    return sj.Scene({"ball": ball}, {"joint": joint}, gravity=(0.0, 0.0, 0.0), ground_points=points)
 
 
 def stop(**law):
@@ -172,6 +183,7 @@ LAWS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
 def test_laws_of_all_kinds(name, solver):
@@ -186,6 +198,7 @@ def test_laws_of_all_kinds(name, solver):
     assert abs(slope - speed) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
 def test_a_torsional_stop(solver):
     """A wheel between its limits: the closed form of the ball, with angles."""
@@ -210,6 +223,7 @@ def test_a_torsional_stop(solver):
     np.testing.assert_allclose(slopes, wanted, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_sweep_records_them():
     def build(stiffness, start):
         return ball_scene(stiffness, start)
