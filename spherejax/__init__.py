@@ -25,7 +25,7 @@ from typing import Any as _Any
 import lazy_loader as _lazy_loader
 
 from spherejax import runtime, wiring
-from spherejax.program_cache.garbage import gc_paused as _gc_paused
+from spherejax.program_cache import gc_paused as _gc_paused
 
 wiring.connect()
 

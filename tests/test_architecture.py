@@ -13,7 +13,8 @@ import pytest
 
 import spherejax
 import spherejax.compiler
-from spherejax.program_cache import disk_cache
+import spherejax.program_cache
+from spherejax.program_cache import package_state
 
 PACKAGE = Path(spherejax.__file__).parent
 ORDER = [
@@ -127,6 +128,23 @@ def test_the_compiler_brings_no_jax_before_it_is_used():
     subprocess.run([sys.executable, "-c", program], check=True, env=environment, capture_output=True)
 
 
+def test_the_program_cache_is_used_by_its_public_names():
+    """The decorator stands wherever something is compiled; all else of the cache is known to ten files."""
+    public = set(spherejax.program_cache.__all__)
+    assert len(public) <= 8
+    deep, n_further = [], 0
+    for path in FILES:
+        if folder_of(path) == "program_cache":
+            continue
+        nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]
+        of_cache = [node for node in nodes if (node.module or "").startswith("spherejax.program_cache")]
+        names = [[*str(node.module).split("."), alias.name][2] for node in of_cache for alias in node.names]
+        deep += [f"{path}: {name}" for name in names if name not in public]
+        n_further += any(name not in ("cached_jit", "gc_paused") for name in names)
+    assert deep == []
+    assert n_further <= 10
+
+
 def between_rooms(folder: str, rooms: list[str]) -> list[str]:
     """Imports of a room of a folder by one before it."""
     found = []
@@ -159,7 +177,7 @@ def test_most_of_the_foundations_stands_in_rooms():
 
 
 def test_cached_programs_are_told_apart_by_all_files_of_the_package():
-    assert {path.resolve() for path in FILES} == set(disk_cache._sources())
+    assert {path.resolve() for path in FILES} == set(package_state.sources())
 
 
 def test_runtime_imports_nothing_of_the_package():

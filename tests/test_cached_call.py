@@ -16,9 +16,8 @@ import pytest
 import spherejax as sj
 from spherejax import runtime
 from spherejax.motion.integration import one_run
-from spherejax.program_cache import disk_cache
+from spherejax.program_cache import cached_jit, disk_cache
 from spherejax.program_cache.fingerprints import program_fingerprint
-from spherejax.program_cache.jit import cached_jit
 
 TS = jnp.linspace(0.0, 0.01, 4)
 

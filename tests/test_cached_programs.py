@@ -18,8 +18,8 @@ from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.one_run import gone_on_with, integrated, started
 from spherejax.motion.runs.many import many, simulate_many
+from spherejax.program_cache import cached_jit
 from spherejax.program_cache.fingerprints import program_fingerprint, value_fingerprint
-from spherejax.program_cache.jit import cached_jit
 from spherejax.studies.sweep.chunks import _program
 
 PACKAGE = Path(sj.__file__).parent

@@ -25,9 +25,8 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration import jobs, one_run
 from spherejax.motion.integration.lanes import landing
-from spherejax.program_cache import disk_cache, settings
+from spherejax.program_cache import cached_jit, disk_cache, settings
 from spherejax.program_cache.fingerprints import known_fingerprint, value_fingerprint
-from spherejax.program_cache.jit import cached_jit
 from spherejax.program_cache.program import found_by_jax
 
 RUN = """
@@ -102,7 +101,7 @@ jax.monitoring.register_event_duration_secs_listener(
 )
 import jax.numpy as jnp
 import spherejax
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.compiler.linear_algebra import general
 solve = cached_jit(general._by_lapack)
 print(solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.ones((2, 1)))[1, 0], any("_by_lapack" in str(name) for name in traced))

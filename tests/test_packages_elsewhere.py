@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.program_cache import fingerprints
+from spherejax.program_cache import fingerprints, installed
 from spherejax.program_cache.fingerprints import (
     code_fingerprint,
-    is_installed,
     known_fingerprint,
     own_parts,
     value_fingerprint,
 )
+from spherejax.program_cache.installed import is_installed
 
 PACKAGES = Path(jax.__file__).parents[1]
 SOURCES = Path(sj.__file__).parents[1]
@@ -113,15 +113,15 @@ def package(tmp_path, monkeypatch):
     def made(name, text="def doubled(x):\n    return 2 * x\n"):
         (tmp_path / f"{name}.py").write_text(text)
         importlib.invalidate_caches()
-        fingerprints._is_distributed.cache_clear()
-        fingerprints._distributed_in.cache_clear()
+        installed._is_distributed.cache_clear()
+        installed._distributed_in.cache_clear()
         return importlib.import_module(name)
 
     yield made
     for name in [name for name, module in sys.modules.items() if str(tmp_path) in str(getattr(module, "__file__", ""))]:
         del sys.modules[name]
-    fingerprints._is_distributed.cache_clear()
-    fingerprints._distributed_in.cache_clear()
+    installed._is_distributed.cache_clear()
+    installed._distributed_in.cache_clear()
 
 
 def described(folder, *listed, name="something-1.0.dist-info"):

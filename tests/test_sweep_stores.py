@@ -101,7 +101,7 @@ def test_functions_that_are_recorded_are_compared_with_what_they_call(store, tmp
 
 
 def test_what_a_scene_asks_python_for_is_compared_by_code_and_numbers():
-    from spherejax.motion.runs.known_builds import known_build, numbers_fingerprint
+    from spherejax.motion.runs.traced_functions import known_build, numbers_fingerprint
 
     one, other = with_callback(1.0), with_callback(0.5)
     at = {"gravity": 9.0}
@@ -113,7 +113,7 @@ def test_what_a_scene_asks_python_for_is_compared_by_code_and_numbers():
 
 
 def test_a_force_in_the_scene_is_compared_by_what_it_does():
-    from spherejax.motion.runs.known_builds import known_build
+    from spherejax.motion.runs.traced_functions import known_build
 
     def build_with(push):
         def build(gravity):

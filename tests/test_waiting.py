@@ -14,7 +14,7 @@ import pytest
 import spherejax as sj
 from spherejax.foundations import terminals
 from spherejax.foundations.terminals import waiting_for
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 RUN = """
 import jax.numpy as jnp

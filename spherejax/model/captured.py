@@ -12,7 +12,7 @@ import jax
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
-from spherejax.program_cache.fingerprints import own_parts, reaches_tracer
+from spherejax.program_cache.user_code import parts_that_reach_tracers
 
 
 @contextmanager
@@ -43,7 +43,7 @@ def captures_explained(scenes: Sequence[Scene]) -> Iterator[None]:
 def _capturing(scene: Scene) -> Iterator[str]:
     for kind, parts in (("joint", scene.joints), ("force", scene.forces)):
         for name, part in parts.items():
-            own = own_parts(jax.tree.structure(part))
-            if own and reaches_tracer(own):
+            own = parts_that_reach_tracers(jax.tree.structure(part))
+            if own:
                 whose = ", ".join(getattr(each, "__qualname__", type(each).__qualname__) for each in own)
                 yield f"{kind} {name!r} ({type(part).__name__}): {whose}"

@@ -1,7 +1,5 @@
 """A scene: bodies, joints and forces by name, as the user describes it, and the checks of it."""
 
-import threading
-from collections import OrderedDict
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,7 +15,7 @@ from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.physics.bodies import GROUND, Body, numbers
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.joints.joint import AbstractJoint
-from spherejax.program_cache.values import lru_get, value_key
+from spherejax.program_cache.keys import LruCache, lru_get, value_key
 
 
 class Scene(eqx.Module):
@@ -103,7 +101,7 @@ def check_scene(scene: Scene) -> list:
         found = enforce(f"{kind} {name!r}", called(part, "requirements"))
         conditions += found
         if not found and values is not None:
-            lru_get(_right, _lock, N_PARTS, values, lambda: True)
+            lru_get(_right, values, lambda: True)
     return conditions
 
 
@@ -126,10 +124,8 @@ def _parts(scene: Scene) -> Iterator[_Part]:
 N_PARTS = 1024
 """Parts that are remembered: who changes one number of a scene need not have all others looked at again."""
 
-_right: OrderedDict[Hashable, bool] = OrderedDict()
+_right = LruCache(N_PARTS)
 """Parts that were found to be as they must be."""
-
-_lock = threading.Lock()
 
 
 def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:

@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, partial
@@ -35,8 +33,8 @@ from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.laws.normal import AbstractNormalLaw, by_factor
 from spherejax.physics.memory import MemoryEntry
 from spherejax.physics.state import Layout
+from spherejax.program_cache.keys import LruCache, lru_get, own_arrays, value_key
 from spherejax.program_cache.user_code import user_code_fingerprint
-from spherejax.program_cache.values import lru_get, own_arrays, value_key
 
 
 class MemorySlot(NamedTuple):
@@ -316,13 +314,11 @@ def _known(what: str, part: Any, around: Hashable | None, make: Callable[[Any], 
     if values is None or around is None:
         return make(part)
     key = what, values, around
-    return own_arrays(lru_get(_parts, _lock, N_PARTS, key, lambda: own_arrays(make(part))))
+    return own_arrays(lru_get(_parts, key, lambda: own_arrays(make(part))))
 
 
-_parts: OrderedDict[Hashable, Any] = OrderedDict()
+_parts = LruCache(N_PARTS)
 """What was made of parts of scenes."""
-
-_lock = threading.Lock()
 
 
 def _check_leaves(place: str, part: Any) -> None:

@@ -1,12 +1,12 @@
-"""Compiled functions of this package within other programs: each is one operation of JAX.
+"""A cached call: a compiled function within another program, as one operation of JAX.
 
-A user's function around `simulate` is traced and lowered in every process: nobody can tell what is in it. The runs in
-it are most of that, and they are known. So each is an operation of which only its results' shapes are needed while the
-user's function is traced; it is traced and lowered apart, once for all processes (see `disk_cache`), and the user's
-program takes it in as a function that it calls. Then the program as a whole is the same as in the process before, and
-JAX finds what it has compiled of it.
+A user's program that calls a function of the package is traced and lowered in every process, since user code may be
+anything. Most of its operations are those of the package's function, which can be cached. So that function becomes one
+operation (`within`). While the user's program is traced, only the shapes of its results are needed. The function is
+lowered apart, once for all processes (see `disk_cache`), and the user's module takes it in as a function that it calls.
+Then the whole module is the same as in the process before, and JAX finds it in its own compilation cache.
 
-Under `jax.vmap` it becomes the operation of many, which is one program too where nothing is jitted.
+Under `jax.vmap` it becomes the operation of many, which is one program also where nothing is jitted.
 """
 
 import hashlib
@@ -34,8 +34,8 @@ class Operable(Protocol):
     """A function that can be an operation: of arrays, to a tuple of arrays and something static.
 
     Attributes:
-        made_from: all that tells it from others.
-        static: what it returns besides arrays, as it can be kept; known once it was traced, or else to be set.
+        made_from: all that goes into it.
+        static: what it returns besides arrays, as it can be written to disk; known once it was traced, or else set.
     """
 
     made_from: tuple
@@ -54,25 +54,25 @@ class Operable(Protocol):
         """Its results, from numbers."""
         ...
 
-    def mapped(self, axes: tuple[int | None, ...], n: int) -> "Operation":
+    def mapped(self, axes: tuple[int | None, ...], n: int) -> "CachedCall":
         """The same of n at once, those arguments stacked whose axis is 0."""
         ...
 
 
 class _Lowered(NamedTuple):
-    """A function as it is kept: its module, the machine code it calls, and its results' shapes."""
+    """A function as it is written to disk: its module, the blobs that it calls, and its results' shapes."""
 
     content: bytes
-    codes: dict[str, bytes]
+    blobs: dict[str, bytes]
     shapes: list
 
 
-class Operation:
-    """A function as it stands in other programs; told by identity, as their parameter has to be.
+class CachedCall:
+    """A function as it stands in other programs, where it is a parameter: hashable, and compared by identity.
 
     Attributes:
         function: the function.
-        key: by what it is told from others; None where it may not be kept.
+        key: its key on disk; None where it must not be written.
     """
 
     def __init__(self, function: Operable, key: str | None):
@@ -88,12 +88,12 @@ class Operation:
         return _within.bind(*leaves, operation=self)
 
     def __cache_key__(self) -> tuple:
-        """What `fingerprints` takes for it: not what has been found out about it."""
+        """What stands for it in fingerprints: what it was made from, not what has been learned about it since."""
         return self.function.made_from
 
     @property
     def calls_python(self) -> bool:
-        """Whether it calls Python when it runs; then it is not kept."""
+        """Whether it calls Python when it runs; then it is not written."""
         return self._traced is not None and calls_python(self._traced.jaxpr.jaxpr)
 
     @property
@@ -116,7 +116,7 @@ class Operation:
         """What it computes, as a module of StableHLO whose function `name` takes all arguments and returns all results;
         None where it calls Python. In the MLIR context of the caller."""
         with self._lock:
-            with suppress(Exception):  # whatever is wrong with what was kept: it is lowered anew
+            with suppress(Exception):  # whatever is wrong with what was on disk: it is lowered again
                 if self._lowered is not None or (self._traced is None and self._load()):
                     return self._read()
             if self._traced is None:
@@ -128,33 +128,34 @@ class Operation:
         try:
             lowered, static = found
             self._lowered, self.function.static = _Lowered(*lowered), static
-        except Exception:  # nothing, or nothing of ours
+        except Exception:  # nothing, or another thing under its name
             return False
         return True
 
     def _trace(self) -> None:
-        def to_be_lowered(*leaves: Any) -> tuple:  # its name is heard
+        def to_be_lowered(*leaves: Any) -> tuple:  # JAX's events have its name, which tests and profiles look for
             return self.function.traced(*leaves)
 
-        with disk_cache.listened() as has_warned, gc_paused():
+        with disk_cache.record_warnings() as has_warned, gc_paused():
             self._traced = jax.jit(to_be_lowered, keep_unused=True).trace(*self.function.examples)
         self._has_warned = has_warned()
 
     def _lower(self) -> bool:
         if self.calls_python:
             return False
-        with disk_cache.listened() as has_warned, settings.extra_blobs().record() as codes, gc_paused():
+        with disk_cache.record_warnings() as has_warned, settings.extra_blobs().record() as blobs, gc_paused():
             module: Any = self._traced.lower().compiler_ir("stablehlo")
+        # Locations in the sources belong to the process that has traced it, and mean nothing in another one.
         with module.context:
             passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
         main: Any = ir.SymbolTable(module.operation)["main"]
-        if len(main.type.inputs) != len(self.function.examples):  # JAX can be told to make arguments of constants
+        if len(main.type.inputs) != len(self.function.examples):  # JAX can be set to make arguments of constants
             return False
         with module.context:
             _rename(module, self.name)
         content = io.BytesIO()
         module.operation.write_bytecode(content)
-        self._lowered = _Lowered(content.getvalue(), codes(), jax.tree.leaves(self._traced.out_info))
+        self._lowered = _Lowered(content.getvalue(), blobs(), jax.tree.leaves(self._traced.out_info))
         if not (self._has_warned or has_warned()):
             disk_cache.save(self._key_within, (tuple(self._lowered), self.function.static))
         self._traced = None
@@ -162,10 +163,10 @@ class Operation:
 
     def _read(self) -> Any:
         assert self._lowered is not None
-        content, codes, _ = self._lowered
+        content, blobs, _ = self._lowered
         module = ir.Module.parse(content)
-        settings.extra_blobs().load(codes)
-        settings.extra_blobs().note(codes)
+        settings.extra_blobs().load(blobs)
+        settings.extra_blobs().note(blobs)
         if b"lapack_" in content:
             make_lapack_known()
         return module
@@ -177,7 +178,7 @@ class Operation:
 
 
 def _digest(key: str) -> str:
-    """Another key: as it stands in other programs, a function is not what is kept of it for numbers."""
+    """Another key: what is written of a function for other programs is not its program for numbers."""
     return hashlib.sha256(f"within {key}".encode()).hexdigest()
 
 
@@ -185,26 +186,26 @@ _within = Primitive("within")
 _within.multiple_results = True
 
 
-def _now(*leaves: Any, operation: Operation) -> Sequence:
+def _now(*leaves: Any, operation: CachedCall) -> Sequence:
     return operation.function.now(*leaves)
 
 
-def _shapes(*_: Any, operation: Operation) -> list[ShapedArray]:
+def _shapes(*_: Any, operation: CachedCall) -> list[ShapedArray]:
     return [ShapedArray(s.shape, s.dtype, weak_type=getattr(s, "weak_type", False)) for s in operation.shapes]
 
 
-def _batched(leaves: Sequence, dims: Sequence, *, operation: Operation) -> tuple[Sequence, list[int]]:
+def _batched(leaves: Sequence, dims: Sequence, *, operation: CachedCall) -> tuple[Sequence, list[int]]:
     n = next(leaf.shape[dim] for leaf, dim in zip(leaves, dims, strict=True) if dim is not None)
     front = [leaf if not dim else jnp.moveaxis(leaf, dim, 0) for leaf, dim in zip(leaves, dims, strict=True)]
     found = operation.function.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
     return found, [0] * len(found)
 
 
-def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: Operation) -> tuple:
+def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: CachedCall) -> tuple:
     return jax.jvp(operation.function.traced, tuple(leaves), tuple(map(ad.instantiate_zeros, tangents)))
 
 
-def _lowering(context: Any, *operands: Any, operation: Operation) -> Sequence:
+def _lowering(context: Any, *operands: Any, operation: CachedCall) -> Sequence:
     if is_partitioned(context):  # what is kept was lowered for one device
         return lowered_replicated(operation.function.traced)(context, *operands)
     outer = context.module_context.module
@@ -225,6 +226,7 @@ mlir.register_lowering(_within, _lowering)
 
 def _called(outer: Any, name: str, module: Any, operands: Sequence) -> Sequence:
     """The results of a call of a module's function; the outer module takes all of the module's functions in."""
+    # Once, for any number of calls: equal names are equal functions.
     if name not in ir.SymbolTable(outer.operation):
         for operation in list(module.body.operations):
             outer.body.append(operation)

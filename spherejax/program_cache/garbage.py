@@ -1,9 +1,9 @@
-"""Python's cyclic garbage collector, put off while programs are traced and compiled.
+"""Pauses Python's cyclic garbage collector while programs are traced and compiled.
 
 Tracing makes a hundred thousand small objects that all live until the program is done. Each time enough of them have
-come, Python looks through everything that the process holds for cycles (after `import jax` a million objects) and finds
-next to nothing: a third of the processor time of the four-bar's first call (dry with friction: 18.0 s with, 11.3 s
-without). It is put off, not left out: what has become garbage is found by the first collection afterwards.
+come, Python searches everything that the process holds for cycles (a million objects after `import jax`) and finds next
+to nothing. This takes a third of the processor time of the four-bar's first call (dry with friction: 18.0 s with it,
+11.3 s without). The collection is postponed, not left out: the first one afterwards frees what has become garbage.
 """
 
 import gc
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 
 class _Pauses:
-    """How many callers, on all threads, want it put off; the switch is one for the process."""
+    """How many callers, on all threads, have paused it: the collector is one for the process."""
 
     def __init__(self) -> None:
         self.lock, self.n, self.was_on = threading.Lock(), 0, False
@@ -28,6 +28,7 @@ class _Pauses:
     def end(self) -> None:
         with self.lock:
             self.n -= 1
+            # A user may have switched it off: it stays off then.
             if self.n == 0 and self.was_on:
                 gc.enable()
 
@@ -37,7 +38,7 @@ _pauses = _Pauses()
 
 @contextmanager
 def gc_paused() -> Iterator[None]:
-    """No cyclic garbage is looked for in this context; afterwards as before. May be nested, and used by threads."""
+    """No cyclic garbage is collected in this context; afterwards as before. May be nested, and used by threads."""
     _pauses.begin()
     try:
         yield

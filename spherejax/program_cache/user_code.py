@@ -1,13 +1,13 @@
-"""Code of a user's own in what is simulated, told by what it is now.
+"""The fingerprint of user code: code that no version number identifies, read at the moment of the call.
 
-A law, a force or a function is traced once, and its program is kept. In a notebook the helpers of a user's own law and
-the constants that it looks up are written anew again and again: a program that was traced before computes what they
-were then. So whatever is kept of something with such code is told by a fingerprint of that code as it is now, with all
-that it looks up: a cell that is run again is seen, and what it changes is traced anew.
+User code is traced once, and its program is cached. In a notebook the helpers of a user's function, and the constants
+that it looks up, are edited and run again; the cached program computes what they were before. So the key of everything
+with user code in it contains a fingerprint of that code as it is now, with all that it looks up. A cell that was edited
+and run again gives another key, and what depends on it is traced again.
 
-What code counts or collects while it is traced would make it another one each time. Names that it assigns to do not
-count; and where a run is seen to change what its code looks up, in lists and objects say, only functions, classes and
-numbers count from then on, and a warning says so.
+Some code changes what it looks up while it is traced: it counts its calls, or appends to a list. It would get another
+key at each call. So names that a function assigns to are left out; and where tracing is seen to change something else
+that the code looks up, only functions, classes and numbers count from then on, and a warning says so.
 """
 
 import threading
@@ -17,45 +17,51 @@ from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
-from spherejax.program_cache.fingerprints import code_fingerprint, own_parts
+from spherejax.program_cache.fingerprints import code_fingerprint, own_parts, reaches_tracer
 
 N_TREES = 1024
-"""Trees of which it is remembered whether there is code of a user's own in them."""
+"""Structures of which the user code in them is remembered (which objects, not what they are now)."""
 
 
 def user_code_fingerprint(tree: Any) -> str:
-    """The fingerprint of the code of a user's own that the tree of a pytree holds; empty where there is none.
+    """The fingerprint of the user code in the structure of a pytree; empty where there is none.
 
     Args:
         tree: what `jax.tree.structure` returns.
     """
+    # Which objects are user code is looked up once for a structure; most structures have none, and are done here.
     parts = _parts_of(tree)
     if not parts:
         return ""
-    seen = getattr(_looking, "seen", None)
+    seen = getattr(_reading, "seen", None)
     if seen is None:
-        return _told(parts)
+        return _current(parts)
     if parts not in seen:
-        seen[parts] = _told(parts), _fingerprint(parts, with_state=False)
+        seen[parts] = _current(parts), _fingerprint(parts, with_state=False)
     return seen[parts][0]
 
 
 @contextmanager
-def looked_at_once() -> Iterator[None]:
-    """Code is looked at once in this context, and again at its end: whether what was traced has changed what it looks
-    up itself. May be nested."""
-    if getattr(_looking, "seen", None) is not None:
+def read_once() -> Iterator[None]:
+    """User code is read once in this context, and once more at its end. May be nested.
+
+    Reading once saves time (a call asks for several keys), and makes all keys of a call agree. Reading again shows
+    whether tracing has changed what the code looks up.
+    """
+    if getattr(_reading, "seen", None) is not None:
         yield
         return
-    seen, _looking.found = {}, {}
-    _looking.seen = seen
+    seen, _reading.found = {}, {}
+    _reading.seen = seen
     try:
         yield
     finally:
-        _looking.seen = _looking.found = None
-        for parts, (told, code) in seen.items():
-            if _told(parts) != told and _fingerprint(parts, with_state=False) == code:
-                _by_code[parts, code] = told
+        # Before the code is read again: within the context the first reading would be returned.
+        _reading.seen = _reading.found = None
+        for parts, (before, code) in seen.items():
+            # If functions and numbers changed as well, the user has edited the code meanwhile, on another thread.
+            if _current(parts) != before and _fingerprint(parts, with_state=False) == code:
+                _before_tracing[parts, code] = before
                 warnings.warn(
                     f"what {_names(parts)} looks up changed while it was simulated: from now on lists, tables and "
                     "objects that it looks up are not watched; where one of them is changed between runs, the program "
@@ -66,8 +72,8 @@ def looked_at_once() -> Iterator[None]:
 
 
 def once(name: str, find: Callable[[], Any]) -> Any:
-    """What is found of code that does not change within `looked_at_once`; outside of it, found anew each time."""
-    found = getattr(_looking, "found", None)
+    """What `find` returns: asked once within `read_once`, each time outside of it."""
+    found = getattr(_reading, "found", None)
     if found is None:
         return find()
     if name not in found:
@@ -75,23 +81,35 @@ def once(name: str, find: Callable[[], Any]) -> Any:
     return found[name]
 
 
-_looking = threading.local()
+def parts_that_reach_tracers(tree: Any) -> tuple:
+    """The user code in the structure of a pytree, if some of it looks up a value that JAX traces; else nothing.
 
-_by_code: dict[tuple, str] = {}
-"""What code is told by, where tracing it changes what it looks up: by what it was before that."""
+    Args:
+        tree: what `jax.tree.structure` returns.
+    """
+    parts = own_parts(tree)
+    return parts if parts and reaches_tracer(parts) else ()
 
 
-def _told(parts: tuple) -> str:
-    if any(parts == changing for changing, _ in _by_code):
+_reading = threading.local()
+
+_before_tracing: dict[tuple, str] = {}
+"""Of code that changes what it looks up while it is traced: its fingerprint before that, by its objects, and by its
+fingerprint without what changes. It stays the fingerprint as long as functions, classes and numbers stay the same."""
+
+
+def _current(parts: tuple) -> str:
+    if any(parts == changing for changing, _ in _before_tracing):
         code = _fingerprint(parts, with_state=False)
-        return _by_code.get((parts, code), code)
+        return _before_tracing.get((parts, code), code)
     return _fingerprint(parts)
 
 
 def _fingerprint(parts: tuple, *, with_state: bool = True) -> str:
     try:
         return code_fingerprint(parts, with_state=with_state)
-    except Exception as error:  # what code looks up may be anything, and fail when it is looked at
+    except Exception as error:  # what code looks up may be anything, and fail when it is read
+        # Lists and objects are the usual reason: a file, a socket, a table of another library.
         if with_state:
             return _fingerprint(parts, with_state=False)
         warnings.warn(
@@ -108,7 +126,7 @@ def _names(parts: tuple) -> str:
 
 
 class _Same:
-    """Told by identity, whatever it is."""
+    """An object, compared by identity whatever its class says: user code may define `__eq__` without `__hash__`."""
 
     __slots__ = ("value",)
 
@@ -122,7 +140,7 @@ class _Same:
         return isinstance(other, _Same) and self.value is other.value
 
     def __cache_key__(self) -> Any:
-        """What `fingerprints` takes for it."""
+        """What stands for it in a fingerprint: the object itself."""
         return self.value
 
 

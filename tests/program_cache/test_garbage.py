@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from spherejax.program_cache.garbage import gc_paused
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit, gc_paused
 
 
 @pytest.fixture(autouse=True)

@@ -50,7 +50,7 @@ from spherejax.motion.solvers.kinks import over_kink
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
 from spherejax.motion.solvers.traits import can_step_in_lanes, is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 FIRST_ROOM, MORE_ROOM = 4096, 16
 """Steps that there is room for at first, and the factor by which the room grows until it suffices."""

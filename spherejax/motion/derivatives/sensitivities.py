@@ -62,7 +62,7 @@ from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
 from spherejax.motion.start.assembly import Assembly
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 
 def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:

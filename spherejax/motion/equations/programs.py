@@ -9,7 +9,7 @@ a law without a scalar program, with a warning.
 import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,8 +22,7 @@ from spherejax.compiler import NotScalarizable, ScalarProgram, native_code, scal
 from spherejax.model.groups import stacks_from
 from spherejax.model.system import Structure, System
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.program_cache import disk_cache
-from spherejax.program_cache.garbage import gc_paused
+from spherejax.program_cache import disk_cache, gc_paused
 
 
 class ArrayPathWarning(UserWarning):
@@ -195,14 +194,11 @@ def _scalar_program(
     fixed = {(0, index): value for index, value in structure.special}
     sizes = jax.tree.map(lambda x: x.shape, state)
     key = disk_cache.key_for("scalar program", function, structure, sizes, n_ahead, limit, is_computed)
-    program = disk_cache.load(key)
-    if not isinstance(program, ScalarProgram):  # nothing, or nothing of ours
-        program = scalarize(
-            of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit,
-            has_slopes=not is_computed,
-        )  # fmt: skip
-        disk_cache.save(key, program)
-    return program
+    made = partial(
+        scalarize, of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit,
+        has_slopes=not is_computed,
+    )  # fmt: skip
+    return disk_cache.load_or_make(key, made, ScalarProgram)
 
 
 def _shapes(structure: Structure, y_size: Sizes) -> tuple[Any, Any, Any]:

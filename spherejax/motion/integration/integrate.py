@@ -43,7 +43,7 @@ from spherejax.motion.solvers.landing import (
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit, n_stages_of_end
 from spherejax.motion.solvers.wrapping import StepBudget
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,8 @@ from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import controller_for
+from spherejax.program_cache import cached_jit
 from spherejax.program_cache.disk_cache import is_debugging
-from spherejax.program_cache.jit import cached_jit
 
 
 def can_be_a_job(structure: Structure, options: Options) -> bool:

@@ -29,7 +29,7 @@ from spherejax.motion.solvers.landing import ContactFunctions
 from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 from spherejax.physics.joints.base import Crossing
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 
 class Span(NamedTuple):

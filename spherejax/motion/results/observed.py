@@ -15,7 +15,7 @@ from spherejax.motion.equations.observables import Observation, looked_up, obser
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.row_blocks import as_numbers, in_blocks
 from spherejax.physics.state import Layout, State, unpack
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 BLOCK = 1024
 """Samples that are evaluated in one call: one program for any number of them. One of a four-bar takes 0.4 us."""

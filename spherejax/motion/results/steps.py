@@ -28,7 +28,7 @@ from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.tolerances import component_tolerances
 from spherejax.physics.state import unpack
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 NODES, WEIGHTS = (np.asarray(each) for each in np.polynomial.legendre.leggauss(4))
 SHARES = tuple(float(x) for x in (NODES + 1) / 2)

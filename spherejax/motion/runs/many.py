@@ -31,13 +31,13 @@ from spherejax.motion.integration.status import OutOfRangeWarning, Status
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_builds import Build, built, known_build
 from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
+from spherejax.motion.runs.traced_functions import Build, built, known_build
 from spherejax.motion.solvers.automatic import stiffest
 from spherejax.motion.start.start_now import StartWarning, changed_starts
-from spherejax.program_cache.jit import cached_jit
-from spherejax.program_cache.user_code import looked_at_once
+from spherejax.program_cache import cached_jit
+from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
 NO_DERIVATIVE_OF_MANY = (
@@ -116,7 +116,7 @@ def simulate_many(
     n_runs = count_of_runs(parameters)
     if not all(map(is_concrete, jax.tree.leaves((parameters, ts)))):
         parameters, ts = without_derivative((parameters, ts), NO_DERIVATIVE_OF_MANY)
-    with looked_at_once():
+    with read_once():
         method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
         method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
         warn_of_starts(build, parameters, ts)

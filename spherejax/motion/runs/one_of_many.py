@@ -19,7 +19,7 @@ from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of
 from spherejax.motion.integration.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_scenes import split
+from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import tolerances_of, traced_times
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.start.jumps import jump_conditions

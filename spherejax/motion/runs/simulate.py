@@ -32,14 +32,14 @@ from spherejax.motion.integration.unseen import bound_in_words
 from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
-from spherejax.motion.runs.known_scenes import PreparedScene, again, own_arrays, prepared, remembered_call
+from spherejax.motion.runs.scene_cache import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import controller_for, tolerances_of
-from spherejax.program_cache.user_code import looked_at_once
+from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
 SMALLEST_TOLERANCE = 1e-14
@@ -135,7 +135,7 @@ def simulate(
     require_float64()
     asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
     limits = None if accuracy is None else _limits(scene, ts, accuracy, rtol, stepsize_controller, track_work, scalar)
-    with looked_at_once(), captures_explained([scene]):
+    with read_once(), captures_explained([scene]):
         call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
         for change in call.changes:
             warnings.warn(change, StartWarning, stacklevel=2)

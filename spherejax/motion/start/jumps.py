@@ -22,7 +22,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import System
 from spherejax.physics.functions.base import AbstractFunction
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 N_INTERVALS = 4096
 """Intervals of a run that are bisected; two jumps within one, a pulse, may pass as none."""

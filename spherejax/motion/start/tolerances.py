@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.model.system import Structure, System, example_of
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 
 ABSOLUTE_SHARE = 1e-2
 """Absolute tolerance of a component as a share of the relative one times its scale."""

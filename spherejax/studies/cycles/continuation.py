@@ -13,7 +13,7 @@ from spherejax.foundations.terminals import waiting_for
 from spherejax.model.numbers import number_at
 from spherejax.model.scene import Scene
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.runs.known_builds import built
+from spherejax.motion.runs.traced_functions import built
 from spherejax.studies.cycles.branch_result import Branch, Event
 from spherejax.studies.cycles.branch_steps import FEW, GENTLE, MANY, SMALLEST_STEP, BranchPoint, Stepper
 from spherejax.studies.cycles.family import Family

@@ -21,10 +21,10 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.jobs import JobKind
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.integration.spans import Jobs, SpanKind, over_spans
-from spherejax.motion.runs.known_builds import built, known_build
 from spherejax.motion.runs.simulate import check_tolerances, choice_for, tolerances_of
+from spherejax.motion.runs.traced_functions import built, known_build
 from spherejax.motion.solvers.traits import can_step_in_lanes
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.studies.linear.tangent import Geometry, held, held_along, masses, size_of
 
 N_CLOSING = 4

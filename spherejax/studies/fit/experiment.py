@@ -26,15 +26,15 @@ from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.many import Build, built
+from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.motion.start.tolerances import controller_for
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.observables import Observable, observable
 from spherejax.studies.fit.parameters import FitUnknowns

@@ -11,8 +11,8 @@ import numpy as np
 from spherejax.foundations.terminals import waiting_for
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import compile_scene
-from spherejax.motion.runs.known_builds import built
 from spherejax.motion.runs.many import Build
+from spherejax.motion.runs.traced_functions import built
 from spherejax.studies.rig.bench import Corner
 from spherejax.studies.rig.dataset import dataset_of
 from spherejax.studies.rig.rig_result import Rig

@@ -16,7 +16,7 @@ from spherejax.motion.equations.projection import least_correction
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.state import VELOCITY_SIZE, pack, unpack
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.studies.rig.bench import N_INPUTS, moved, with_inputs
 from spherejax.studies.rig.kinematics import Statics, statics_of
 

@@ -19,15 +19,15 @@ from spherejax.motion.integration.integrate import Options, Plan
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_scenes import split
 from spherejax.motion.runs.many import built
+from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.motion.start.tolerances import controller_for
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from spherejax.motion.derivatives.adjoint import gradients, kept_run
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.studies.sensitivity.forward import (
     PreparedStudy,
     RunMethod,

@@ -20,10 +20,10 @@ from spherejax.files.fields.code import modules_in, run_again
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
-from spherejax.motion.runs.known_builds import Build
 from spherejax.motion.runs.many import many
 from spherejax.motion.runs.one_of_many import LaneMethod
-from spherejax.program_cache.jit import cached_jit
+from spherejax.motion.runs.traced_functions import Build
+from spherejax.program_cache import cached_jit
 from spherejax.studies.sweep.records import Record
 
 

@@ -15,9 +15,15 @@ import numpy as np
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_builds import Known, built, known, numbers_fingerprint
 from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
-from spherejax.program_cache.fingerprints import Traced, combined, program_fingerprint, value_fingerprint
+from spherejax.motion.runs.traced_functions import built, numbers_fingerprint
+from spherejax.program_cache.fingerprints import (
+    Traced,
+    TracedFunction,
+    combined,
+    program_fingerprint,
+    value_fingerprint,
+)
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Kept, Record
 
@@ -34,7 +40,7 @@ def points_of(grid: Grid) -> list[int]:
     return sorted({0, n // 2, n - 1, *(int(run) for run in by_chance)})
 
 
-def identity_of(build: Known, grid: Grid, wanted: Record) -> dict[str, Any]:
+def identity_of(build: TracedFunction, grid: Grid, wanted: Record) -> dict[str, Any]:
     """Fingerprints of the program of the builder, of numbers of its scenes, and of the functions that are recorded."""
     return {
         "program": build.fingerprint,
@@ -43,7 +49,9 @@ def identity_of(build: Known, grid: Grid, wanted: Record) -> dict[str, Any]:
     }
 
 
-def with_known_functions(wanted: Record, build: Known, method: LaneMethod, grid: Grid, ts: np.ndarray) -> Record:
+def with_known_functions(
+    wanted: Record, build: TracedFunction, method: LaneMethod, grid: Grid, ts: np.ndarray
+) -> Record:
     """The record, its functions told by what they compute: two calls with equal lambdas share one program."""
     if not any((kept.inner or kept).function for kept in wanted.kept):
         return wanted
@@ -61,10 +69,10 @@ def _known(kept: Kept, run: Trajectory, has_slopes: bool) -> Kept:
     if has_slopes:
         # Rules of derivatives are no part of the program; they are in the code.
         traced = Traced(combined(traced.fingerprint, value_fingerprint(kept.function)), traced.is_bound)
-    return replace(kept, function=known(kept.function, traced))
+    return replace(kept, function=TracedFunction.of(kept.function, traced))
 
 
-def _run_of(build: Known, method: LaneMethod, ts, parameters) -> Trajectory:
+def _run_of(build: TracedFunction, method: LaneMethod, ts, parameters) -> Trajectory:
     """What a function is given, with zeros where the integration would be: only shapes matter."""
     prepared = PreparedRuns(partial(built, build), method, ts)
     start = prepared.start_of_state(parameters)

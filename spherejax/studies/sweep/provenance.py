@@ -11,8 +11,8 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.integration.widths import platform_of_runs
-from spherejax.motion.runs.known_builds import Build, built
 from spherejax.motion.runs.one_of_many import LaneMethod
+from spherejax.motion.runs.traced_functions import Build, built
 from spherejax.studies.sweep.commit import commit_of
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import Record

@@ -24,8 +24,8 @@ from spherejax.model.system import System
 from spherejax.motion.equations.quantities import Quantity, quantity
 from spherejax.motion.results.many_sensitivities import RunSlopes
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.known_builds import Known
 from spherejax.motion.runs.many import Runs
+from spherejax.program_cache.fingerprints import TracedFunction
 
 Kind = Literal["samples", "final", "peak", "onsets", "time_in_contact", "function", "sensitivity"]
 Wanted = Sequence[str] | Mapping[str, Any] | Sequence[Any]
@@ -81,10 +81,10 @@ class Kept:
     by: tuple[str, ...] = ()
 
     @property
-    def known_function(self) -> Known | None:
+    def known_function(self) -> TracedFunction | None:
         """The function, its own or that of its derivatives, when it has been traced."""
         function = (self.inner or self).function
-        return function if isinstance(function, Known) else None
+        return function if isinstance(function, TracedFunction) else None
 
     @property
     def dims(self) -> tuple[str, ...] | None:

@@ -18,9 +18,9 @@ from spherejax.model.system import compile_scene
 from spherejax.motion.integration.lanes import Block
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.dataset import NOT_UNIQUE
-from spherejax.motion.runs.known_builds import Build, known_build
 from spherejax.motion.runs.many import method_for, warn_of_starts, with_sensitivities
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
+from spherejax.motion.runs.traced_functions import Build, known_build
 from spherejax.motion.start.redundancy import undetermined_reactions_of
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import ChunkWork

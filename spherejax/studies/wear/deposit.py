@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Numeric, Scalar
 from spherejax.physics.laws.wear import WearContact, approach, foundation_depth, surface_sliding
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit
 from spherejax.studies.wear.sphere import cell_width, corners, sampled
 
 SEARCH_RINGS, SEARCH_PASSES = 8, 2

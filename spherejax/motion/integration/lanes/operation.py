@@ -21,9 +21,7 @@ from jaxtyping import Array, Float, Int
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes.engine import run_in_lanes
 from spherejax.motion.integration.lanes.lane import Block, LaneOutcome, LaneProblem
-from spherejax.program_cache import disk_cache
-from spherejax.program_cache.garbage import gc_paused
-from spherejax.program_cache.jit import cached_jit
+from spherejax.program_cache import cached_jit, disk_cache, gc_paused
 from spherejax.program_cache.several_devices import lowered_replicated
 
 ONE_AFTER_THE_OTHER = (

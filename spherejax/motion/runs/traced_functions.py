@@ -1,12 +1,6 @@
-"""Builders of scenes, and functions of runs, told by what they compute.
-
-A compiled program is found by the functions that went into it. Python tells functions by where they are in memory, so
-that an equal lambda, or a notebook cell that was run again, compiled anew and kept both programs. Here a function is
-wrapped with the fingerprint of its traced program, and equal ones are equal.
-"""
+"""Builders of scenes, compared by the fingerprint of what they compute; see `program_cache.fingerprints`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any
 
@@ -23,6 +17,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.start.assembly import as_ideal, assembly_residuals
 from spherejax.program_cache.fingerprints import (
     Traced,
+    TracedFunction,
     combined,
     known_fingerprint,
     program_fingerprint,
@@ -33,37 +28,6 @@ Build = Callable[..., Scene]
 """Makes a scene from the parameters of one run."""
 
 
-@dataclass(frozen=True)
-class Known:
-    """A function that equals others by what it computes.
-
-    Attributes:
-        function: the function itself.
-        fingerprint: of what it computes.
-        itself: the function again where equal code may stand for different objects; None otherwise.
-        is_all: whether the fingerprint tells all there is to tell, in other processes too: no code of a user's own is
-            left that has not been traced.
-    """
-
-    function: Callable = field(compare=False)
-    fingerprint: str
-    itself: Callable | None = None
-    is_all: bool = True
-
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        """What the function answers."""
-        return self.function(*arguments, **named)
-
-    def __cache_key__(self) -> Any:
-        """What `fingerprints` takes for the function."""
-        return self.fingerprint if self.itself is None and self.is_all else self.function
-
-
-def known(function: Callable, traced: Traced, is_all: bool = True) -> Known:
-    """A function with what is known of it."""
-    return Known(function, traced.fingerprint, function if traced.is_bound else None, is_all)
-
-
 def built(build: Build, parameters: Any) -> Scene:
     """The scene of one run."""
     scene = build(**parameters) if isinstance(parameters, dict) else build(parameters)
@@ -72,7 +36,7 @@ def built(build: Build, parameters: Any) -> Scene:
     return scene
 
 
-def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = ()) -> Known:
+def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = ()) -> TracedFunction:
     """A builder with the fingerprint of what is simulated: its numbers, their conditions, and the equations of motion.
 
     Args:
@@ -81,7 +45,7 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
         track_work: whether the work of each joint is integrated.
         by: names of parameters by which derivatives are taken: then rules of derivatives count as well.
     """
-    if isinstance(build, Known):
+    if isinstance(build, TracedFunction):
         return build
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)), one)
     structures: list[Structure] = []
@@ -102,7 +66,7 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
             traced.append(program_fingerprint(_with_slopes(lambda p: numbers(p)[0]), shapes))
     parts = [each.fingerprint for each in traced]
     is_bound = any(each.is_bound for each in traced)
-    return known(build, Traced(combined(*parts), is_bound), is_all=known_fingerprint(structure) is not None)
+    return TracedFunction.of(build, Traced(combined(*parts), is_bound), is_all=known_fingerprint(structure) is not None)
 
 
 @lru_cache(maxsize=32)

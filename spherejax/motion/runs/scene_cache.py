@@ -6,9 +6,7 @@ within an array, has another scene. Scenes with traced numbers, or under `jax.ji
 """
 
 import itertools
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any
 
 import diffrax
@@ -25,7 +23,7 @@ from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
-from spherejax.program_cache.values import lru_get, own, own_arrays, value_key
+from spherejax.program_cache.keys import LruCache, lru_get, own, own_arrays, value_key
 
 N_SCENES = 64
 """Scenes that are remembered; those not used for longest are let go."""
@@ -66,8 +64,7 @@ class PreparedScene:
         self.conditions = compiled.conditions
         # On the array path the linear systems of a stiff method are dense.
         self._explicit_only = self.path.scalar is False and scalar is None
-        self._answers: OrderedDict[Hashable, Any] = OrderedDict()
-        self._lock = threading.Lock()
+        self._answers = LruCache(N_ANSWERS)
 
     def system(self) -> System:
         """What the scene calls for."""
@@ -110,8 +107,8 @@ class PreparedScene:
         return self._once("jumps", (ts,), lambda: jump_conditions(self._seen, ts))
 
     def _once(self, what: str, numbers: tuple, make: Callable[[], Any]) -> Any:
-        key = None if self.unknown else value_key(numbers)
-        return make() if key is None else lru_get(self._answers, self._lock, N_ANSWERS, (what, key), make)
+        key = None if self.unknown else value_key((what, numbers))
+        return lru_get(self._answers, key, make)
 
 
 def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
@@ -120,12 +117,8 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
     Raises:
         SceneError: for a scene that cannot be simulated.
     """
-    key = value_key(scene)
-    if key is None:
-        return PreparedScene(scene, track_work, scalar)
-    return lru_get(
-        _scenes, _lock, N_SCENES, (key, track_work, scalar), lambda: PreparedScene(scene, track_work, scalar)
-    )
+    key = value_key((scene, track_work, scalar))
+    return lru_get(_scenes, key, lambda: PreparedScene(scene, track_work, scalar))
 
 
 def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], Any]) -> Any:
@@ -136,8 +129,7 @@ def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], An
     """
     if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return make()
-    key = value_key((scene, ts, options))
-    return make() if key is None else lru_get(_calls, _lock, N_CALLS, key, make)
+    return lru_get(_calls, value_key((scene, ts, options)), make)
 
 
 class _Mark:
@@ -191,6 +183,4 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     return np.concatenate(known), tuple(unknown)
 
 
-_scenes: OrderedDict[Hashable, PreparedScene] = OrderedDict()
-_calls: OrderedDict[Hashable, Any] = OrderedDict()
-_lock = threading.Lock()
+_scenes, _calls = LruCache(N_SCENES), LruCache(N_CALLS)

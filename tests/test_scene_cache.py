@@ -2,7 +2,6 @@
 
 import threading
 import warnings
-from collections import OrderedDict
 from dataclasses import replace
 
 import diffrax
@@ -16,9 +15,10 @@ from spherejax.model import scene as scenes
 from spherejax.model import system as systems
 from spherejax.model.system import compile_scene, with_laws_by_factor
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.runs import known_scenes
+from spherejax.motion.runs import scene_cache
 from spherejax.motion.runs import simulate as simulating
-from spherejax.motion.runs.known_scenes import prepared, value_key
+from spherejax.motion.runs.scene_cache import prepared
+from spherejax.program_cache.keys import LruCache, value_key
 
 TS = jnp.array([0.0, 0.1, 0.2])
 make = simulating._call
@@ -33,10 +33,10 @@ def counted(monkeypatch):
         calls.append(scene)
         return original(scene, track_work=track_work)
 
-    original = known_scenes.compile_scene
-    monkeypatch.setattr(known_scenes, "compile_scene", compile_scene)
+    original = scene_cache.compile_scene
+    monkeypatch.setattr(scene_cache, "compile_scene", compile_scene)
     for remembered in ("_scenes", "_calls"):
-        monkeypatch.setattr(known_scenes, remembered, OrderedDict())
+        monkeypatch.setattr(scene_cache, remembered, LruCache(64))
     return calls
 
 
@@ -119,7 +119,7 @@ def test_a_call_that_was_made_before_is_decided_once_and_answers_alike(counted, 
         warnings.simplefilter("ignore", sj.SimulationWarning)
         height(scene)
         first, again = (sj.simulate(scene, TS, **options) for _ in range(2))
-        known_scenes._calls.clear()
+        scene_cache._calls.clear()
         alone = sj.simulate(scene, TS, **options)
     # A controller holds functions, which are not compared: it is looked at each time.
     assert len(decided) == (4 if "stepsize_controller" in options else 3 if options else 2)
@@ -147,21 +147,21 @@ def test_other_times_are_another_call(counted):
     first = sj.simulate(scene, times).ys[-1]
     times[-1] = 0.15
     assert np.abs(first - sj.simulate(scene, times).ys[-1]).max() > 0.1
-    assert len(known_scenes._calls) == 2
+    assert len(scene_cache._calls) == 2
     with pytest.raises(sj.SceneError, match="increase"):
         sj.simulate(scene, times[::-1])
     sj.simulate(scene, list(times))  # not remembered: a list is slow to compare
-    assert len(known_scenes._calls) == 2
+    assert len(scene_cache._calls) == 2
 
 
 def test_only_so_many_calls_are_kept(monkeypatch, counted):
-    monkeypatch.setattr(known_scenes, "N_CALLS", 2)
+    monkeypatch.setattr(scene_cache._calls, "size", 2)
     scene = pendulum()
     for rtol in (1e-4, 1e-5, 1e-6):
         height(scene, rtol=rtol)
-    assert len(known_scenes._calls) == 2
-    sj.simulate(scene, jnp.linspace(0.0, 1e-3, known_scenes.MOST_TIMES + 1))
-    assert len(known_scenes._calls) == 2
+    assert len(scene_cache._calls) == 2
+    sj.simulate(scene, jnp.linspace(0.0, 1e-3, scene_cache.MOST_TIMES + 1))
+    assert len(scene_cache._calls) == 2
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_only_so_many_calls_are_kept(monkeypatch, counted):
 )
 def test_leaves_go_straight_to_their_places_only_where_there_are_no_others(of, is_remembered):
     made = []
-    function = known_scenes.again(lambda a, b: made.append(1) or of(a, b))
+    function = scene_cache.again(lambda a, b: made.append(1) or of(a, b))
     for a, b in ((1.0, [2.0, 3.0]), (4.0, [5.0, 6.0]), (7.0, [8.0, 9.0]), (0.0, [1.0, 2.0])):
         assert function(a, b) == of(a, b)
     assert len(made) == (3 if is_remembered else 7)
@@ -184,7 +184,7 @@ def test_leaves_go_straight_to_their_places_only_where_there_are_no_others(of, i
 def test_parts_that_are_equal_are_looked_at_once(monkeypatch):
     """Another number of one joint: the other parts are neither checked nor placed again."""
     for module, name in ((scenes, "_right"), (systems, "_parts")):
-        monkeypatch.setattr(module, name, OrderedDict())
+        monkeypatch.setattr(module, name, LruCache(1024))
     looked, placed = [], []
     original = sj.Spherical.requirements, sj.Spherical.placed
     monkeypatch.setattr(sj.Spherical, "requirements", lambda joint: looked.append(joint) or original[0](joint))
@@ -261,7 +261,7 @@ def test_traced_numbers_are_not_remembered_and_leave_nothing_behind(counted):
 
     compiled = jax.jit(end)
     assert float(compiled(1.0)) == pytest.approx(height(pendulum()), abs=1e-9)
-    assert all(not isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves([*known_scenes._scenes.values()]))
+    assert all(not isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves([*scene_cache._scenes.values()]))
 
     @jax.jit
     def known(x):
@@ -289,11 +289,11 @@ def test_a_driven_start_depends_on_its_time(counted):
 
 
 def test_only_so_many_are_kept(monkeypatch, counted):
-    monkeypatch.setattr(known_scenes, "N_SCENES", 2)
+    monkeypatch.setattr(scene_cache._scenes, "size", 2)
     for mass in (1.0, 2.0, 3.0, 1.0, 3.0):
         prepared(pendulum(mass), False, None)
     assert len(counted) == 4
-    assert len(known_scenes._scenes) == 2
+    assert len(scene_cache._scenes) == 2
 
 
 def test_threads_share_them(counted):

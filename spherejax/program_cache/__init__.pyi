@@ -1,0 +1,16 @@
+"""The public names of the program cache; modules among them are namespaces of what belongs together."""
+
+from . import disk_cache, fingerprints, keys, settings, several_devices, user_code
+from .garbage import gc_paused
+from .jit import cached_jit
+
+__all__ = [
+    "cached_jit",
+    "disk_cache",
+    "fingerprints",
+    "gc_paused",
+    "keys",
+    "settings",
+    "several_devices",
+    "user_code",
+]

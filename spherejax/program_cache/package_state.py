@@ -1,0 +1,150 @@
+"""The state of the package: what a program depends on besides its arguments, as a part of every key on disk.
+
+These are the sources of the package, the versions of the packages that it stands on, the settings of JAX and of XLA,
+and the constants of the package as they are now. There is no state, and nothing is written to disk, where one of these
+is uncertain: a source was edited after the process began to import it, a function or a class has been replaced (by a
+test, or by a user who tries something), or a package is a checkout whose version does not change with its code.
+"""
+
+import hashlib
+import operator
+import os
+import sys
+import types
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from spherejax.program_cache import settings
+from spherejax.program_cache.installed import is_installed
+
+
+def package_state() -> str | None:
+    """A text that changes with the package and all that it stands on; None where it is uncertain.
+
+    It takes 5 ms.
+    """
+    constants = None if _has_changed() or not _are_versions_true() else _constants()
+    return None if constants is None else f"{_code()}\0{constants}"
+
+
+@lru_cache(maxsize=1)
+def sources() -> tuple[Path, ...]:
+    """All Python files of the package."""
+    folder = settings.current().sources
+    return () if folder is None else tuple(sorted(folder.rglob("*.py")))
+
+
+def _has_changed() -> bool:
+    """Whether what is on disk may be something else than what was imported."""
+    # Equal times count as changed: file systems round them, and an edit in the same second would not be seen.
+    return any(file.stat().st_mtime >= settings.current().began for file in sources())
+
+
+def _are_versions_true() -> bool:
+    """Whether packages that versions tell are installed: a checkout of JAX changes, and its version does not."""
+    return all(is_installed(name, None) for name in settings.current().versioned if name in sys.modules)
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """The sources of this package and the versions of the others."""
+    # Once in a process: edits after that are seen by their times, in `_has_changed`.
+    words = hashlib.sha256()
+    told = settings.current()
+    for file in sources():
+        words.update(str(file.relative_to(told.sources or "")).encode() + b"\0" + file.read_bytes() + b"\0")
+    names = sorted({told.package, *told.versioned})
+    words.update("\0".join([sys.version, *(f"{name} {_version(name)}" for name in names)]).encode())
+    return words.hexdigest()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+# Those that change what a function is traced to. Arguments, such as the type of an array, are in the key anyway.
+_SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion")
+
+
+def _constants() -> str | None:
+    """Settings of JAX and constants of this package as they are; None where a function of it has been replaced."""
+    words = hashlib.sha256(os.environ.get("XLA_FLAGS", "").encode())
+    words.update(repr([getattr(jax.config, name) for name in _SETTINGS]).encode())
+    told = settings.current()
+    # A list: another thread may be importing something.
+    for name in sorted(name for name in list(sys.modules) if name.startswith(f"{told.package}.")):
+        folder = name.split(".")[1]
+        if folder not in told.constant_folders and folder not in told.watched_folders:
+            continue
+        module, found = sys.modules.get(name), _seen.get(name)
+        if module is None:  # it was removed a moment ago
+            continue
+        if found is None or not found.is_still_so(vars(module)):
+            found = _seen[name] = _SeenModule(name, vars(module), with_constants=folder in told.constant_folders)
+        if found.words is None:
+            return None
+        words.update(found.words)
+    return words.hexdigest()
+
+
+class _SeenModule:
+    """A module of this package when its names were last looked up: to look at all of them takes 8 ms each time.
+
+    Attributes:
+        words: its constants; None where a function of it has been replaced.
+    """
+
+    def __init__(self, name: str, names: dict[str, Any], with_constants: bool):
+        self._held = dict(names)
+        # Methods are replaced in the class, not in the module.
+        self._classes = [
+            (vars(value), dict(vars(value)))
+            for value in self._held.values()
+            if isinstance(value, type) and value.__module__ == name
+        ]
+        constants = []
+        self.words: bytes | None = None
+        for key, value in self._held.items():
+            # Not instances of classes derived from these: an enumeration is a class of ours, and its members too.
+            if type(value) in (int, float, bool, str, tuple):
+                if with_constants and key == key.upper():
+                    constants.append(f"{name}.{key}={value!r}\0")
+            elif not _is_original(value, name):
+                return
+        self.words = "".join(constants).encode()
+
+    def is_still_so(self, names: dict[str, Any]) -> bool:
+        """Whether all names stand for what they stood for then."""
+        return all(_is_same(now, then) for now, then in [(names, self._held), *self._classes])
+
+
+_seen: dict[str, _SeenModule] = {}
+
+
+def _is_same(now: Mapping[str, Any], then: dict[str, Any]) -> bool:
+    """Whether names stand for the same objects, in the same order."""
+    names, values = list(now), list(now.values())  # another thread may be importing something
+    return names == list(then) and all(map(operator.is_, values, then.values()))
+
+
+def _is_original(value: Any, module: str) -> bool:
+    """Whether a name of a module of this package stands for a function or a class of ours, or of what is versioned."""
+    if isinstance(value, types.FunctionType):
+        return _is_known(value)
+    if isinstance(value, type) and value.__module__ == module:
+        return all(_is_known(each) for each in vars(value).values() if isinstance(each, types.FunctionType))
+    return True
+
+
+def _is_known(function: types.FunctionType) -> bool:
+    # Methods of named tuples are in modules of their own.
+    module = function.__module__ or ""
+    return module.startswith("namedtuple_") or is_installed(module, function.__code__.co_filename)
