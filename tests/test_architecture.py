@@ -129,7 +129,7 @@ def test_the_compiler_brings_no_jax_before_it_is_used():
 
 
 def test_the_program_cache_is_used_by_its_public_names():
-    """The decorator stands wherever something is compiled; all else of the cache is known to ten files."""
+    """The decorator stands wherever something is compiled; all else of the cache is known to twelve files."""
     public = set(spherejax.program_cache.__all__)
     assert len(public) <= 8
     deep, n_further = [], 0
@@ -142,7 +142,7 @@ def test_the_program_cache_is_used_by_its_public_names():
         deep += [f"{path}: {name}" for name in names if name not in public]
         n_further += any(name not in ("cached_jit", "gc_paused") for name in names)
     assert deep == []
-    assert n_further <= 10
+    assert n_further <= 12
 
 
 def between_rooms(folder: str, rooms: list[str]) -> list[str]:

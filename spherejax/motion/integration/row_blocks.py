@@ -9,7 +9,6 @@ import jax
 import numpy as np
 
 from spherejax.foundations.checks import is_tracing
-from spherejax.program_cache.jit import CachedJit
 
 ALIGNMENT = 64
 """Bytes on whose multiples an array begins that JAX takes as it is; others it copies."""
@@ -84,11 +83,12 @@ def placed_rows(parts: Iterator[tuple[int, Any]], n: int) -> Any:
         return jax.device_put(rows, may_alias=True)
 
 
-def in_blocks(function: CachedJit, fixed: tuple, size: int, *arrays: Any) -> Any:
+def in_blocks(function: Any, fixed: tuple, size: int, *arrays: Any) -> Any:
     """A compiled function of rows, evaluated block after block: one program for any number of rows.
 
     Args:
-        function: of what is fixed and as many rows of each array; its results have a row for each.
+        function: made by `cached_jit`, of what is fixed and as many rows of each array; its results have a row for
+            each.
         fixed: its first arguments.
         size: rows of a block. The last one is filled up with its last row.
         arrays: of numbers, with a row each for all that is evaluated; one row at least.

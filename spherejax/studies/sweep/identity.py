@@ -45,8 +45,14 @@ def identity_of(build: TracedFunction, grid: Grid, wanted: Record) -> dict[str, 
     return {
         "program": build.fingerprint,
         "points": combined(*(numbers_fingerprint(build.function, grid.row(run)) for run in points_of(grid))),
-        "functions": {kept.name: kept.known_function.fingerprint for kept in wanted.kept if kept.known_function},
+        "functions": {kept.name: traced.fingerprint for kept in wanted.kept if (traced := _traced_function(kept))},
     }
+
+
+def _traced_function(kept: Kept) -> TracedFunction | None:
+    """The function that is recorded, its own or that of its derivatives, when it has been traced."""
+    function = (kept.inner or kept).function
+    return function if isinstance(function, TracedFunction) else None
 
 
 def with_known_functions(

@@ -25,7 +25,6 @@ from spherejax.motion.equations.quantities import Quantity, quantity
 from spherejax.motion.results.many_sensitivities import RunSlopes
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import Runs
-from spherejax.program_cache.fingerprints import TracedFunction
 
 Kind = Literal["samples", "final", "peak", "onsets", "time_in_contact", "function", "sensitivity"]
 Wanted = Sequence[str] | Mapping[str, Any] | Sequence[Any]
@@ -79,12 +78,6 @@ class Kept:
     function: Callable | None = None
     inner: "Kept | None" = None
     by: tuple[str, ...] = ()
-
-    @property
-    def known_function(self) -> TracedFunction | None:
-        """The function, its own or that of its derivatives, when it has been traced."""
-        function = (self.inner or self).function
-        return function if isinstance(function, TracedFunction) else None
 
     @property
     def dims(self) -> tuple[str, ...] | None:
