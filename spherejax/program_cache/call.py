@@ -137,6 +137,7 @@ class CachedCall:
             return self.function.traced(*leaves)
 
         with disk_cache.record_warnings() as has_warned, gc_paused():
+            # Unused arguments too: the caller passes all of them.
             self._traced = jax.jit(to_be_lowered, keep_unused=True).trace(*self.function.examples)
         self._has_warned = has_warned()
 
@@ -166,6 +167,7 @@ class CachedCall:
         content, blobs, _ = self._lowered
         module = ir.Module.parse(content)
         settings.extra_blobs().load(blobs)
+        # The program around it is lowered now, and has to be written with these blobs as well.
         settings.extra_blobs().note(blobs)
         if b"lapack_" in content:
             make_lapack_known()
@@ -183,6 +185,7 @@ def _digest(key: str) -> str:
 
 
 _within = Primitive("within")
+# Its tuple is flat: trees of results are put together outside of it.
 _within.multiple_results = True
 
 
@@ -197,11 +200,13 @@ def _shapes(*_: Any, operation: CachedCall) -> list[ShapedArray]:
 def _batched(leaves: Sequence, dims: Sequence, *, operation: CachedCall) -> tuple[Sequence, list[int]]:
     n = next(leaf.shape[dim] for leaf, dim in zip(leaves, dims, strict=True) if dim is not None)
     front = [leaf if not dim else jnp.moveaxis(leaf, dim, 0) for leaf, dim in zip(leaves, dims, strict=True)]
+    # None for what is the same for all: it is neither copied nor computed many times.
     found = operation.function.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
     return found, [0] * len(found)
 
 
 def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: CachedCall) -> tuple:
+    # No rule of its own: the function is traced into the program, where its own rules apply.
     return jax.jvp(operation.function.traced, tuple(leaves), tuple(map(ad.instantiate_zeros, tangents)))
 
 
@@ -209,6 +214,7 @@ def _lowering(context: Any, *operands: Any, operation: CachedCall) -> Sequence:
     if is_partitioned(context):  # what is kept was lowered for one device
         return lowered_replicated(operation.function.traced)(context, *operands)
     outer = context.module_context.module
+    # Lowered modules and blobs are for the CPU; for other platforms, and for several at once, it is traced.
     if tuple(context.module_context.platforms) == ("cpu",):
         with outer.context:
             module = operation.module()

@@ -16,6 +16,7 @@ class _Pauses:
     """How many callers, on all threads, have paused it: the collector is one for the process."""
 
     def __init__(self) -> None:
+        # Counted, since the first thread to leave must not switch it on for the others.
         self.lock, self.n, self.was_on = threading.Lock(), 0, False
 
     def begin(self) -> None:

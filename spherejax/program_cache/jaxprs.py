@@ -33,7 +33,7 @@ def make_lapack_known() -> None:
 def calls_python(jaxpr: Any) -> bool:
     """Whether a traced program calls Python when it runs, as no other process could."""
     return any(
-        "callback" in equation.primitive.name
+        "callback" in equation.primitive.name  # pure_callback, io_callback, debug_callback
         or any(getattr(each, "calls_python", False) for each in equation.params.values())  # operations of our own
         or any(map(calls_python, _programs_in(equation.params.values())))
         for equation in jaxpr.eqns

@@ -52,10 +52,12 @@ class CachedJit:
         """
         program, make, arrays = self._program_for(arguments, {})
         key = program.key
+        # Leaves are in the order of the arguments: the last ones are those of the last arguments.
         first = arrays[: len(arrays) - len(jax.tree.leaves(arguments[-n_last:]))]
         return lambda *last: self._evaluated(self._programs.get(key, make), [*first, *jax.tree.leaves(last)])
 
     def _evaluated(self, program: CompiledProgram, arrays: list) -> Any:
+        # An executable takes numbers only; within another program the function is a part of that.
         if any(isinstance(array, jax.core.Tracer) for array in arrays):
             with gc_paused():
                 return program.results(program.within(*arrays))
@@ -89,6 +91,7 @@ class CachedJit:
     def _program_for(self, arguments: tuple, named: dict) -> tuple[CompiledProgram, Callable, list]:
         """The program for these arguments, how it is made again, and the arrays that it takes."""
         key, static, arrays = call_key((arguments, named))
+        # Made again after an eviction too, by whoever holds `make`.
         make = partial(CompiledProgram.of, self._function, key, static, self._what, self._options)
         return self._programs.get(key, make), make, arrays
 

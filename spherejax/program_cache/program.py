@@ -60,6 +60,7 @@ class CompiledProgram:
     ):
         self.key: CacheKey | None = None
         self.has_been_called = False
+        # Of the function: profiles and JAX's events have it.
         self.name: str = getattr(made_from[0], "__name__", "program")
         self.jitted: Any = _jitted(run, self.name)
         self.made_from = made_from
@@ -203,7 +204,7 @@ class CompiledProgram:
             return None
         try:
             content, blobs, shapes, static = found
-            if b"lapack_" in content:
+            if b"lapack_" in content:  # names of functions are in it as text
                 make_lapack_known()
             # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
             trees = jax.tree.structure((tuple(self.examples), {})), jax.tree.structure(tuple(shapes))
@@ -320,6 +321,7 @@ def found_by_jax() -> Iterator[Callable[[], bool | None]]:
     """A function that says whether what is compiled in the context was loaded from JAX's cache; None where JAX does not
     say, for it has been told not to keep it, or uses other words."""
     _listen()
+    # JAX does not return it; its events say it, on the thread that compiles.
     _compiling.was_found = None if jax.config.values["jax_compilation_cache_dir"] else False
     yield lambda: _compiling.was_found
 

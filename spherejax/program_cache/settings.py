@@ -65,6 +65,7 @@ class Settings:
     began: float = field(default_factory=time.time)
 
 
+# One for the process: JAX's primitives and its compilation cache are, too.
 _settings = Settings()
 _blobs: list[ExtraBlobs] = []
 
@@ -73,7 +74,7 @@ def configure(settings: Settings) -> None:
     """Tell the cache of the package that uses it: once in a process, before any program is compiled."""
     global _settings
     _settings = settings
-    _blobs.clear()
+    _blobs.clear()  # they belong to the settings of before
 
 
 def current() -> Settings:

@@ -91,6 +91,7 @@ def parts_that_reach_tracers(tree: Any) -> tuple:
     return parts if parts and reaches_tracer(parts) else ()
 
 
+# Of each thread: another one may be in the middle of tracing.
 _reading = threading.local()
 
 _before_tracing: dict[tuple, str] = {}
@@ -144,6 +145,7 @@ class _Same:
         return self.value
 
 
+# By equality of structures: equal ones hold equal classes and functions.
 @lru_cache(maxsize=N_TREES)
 def _parts_of(tree: Any) -> tuple[_Same, ...]:
     return tuple(map(_Same, own_parts(tree)))
