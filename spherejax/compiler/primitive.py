@@ -23,6 +23,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from spherejax.compiler import private
 from spherejax.compiler.autodiff import Forward, Transposed
 from spherejax.compiler.emit.llvm import can_be_written
 from spherejax.compiler.emit.stablehlo import Shape, Writer, sizes
@@ -427,7 +428,7 @@ def is_called(line: StraightLine, lanes: Shape) -> bool:
 
 
 def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
-    if jax.config.values["jax_disable_jit"]:  # then there is nobody to write for
+    if private.is_jit_disabled():  # then there is nobody to write for
         return line.one_by_one(**how)(*arguments)
     key = tuple(how.items())
     if key not in line._jitted:

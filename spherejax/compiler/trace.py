@@ -2,13 +2,13 @@
 
 import itertools
 from contextlib import contextmanager
-from typing import Any
 
 import jax
 import jax.core
 import numpy as np
 from jax.extend import core as jex
 
+from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, by_entry
 from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.operations import BOOL, FLOAT, OF_PRIMITIVE, NotScalarizable, graph_dtype, inner_program
@@ -144,7 +144,7 @@ class Interpreter:
 
     def scan(self, parameters, inputs) -> list[np.ndarray]:
         """A loop with a static number of turns, unrolled."""
-        n_constants, n_carried = counts_of_loop(parameters)
+        n_constants, n_carried = private.counts_of_scan(parameters)
         constants, carried = inputs[:n_constants], inputs[n_constants : n_constants + n_carried]
         columns = inputs[n_constants + n_carried :]
         closed, length = parameters["jaxpr"], parameters["length"]
@@ -177,21 +177,9 @@ class Interpreter:
         ]
 
 
-def counts_of_loop(parameters: dict[str, Any]) -> tuple[int, int]:
-    """How many arguments of a `scan` stay the same in all turns, and how many are carried; the others are slices.
-
-    Args:
-        parameters: those of the operation; as two numbers until JAX 0.10, in a tree of all arguments from 0.11 on.
-    """
-    if "num_consts" in parameters:
-        return parameters["num_consts"], parameters["num_carry"]
-    fixed, carried, _ = parameters["ft_in"].unpack()
-    return len(fixed), len(carried)
-
-
 def _has_derivative(variable) -> bool:
-    """Whether something that is read may move. JAX has no public name for what is not read."""
-    return type(variable).__name__ != "DropVar" and variable.aval.dtype == FLOAT
+    """Whether something that is read may move."""
+    return not private.is_dropped(variable) and variable.aval.dtype == FLOAT
 
 
 def _each(function, *arrays: np.ndarray) -> np.ndarray:

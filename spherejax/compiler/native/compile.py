@@ -27,6 +27,7 @@ from typing import Any
 import jax
 import jax.ffi
 
+from spherejax.compiler import private
 from spherejax.compiler.emit.llvm import FUNCTION, FunctionText
 from spherejax.compiler.hooks import attached
 from spherejax.compiler.native import platforms
@@ -86,7 +87,7 @@ def _what_is_missing() -> tuple[str, str] | None:
 
 
 # JAX traces again what it has traced in another context.
-_context: Any = jax.make_user_context(False) if hasattr(jax, "make_user_context") else None
+_context: Any = private.new_context()
 _wanted = threading.local()
 
 
@@ -94,7 +95,7 @@ _wanted = threading.local()
 def native_code(enabled: bool = True) -> Iterator[None]:
     """Programs that are traced within become machine code, or they do not; without `jax.jit` none could be called."""
     before = native_code_enabled()
-    now = enabled and is_available() and not jax.config.values["jax_disable_jit"]
+    now = enabled and is_available() and not private.is_jit_disabled()
     if now == before:
         yield
         return

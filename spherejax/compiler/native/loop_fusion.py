@@ -26,13 +26,13 @@ from jax.extend import core as jex
 from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
+from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS
 from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.loops import looped
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, inner_program
 from spherejax.compiler.primitive import is_called
-from spherejax.compiler.trace import counts_of_loop
 
 SMALLEST_KERNEL = 2
 """Operations that are worth a function; XLA makes about one kernel of fewer by itself."""
@@ -208,7 +208,7 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
         is_loop: whether this is the body of a loop.
     """
     # In an order that is the same in all processes, for JAX finds kept programs by their text.
-    outs = (out for equation in equations for out in equation.outvars if not isinstance(out, jex.DropVar))
+    outs = (out for equation in equations for out in equation.outvars if not private.is_dropped(out))
     made = dict.fromkeys(outs)
     outputs = [out for out in made if out in whole or out in later]
     read = (a for equation in equations for a in equation.invars if isinstance(a, jex.Var) and a not in made)
@@ -268,7 +268,7 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
     else:
         changed = {"branches": _changed(parameters["branches"])} if name == "cond" else {}
         inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
-        outputs = [out for out in equation.outvars if not isinstance(out, jex.DropVar)]
+        outputs = [out for out in equation.outvars if not private.is_dropped(out)]
         whole = equation.replace(params={**parameters, **changed})
         found = _as_function([whole], inputs, outputs)(*(_read(a, known) for a in inputs))
         known.update(zip(outputs, found, strict=True))
@@ -352,7 +352,7 @@ def _vector_of(arrays: Sequence, group: Sequence[tuple[Any, int, tuple[int, ...]
 
 def _as_loop(parameters: Any, arguments: Sequence) -> list:
     """A scan, whose slices and counter are then operations of its turns like all others."""
-    (n_fixed, n_carried), n = counts_of_loop(parameters), parameters["length"]
+    (n_fixed, n_carried), n = private.counts_of_scan(parameters), parameters["length"]
     fixed, xs = arguments[:n_fixed], arguments[n_fixed + n_carried :]
     turn = jex.jaxpr_as_fun(parameters["jaxpr"])
 
@@ -427,16 +427,15 @@ def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Se
         return [*function(*arguments), *_witnesses(arguments)]
 
     # More than one device, and not by `jax.shard_map`, where each device has a program of its own.
-    if getattr(context.module_context.axis_context, "num_devices", 1) > 1:
+    if private.n_devices(context) > 1:
         # A native function cannot hold the collective operations that XLA's partitioner would put into it.
         return mlir.lower_fun(function, multiple_results=True)(context, *values)
     found = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
     (first, *_) = found
     call = first.owner
     if call.name == "func.call":  # anything else is right as well, and slower
-        words = {"xla_cpu_small_call": "true", "inlineable": "false"}
-        call.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(
-            {name: ir.StringAttr.get(word) for name, word in words.items()}
+        call.attributes[private.ATTRIBUTES] = ir.DictAttr.get(
+            {name: ir.StringAttr.get(word) for name, word in private.KERNEL_ATTRIBUTES.items()}
         )
     return found[: len(avals)]
 

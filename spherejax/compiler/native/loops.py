@@ -19,6 +19,7 @@ from jax.core import ShapedArray
 from jax.extend import core as jex
 from jax.interpreters import batching, mlir
 
+from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
 from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
@@ -35,7 +36,6 @@ from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE
 from spherejax.compiler.primitive import is_called
-from spherejax.compiler.trace import counts_of_loop
 
 _loop = jex.Primitive("loop_in_machine_code")
 _loop.multiple_results = True
@@ -264,7 +264,7 @@ class LoopText:
     def scan(self, parameters: Any, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
         """`jax.lax.scan`, as a loop that counts."""
         text, n = self.text, parameters["length"]
-        n_fixed, n_carried = counts_of_loop(parameters)
+        n_fixed, n_carried = private.counts_of_scan(parameters)
         fixed, begin, columns = values[:n_fixed], values[n_fixed : n_fixed + n_carried], values[n_fixed + n_carried :]
         carried = [self._slot(value) for value in begin]
         rows = [self._room(aval) for aval in avals[n_carried:]]

@@ -1,0 +1,178 @@
+"""What the compiler uses of JAX and XLA that is private or undocumented, in one place, with what happens without it.
+
+    python -m spherejax.compiler.private
+
+prints for the installed versions which of these parts are missing, and what that costs. The binary interface of calls
+is in `native/ffi_abi.py`. A missing part makes a program slower or ends with an error that names it. Results stay
+right.
+"""
+
+import importlib.util
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+from jax.extend import core as jex
+
+from spherejax.compiler.native import ffi_abi
+
+# Of JAX ---------------------------------------------------------------------------------------------------------------
+
+
+def new_context() -> Callable[[bool], Any] | None:
+    """A context of tracing that JAX's caches tell apart: what was traced in another one is traced again.
+
+    Returns:
+        `jax.make_user_context(False)`; None where JAX has none. Then there is no machine code: a program that was
+        traced with it would be taken for the one without.
+    """
+    return jax.make_user_context(False) if hasattr(jax, "make_user_context") else None
+
+
+def is_jit_disabled() -> bool:
+    """Whether `jax.disable_jit` is in force: then nothing is lowered, and machine code cannot be called.
+
+    Without the setting, or with another name, False: an operation that is evaluated one by one would then fail with
+    JAX's own error.
+    """
+    return bool(jax.config.values.get("jax_disable_jit", False))
+
+
+def is_dropped(variable: Any) -> bool:
+    """Whether nothing reads a result of an operation. JAX has no public name for what stands in its place.
+
+    By the name of its type: with another name it is False, and derivatives or outputs are made that nobody reads.
+    """
+    return type(variable).__name__ == "DropVar"
+
+
+def counts_of_scan(parameters: dict[str, Any]) -> tuple[int, int]:
+    """How many arguments of a `scan` stay the same in all turns, and how many are carried; the others are slices.
+
+    Args:
+        parameters: those of the operation; two numbers until JAX 0.10, a tree of all arguments from 0.11 on. With
+            neither of them a `KeyError` names the missing one: a wrong guess would mix arguments up.
+    """
+    if "num_consts" in parameters:
+        return parameters["num_consts"], parameters["num_carry"]
+    fixed, carried, _ = parameters["ft_in"].unpack()
+    return len(fixed), len(carried)
+
+
+def n_devices(context: Any) -> int:
+    """Over how many devices XLA partitions the program that is lowered in a context of a lowering rule.
+
+    One under `jax.shard_map`, where each device has a program of its own, and where JAX does not say.
+    """
+    return getattr(context.module_context.axis_context, "num_devices", 1)
+
+
+# Of XLA ---------------------------------------------------------------------------------------------------------------
+
+KERNEL_ATTRIBUTES = {"xla_cpu_small_call": "true", "inlineable": "false"}
+"""Frontend attributes of a called function that XLA's CPU compiler then makes one kernel (jaxlib 0.10).
+
+Where the first one means nothing the call is an ordinary one: right, and slower. XLA aborts the process where such a
+function has an argument that nothing reads; `loop_fusion` leaves none."""
+
+ATTRIBUTES = "mhlo.frontend_attributes"
+"""Name under which StableHLO hands such attributes on; with another name they are dropped."""
+
+
+# The check ------------------------------------------------------------------------------------------------------------
+
+
+class PrivatePart(NamedTuple):
+    """A private part.
+
+    Attributes:
+        name: what it is.
+        without: what happens where it is missing.
+        is_there: whether it is there, in the installed versions.
+    """
+
+    name: str
+    without: str
+    is_there: Callable[[], bool]
+
+
+def _scan_parameters() -> bool:
+    closed = jax.make_jaxpr(lambda x: jax.lax.scan(lambda c, _: (c * 2, c), x, None, length=2))(1.0)
+    (loop,) = (equation for equation in closed.jaxpr.eqns if equation.primitive.name == "scan")
+    try:
+        return counts_of_scan(loop.params) == (0, 1)
+    except (KeyError, AttributeError):
+        return False
+
+
+def _is_known_jaxlib() -> bool:
+    first, last = ffi_abi.KNOWN_JAXLIB
+    return first <= tuple(int(part) for part in version("jaxlib").split(".")[:2]) <= last
+
+
+def header() -> Path | None:
+    """The header of the binary interface that jaxlib installs; None where it installs none."""
+    found = importlib.util.find_spec("jaxlib")
+    places = [] if found is None else found.submodule_search_locations or []
+    paths = [Path(place) / "include" / "xla" / "ffi" / "api" / "c_api.h" for place in places]
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _is_interface_the_same() -> bool:
+    path = header()
+    if path is None:
+        return False
+    lines = path.read_text().splitlines()
+    wanted = f"#define XLA_FFI_API_MAJOR {ffi_abi.API_MAJOR}", f"#define XLA_FFI_API_MINOR {ffi_abi.API_MINOR}"
+    return all(line in lines for line in wanted)
+
+
+_NO_MACHINE_CODE = "no machine code, with one warning: XLA compiles everything, and first calls take longer"
+
+PARTS: Sequence[PrivatePart] = (
+    PrivatePart("a known version of jaxlib", _NO_MACHINE_CODE, _is_known_jaxlib),
+    PrivatePart("jax.make_user_context", _NO_MACHINE_CODE, lambda: new_context() is not None),
+    PrivatePart("llvmlite", _NO_MACHINE_CODE, lambda: importlib.util.find_spec("llvmlite") is not None),
+    PrivatePart(
+        "version 0.3 of XLA's interface of calls, in its header",
+        "offsets in native/ffi_abi.py have to be compared before this version is admitted to KNOWN_JAXLIB",
+        _is_interface_the_same,
+    ),
+    PrivatePart("numbers of arguments of `scan`", "loops are refused, with an error that names it", _scan_parameters),
+    PrivatePart(
+        "DropVar",
+        "derivatives are made that nobody reads: programs take longer to make",
+        lambda: hasattr(jex, "DropVar"),
+    ),
+    PrivatePart(
+        "the setting jax_disable_jit",
+        "an error of JAX's under jax.disable_jit",
+        lambda: "jax_disable_jit" in jax.config.values,
+    ),
+    PrivatePart(
+        "jax.extend.core.jaxprs_in_params",
+        "an AttributeError where loops are fused",
+        lambda: hasattr(jex, "jaxprs_in_params"),
+    ),
+)
+
+
+def missing() -> list[PrivatePart]:
+    """The parts that the installed versions do not have."""
+    return [part for part in PARTS if not part.is_there()]
+
+
+def main() -> int:
+    """Print what is missing; 1 where something is."""
+    print(f"jax {version('jax')}, jaxlib {version('jaxlib')}")
+    gone = missing()
+    for part in PARTS:
+        print(f"  missing: {part.name}; without it: {part.without}" if part in gone else f"  there: {part.name}")
+    return min(len(gone), 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

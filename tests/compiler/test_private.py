@@ -1,0 +1,104 @@
+"""What is private of JAX and XLA: it is as we say, and where a part is missing the results stay right."""
+
+import re
+import shutil
+import subprocess
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from spherejax.compiler import native_code, private, scalarize
+from spherejax.compiler.native import compile as native
+from spherejax.compiler.native import ffi_abi, loop_fusion
+
+OFFSETS = {
+    "FRAME_EXTENSION": "offsetof(XLA_FFI_CallFrame, extension_start)",
+    "FRAME_ARGUMENTS": "offsetof(XLA_FFI_CallFrame, args) + offsetof(XLA_FFI_Args, args)",
+    "FRAME_RESULTS": "offsetof(XLA_FFI_CallFrame, rets) + offsetof(XLA_FFI_Rets, rets)",
+    "BUFFER_DATA": "offsetof(XLA_FFI_Buffer, data)",
+    "EXTENSION_TYPE": "offsetof(XLA_FFI_Extension_Base, type)",
+    "EXTENSION_METADATA": "XLA_FFI_Extension_Metadata",
+    "METADATA_OF_EXTENSION": "offsetof(XLA_FFI_Metadata_Extension, metadata)",
+    "METADATA_MAJOR": "offsetof(XLA_FFI_Metadata, api_version) + offsetof(XLA_FFI_Api_Version, major_version)",
+    "METADATA_MINOR": "offsetof(XLA_FFI_Metadata, api_version) + offsetof(XLA_FFI_Api_Version, minor_version)",
+    "METADATA_TRAITS": "offsetof(XLA_FFI_Metadata, traits)",
+    "API_MAJOR": "XLA_FFI_API_MAJOR",
+    "API_MINOR": "XLA_FFI_API_MINOR",
+}
+
+
+@pytest.mark.skipif(shutil.which("cc") is None or private.header() is None, reason="no C compiler, or no header")
+def test_offsets_are_those_of_the_header_that_is_installed(tmp_path):
+    header = private.header()
+    assert header is not None
+    prints = "\n".join(f'printf("{name} %zu\\n", (size_t)({what}));' for name, what in OFFSETS.items())
+    prints += '\nprintf("size %zu\\n", sizeof(XLA_FFI_CallFrame));'
+    source = tmp_path / "offsets.c"
+    source.write_text(
+        f'#include <stdio.h>\n#include <stddef.h>\n#include "{header}"\nint main(void) {{\n{prints}\n}}\n'
+    )
+    include = header.parents[3]
+    subprocess.run(["cc", "-std=c11", f"-I{include}", source, "-o", tmp_path / "offsets"], check=True)
+    said = subprocess.run([tmp_path / "offsets"], check=True, capture_output=True, text=True).stdout
+    found = dict(re.findall(r"(\w+) (\d+)", said))
+    assert {name: int(found[name]) for name in OFFSETS} == {name: getattr(ffi_abi, name) for name in OFFSETS}
+    assert ffi_abi.FRAME_RESULTS + 8 <= 8 * ffi_abi.FRAME_WORDS
+
+
+def test_the_check_names_what_is_missing(monkeypatch, capsys):
+    monkeypatch.setattr(ffi_abi, "KNOWN_JAXLIB", ((90, 0), (91, 0)))
+    monkeypatch.delattr(jax, "make_user_context", raising=False)
+    names = {part.name for part in private.missing()}
+    assert {"a known version of jaxlib", "jax.make_user_context"} <= names
+    assert private.main() == 1
+    said = capsys.readouterr().out
+    assert "missing: a known version of jaxlib; without it: no machine code, with one warning" in said
+
+
+def smooth(y):
+    return jnp.sin(y) * y + 1.0
+
+
+def test_without_the_context_there_is_no_machine_code_but_one_warning(monkeypatch):
+    monkeypatch.delattr(jax, "make_user_context", raising=False)
+    with pytest.warns(UserWarning, match="has no make_user_context"):
+        assert not native.is_available.__wrapped__()
+    monkeypatch.setattr(native, "is_available", lambda: False)
+    program, y = scalarize(smooth, np.ones(3)), np.array([0.1, 0.2, 0.3])
+    with native_code():
+        np.testing.assert_allclose(jax.jit(program)(y), np.sin(y) * y + 1.0, rtol=1e-14)
+
+
+def test_a_name_of_a_dropped_variable_that_is_not_known_changes_no_result(monkeypatch):
+    program = scalarize(smooth, np.ones(3))
+    monkeypatch.setattr(private, "is_dropped", lambda variable: False)
+    other = scalarize(smooth, np.ones(3))
+    y = np.array([0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(program(y), other(y))
+    np.testing.assert_array_equal(jax.jacfwd(program)(y), jax.jacfwd(other)(y))
+
+
+def test_parameters_of_scan_that_are_not_known_are_refused_by_name():
+    with pytest.raises(KeyError, match="ft_in"):
+        private.counts_of_scan({"other": 1})
+
+
+@pytest.mark.skipif(not native_code.is_available(), reason="no machine code with this jaxlib")
+def test_an_attribute_that_means_nothing_to_xla_makes_ordinary_calls(monkeypatch):
+    """As it would be if XLA gave `xla_cpu_small_call` another name."""
+    monkeypatch.setattr("spherejax.compiler.primitive.SMALLEST_CALLED", 0)
+    monkeypatch.setattr(private, "KERNEL_ATTRIBUTES", {"no_such_attribute": "true", "inlineable": "false"})
+    # The loop is left to XLA, with fused kernels.
+    monkeypatch.setattr(loop_fusion, "_as_a_whole", lambda equation, values: None)
+    program = scalarize(smooth, np.ones(3))
+
+    def three_times(y):
+        return jax.lax.fori_loop(0, 3, lambda i, y: 0.1 * program(y) + jnp.cos(y) * i, y)
+
+    y = np.array([0.1, 0.2, 0.3])
+    expected = y
+    for i in range(3):
+        expected = 0.1 * (np.sin(expected) * expected + 1.0) + np.cos(expected) * i
+    np.testing.assert_allclose(jax.jit(native_code()(three_times))(y), expected, rtol=1e-13)

@@ -1,0 +1,114 @@
+"""The compiler on small functions that have nothing to do with mechanisms: Lorenz, a pendulum, a dense solve."""
+
+import ctypes
+import shutil
+import subprocess
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from spherejax.compiler import NotScalarizable, ScalarProgram, linear_algebra, native_code, scalarize
+
+
+def lorenz(t, y, args):
+    del t
+    sigma, rho, beta = args
+    return jnp.stack([sigma * (y[1] - y[0]), y[0] * (rho - y[2]) - y[1], y[0] * y[1] - beta * y[2]])
+
+
+def pendulum(t, y, args):
+    """Driven and damped, with a guard at a standstill: branches, functions of the library, powers."""
+    length, damping = args
+    speed = jnp.sqrt(y[1] ** 2 + 1e-12)
+    drag = jnp.where(speed > 0.1, damping * speed * y[1], 0.0)
+    return jnp.stack([y[1], -9.81 / length * jnp.sin(y[0]) - drag + jnp.exp(-t) * jnp.cos(3 * t)])
+
+
+def dense_solve(t, y, args):
+    """A linear system whose matrix depends on the state, symmetric and positive definite."""
+    matrix = args @ args.T + jnp.diag(3.0 + y**2)
+    right = jnp.sin(t) + jnp.cos(y)
+    return linear_algebra.symmetric_solve(matrix, right[:, None])[:, 0]
+
+
+_random = np.random.default_rng(5)
+CASES = {
+    "lorenz": (lorenz, np.array([1.0, 2.0, 3.0]), np.array([10.0, 28.0, 8 / 3])),
+    "pendulum": (pendulum, np.array([0.3, -0.7]), np.array([1.2, 0.05])),
+    "dense solve": (dense_solve, _random.normal(size=4), _random.normal(size=(4, 4))),
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    function, y, args = CASES[request.param]
+    return function, scalarize(function, 0.0, y, args), (0.4, y, args)
+
+
+def independent(function, t, y, args):
+    """The same by NumPy, without JAX's operations where there are any to replace."""
+    if function is dense_solve:
+        return np.linalg.solve(args @ args.T + np.diag(3.0 + y**2), np.sin(t) + np.cos(y))
+    if function is lorenz:
+        s, r, b = args
+        return np.array([s * (y[1] - y[0]), y[0] * (r - y[2]) - y[1], y[0] * y[1] - b * y[2]])
+    speed = np.hypot(y[1], 1e-6)
+    drag = args[1] * speed * y[1] if speed > 0.1 else 0.0
+    return np.array([y[1], -9.81 / args[0] * np.sin(y[0]) - drag + np.exp(-t) * np.cos(3 * t)])
+
+
+def test_a_program_computes_what_the_function_says(case):
+    function, program, given = case
+    expected = independent(function, *given)
+    np.testing.assert_allclose(program(*given), expected, rtol=1e-12)
+    np.testing.assert_allclose(program.compute(*given), expected, rtol=1e-12)
+    np.testing.assert_allclose(jax.jit(program)(*given), expected, rtol=1e-12)
+
+
+def test_its_derivatives_are_those_of_the_function(case):
+    function, program, given = case
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(mode(program, 1)(*given), mode(function, 1)(*given), rtol=1e-10, atol=1e-12)
+    check_grads(lambda y: program(given[0], y, given[2]), (given[1],), order=1, rtol=1e-6)
+
+
+def test_it_is_mapped_over_lanes(case):
+    function, program, (t, y, args) = case
+    many = y + 0.01 * np.arange(5)[:, None]
+    mapped = jax.jit(jax.vmap(program, (None, 0, None)))(t, many, args)
+    np.testing.assert_allclose(mapped, [independent(function, t, one, args) for one in many], rtol=1e-12)
+
+
+@pytest.mark.skipif(not native_code.is_available(), reason="no machine code with this jaxlib")
+def test_as_machine_code_it_computes_the_same(case, monkeypatch):
+    monkeypatch.setattr("spherejax.compiler.primitive.SMALLEST_CALLED", 0)  # programs this small are XLA's otherwise
+    function, program, given = case
+    with native_code(), native_code.record_ffi_targets() as codes:
+        found = jax.jit(lambda *arguments: program(*arguments))(*given)
+    np.testing.assert_allclose(found, independent(function, *given), rtol=1e-12)
+    (content,) = codes().values()
+    assert content[:4] == b"\x7fELF" or content[:4] == b"\xcf\xfa\xed\xfe" or content[:2] == b"\x64\x86"
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_as_c_it_computes_the_same(case, tmp_path):
+    function, program, given = case
+    source, library = tmp_path / "program.c", tmp_path / "program.so"
+    source.write_text(f"{ScalarProgram.C_PRELUDE}\n{program.c_source('rate')}")
+    subprocess.run(["cc", "-std=c11", "-O1", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+    # Two functions: what depends on the leading argument alone goes ahead, into an array that the other one reads.
+    assert "rate" in source.read_text()
+    assert ctypes.CDLL(str(library)) is not None
+    assert program.n_operations >= len(independent(function, *given))
+
+
+def test_what_has_no_rule_is_refused_by_name():
+    with pytest.raises(NotScalarizable, match="'sort' has no scalar rule") as refused:
+        scalarize(lambda t, y, args: jnp.sort(y), 0.0, np.ones(3), np.ones(1))
+    assert not refused.value.is_too_large
+    with pytest.raises(NotScalarizable, match="more than 3 scalar operations") as refused:
+        scalarize(lorenz, 0.0, np.ones(3), np.ones(3), maximum_operations=3)
+    assert refused.value.is_too_large
