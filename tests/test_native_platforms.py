@@ -268,7 +268,7 @@ OF_SYSTEM = {
     "arm64-apple-darwin23.0.0": {"bzero", "__bzero", "memset_pattern16"},
     "x86_64-pc-windows-msvc": {"__chkstk"},
 }
-CALLED = re.compile(r"^\s+(?:bl|callq?|jmp|b)\s+_?([A-Za-z_]\w*)(?:@PLT)?\s*(?:[#;/].*)?$", re.MULTILINE)
+CALLED = re.compile(r"^\s+(?:bl|callq?|jmp|b)\s+([A-Za-z_]\w*)(?:@PLT)?\s*(?:[#;/].*)?$", re.MULTILINE)
 
 
 def symbols_of(text, triple, cpu, features, is_wide, is_optimised):
@@ -288,7 +288,10 @@ def symbols_of(text, triple, cpu, features, is_wide, is_optimised):
     own = {function.name for function in module.functions if not function.is_declaration}
     # Calls have their names beside them only where everything is near.
     near = llvm.Target.from_triple(triple).create_target_machine(codemodel="small", **how)
-    return {name for name in CALLED.findall(near.emit_assembly(module)) if name not in own and name[0] != "L"}
+    called = CALLED.findall(near.emit_assembly(module))
+    if "darwin" in triple:  # each name of C has an underscore in front
+        called = [name.removeprefix("_") for name in called]
+    return {name for name in called if name not in own and name[0] != "L"}
 
 
 def calls_of(texts, triple, cpu, features):
