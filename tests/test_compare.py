@@ -12,6 +12,7 @@ from spherejax import cli
 from spherejax.output.plot.curves import Curves, axis_of_motion
 from spherejax.output.plot.eccentricity import eccentricity_paths
 from spherejax.output.plot.histories import four_histories
+from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.style import MODEL_COLORS, model_colors
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subjects.own import own_mechanism
@@ -196,6 +197,13 @@ def test_energies_are_told_in_a_unit_that_fits():
     large = curves("a")
     figure = four_histories([replace(large, energy_change=-40.0 * TS)], curves("ideal", "ideal", None), "loss")
     assert figure.axes[3].get_ylabel() == "energy change [J]"
+
+
+def test_a_body_at_rest_is_drawn():
+    still = replace(curves("still", "dry"), **dict.fromkeys(("position", "velocity", "acceleration"), 0 * TS - 9.81))
+    at_rest = replace(still, label="ideal", kind="ideal")
+    four_histories([still], at_rest, "nothing moves").canvas.draw()  # a warning is an error
+    phase_portraits({"ideal": at_rest, "still": still}, "nothing moves").canvas.draw()
 
 
 @pytest.mark.slow

@@ -248,6 +248,8 @@ def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 97.0,
     room = margin * max(high - low, 1e-300)
     lowest, highest = min(v.min() for v in finite), max(v.max() for v in finite)
     bottom, top = max(low - room, lowest - 0.05 * room), min(high + room, highest + 0.05 * room)
+    if not top - bottom > 1e-12 * max(abs(bottom), abs(top)):  # a constant: the axis is found by matplotlib
+        return
     ax.set_ylim(bottom, top)
     if lowest < bottom - 0.05 * room or highest > top + 0.05 * room:
         note(ax, f"axis clipped; peaks from {lowest:.3g} to {highest:.3g}")
