@@ -204,12 +204,9 @@ def test_a_torsional_stop(solver):
     """A wheel between its limits: the closed form of the ball, with angles."""
 
     def end(numbers):
-        stiffness, start, speed, inertia = numbers
-        half = start / 2
-        wheel = sj.Body(
-            1.0, inertia * jnp.ones(3), quaternion=jnp.array([jnp.cos(half), 0.0, 0.0, jnp.sin(half)]),
-            angular_velocity=speed * jnp.array([0.0, 0.0, 1.0]),
-        )  # fmt: skip
+        stiffness, speed, inertia = numbers
+        spin = speed * jnp.array([0.0, 0.0, 1.0])
+        wheel = sj.Body(1.0, inertia * jnp.ones(3), angular_velocity=spin)
         limits = sj.TorsionalStop(("ground", "wheel"), (0.0, 0.0, 1.0), smallest=FAR, largest=NEAR, stiffness=stiffness)
         joint = sj.Revolute(("ground", "wheel"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         scene = sj.Scene({"wheel": wheel}, {"joint": joint}, {"limits": limits}, gravity=(0.0, 0.0, 0.0))
@@ -217,10 +214,12 @@ def test_a_torsional_stop(solver):
         q = run.quaternion("wheel")[-1]
         return jnp.stack([2 * jnp.arctan2(q[3], q[0]), run.angular_velocity("wheel")[-1, 2]])
 
-    numbers = jnp.array([1e6, 0.0, 1.0, 1.0])
-    slopes = jax.jacfwd(end)(numbers) * numbers.at[1].set(1.0)
-    wanted = jax.jacfwd(lambda n: exact(*n, 0.6))(numbers) * numbers.at[1].set(1.0)
-    np.testing.assert_allclose(slopes, wanted, atol=1e-6)
+    def wanted(numbers):
+        stiffness, speed, inertia = numbers
+        return exact(stiffness, 0.0, speed, inertia, 0.6)
+
+    numbers = jnp.array([1e6, 1.0, 1.0])
+    np.testing.assert_allclose(jax.jacfwd(end)(numbers) * numbers, jax.jacfwd(wanted)(numbers) * numbers, atol=1e-6)
 
 
 @pytest.mark.slow
@@ -233,6 +232,16 @@ def test_a_sweep_records_them():
                       record=[sj.Sensitivity("final position.ball", by=("start",))])  # fmt: skip
     slopes = np.asarray(result["sensitivity_final_position.ball"])
     np.testing.assert_allclose(slopes[..., 0, 0], -1.0, atol=1e-6)
+
+
+def test_the_reverse_sweep_says_that_it_is_not_sure():
+    """Right to 2e-9 after one impact on 1e8 N/m, but wrong by 7e-4 after three."""
+
+    def last(run):
+        return run.position("ball")[-1, 0]
+
+    with pytest.raises(sj.SimulationWarning, match=r"'far' and 'near'.*mode='forward'"):  # warnings are errors here
+        sj.sensitivity(ball_scene, {"stiffness": 1e8, "start": 0.0}, np.array([0.0, 0.5]), of=last, mode="reverse")
 
 
 @pytest.mark.parametrize(

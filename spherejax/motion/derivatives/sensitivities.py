@@ -265,14 +265,18 @@ def refuse_through_kinks(plan: Plan, method: str) -> None:
 
 def through_kinks(plan: Plan, method: str) -> str:
     """Why there is no derivative by a method, and what to do."""
+    return (
+        f"derivatives by {method} are not right through {names_of_kinks(plan)}: where it begins to press, its "
+        "stiffness may be there at once, and a step with stages on both sides gives derivatives that are wrong by any "
+        "amount, or not finite. Leave solver= and adjoint= out, or take solver=spherejax.Rodas5P()"
+    )
+
+
+def names_of_kinks(plan: Plan) -> str:
+    """The joints and forces whose stiffness may be there at once, in words; empty without."""
     system = example_of(plan.structure)
     contacts = [name for i, name in enumerate(system.contact_joints) if i in kinks_of(plan.structure)]
-    names = " and ".join(map(repr, (*contacts, *system.touching_forces)))
-    return (
-        f"derivatives by {method} are not right through {names}: where it begins to press, its stiffness may be there "
-        "at once, and a step with stages on both sides gives derivatives that are wrong by any amount, or not finite. "
-        "Leave solver= and adjoint= out, or take solver=spherejax.Rodas5P()"
-    )
+    return " and ".join(map(repr, (*contacts, *system.touching_forces)))
 
 
 NO_SECOND_DERIVATIVES = (
