@@ -256,3 +256,15 @@ def test_a_scene_file_is_compared_on_the_command_line(tmp_path, capsys, monkeypa
         "models.png", "eccentricity.png", "difference.png", "time_ratio.png", "mechanism.png", "dry.nc",
     }  # fmt: skip
     assert "Joint models of pin compared" in (tmp_path / "page.html").read_text()
+
+
+def test_a_bulk_of_equal_values_has_an_axis():
+    """The acceleration of a body in free fall with one impact: equal limits are a warning of Matplotlib's."""
+    from matplotlib.figure import Figure
+
+    from spherejax.output.plot.style import limit_by_bulk
+
+    axes = Figure().subplots()
+    limit_by_bulk(axes, [np.where(np.arange(1000) == 3, 700.0, -9.81)])
+    low, high = axes.get_ylim()
+    assert low < -9.81 < high < 0
