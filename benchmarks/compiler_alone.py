@@ -107,7 +107,7 @@ def variants(function: Callable, y0: np.ndarray, args: np.ndarray, t1: float) ->
 
 def main() -> None:
     """Measure, or check."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="short runs, results compared, no times")
     is_check = parser.parse_args().check
     print(f"{'problem':14} {'how':16} {'steps':>7} {'first call':>12} {'a run':>12} {'a step':>12}")
