@@ -138,12 +138,22 @@ def test_a_failed_audit_names_the_joint_and_the_body():
     assert text.startswith("the energy rose by more than was put in (2 times the limit: the ball of joint 'socket'")
     assert "were violated (3 times the limit: joint 'hinge'" in text
     assert "quaternion" not in text
+    # An angle about an axis that has tipped over is not mended by a tighter tolerance.
+    turns, axes = CHECKS.index("turns"), CHECKS.index("axes")
+    shares = np.full(len(CHECKS), 0.1)
+    shares[turns] = 1.4
+    assert "tighten rtol" in findings(shares)
+    shares[axes] = 7.0
+    assert "tighten rtol" not in findings(shares)
+    assert "give the two bodies a joint about that axis" in findings(shares)
 
 
 def test_every_sound_run_shows_what_was_looked_at():
     joint = sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1))
     run = sj.simulate(sj.gallery.four_bar(joint), jnp.linspace(0.0, 0.05, 6))
-    assert [check for check in CHECKS if check not in run.audit] == ["tilt", "film"]  # a ball may tilt, and is dry
+    assert [check for check in CHECKS if check not in run.audit] == [
+        "rotations", "turns", "tilt", "film", "axes",
+    ]  # nothing has an angle, a ball may tilt, and it is dry  # fmt: skip
     shares = np.asarray(run.stats.audit)
     assert shares.shape == (len(CHECKS),)
     assert np.all(shares < 0.1)

@@ -127,7 +127,10 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     fatal = zip(CHECKS[:N_FATAL], np.asarray(shares)[..., :N_FATAL], strict=True)
     found = [(check, share) for check, share in fatal if not share <= 1]
     where = {check: f": {part}" for check, part in suspected.items()}
-    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
+    # An angle about an axis that has tipped over does not exist, so no tolerance counts its turns: say that instead.
+    is_undefined = np.asarray(shares)[..., CHECKS.index("axes")] > 1
+    texts = FINDINGS | ({"turns": f"an angle is not defined: {FINDINGS['axes']}"} if is_undefined else {})
+    return "; ".join(f"{texts[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
 
 
 def cautions(shares) -> str:
@@ -139,6 +142,34 @@ def cautions(shares) -> str:
     worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
     found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
     return "; ".join(f"{FINDINGS[check]} ({share:.3g} times that)" for check, share in found)
+
+
+def cautioned(system: System, shares, y: Float[Array, " n_flat"]) -> list[str]:
+    """The parts that the words of `cautions` may be about, by name.
+
+    Args:
+        system: the system, its numbers known.
+        shares: as for `findings`, of one run.
+        y: a flat state of the run.
+    """
+    is_beyond = dict(zip(CHECKS, np.asarray(shares) > 1, strict=True))
+    state = unpack(system.layout, jnp.asarray(y))
+    motions = body_motions(system, state)
+    parts = []
+    for name in system.contact_joints:
+        joint: Any = system.spherical(name)
+        limits = {
+            "conformity": joint.model.largest_ratio,
+            "film": joint.model.offset_ratio,
+            "tilt": joint.share_of_tilt(joint.relative_motion(motions)),
+        }
+        if any(is_beyond[check] and limit is not None for check, limit in limits.items()):
+            parts.append(f"joint {name!r}")
+    if is_beyond["axes"]:
+        forces: Any = system.forces_with(state.memory)
+        angles = [slot.joint for slot in system.force_slots if forces[slot.joint].tilts(motions)]
+        parts += [f"force element {name!r}" for name in angles]
+    return parts
 
 
 def suspects(system: System, t: float, y: Float[np.ndarray, " size"]) -> dict[str, str]:

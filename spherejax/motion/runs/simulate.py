@@ -24,7 +24,7 @@ from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.audit import cautions
+from spherejax.motion.integration.audit import cautioned, cautions
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.integration.one_run import bound_run, can_be_a_job
 from spherejax.motion.integration.status import REMEDIES, OutOfRangeWarning, SimulationError, SimulationWarning, Status
@@ -363,9 +363,9 @@ def _reported(run: Trajectory, throw: bool) -> Trajectory:
         warnings.warn(seen.diagnosis, SimulationWarning, stacklevel=3)
     said = cautions(seen.stats.audit)
     if said:
-        limited = [name for name in run.system.contact_joints if _is_limited(seen.system, name)]
-        of = f"joint {limited[0]!r}" if len(limited) == 1 else f"one of joints {', '.join(map(repr, limited))}"
-        warnings.warn(f"{of}: {said}", OutOfRangeWarning, stacklevel=3)
+        parts = cautioned(seen.system, seen.stats.audit, seen.y_reached)
+        of = f"one of {', '.join(parts)}" if len(parts) > 1 else "".join(parts)
+        warnings.warn(f"{of or 'the run'}: {said}", OutOfRangeWarning, stacklevel=3)
     return run
 
 
@@ -387,8 +387,3 @@ def _dependent(x: Array, passed: Array) -> Array:
 def _dependent_jvp(primals, tangents):
     x, passed = primals
     return x * passed, tangents[0] * passed
-
-
-def _is_limited(system: System, joint: str) -> bool:
-    model: Any = system.spherical(joint).model
-    return model.largest_ratio is not None or model.offset_ratio is not None
