@@ -377,7 +377,7 @@ class _Reader:
 
     def _text(self, value: Any) -> None:
         text = repr(value)
-        without = _without_addresses(text)
+        without = without_addresses(text)
         # With an address in its text it may be anything, and is only equal to itself: as user code is.
         self._skips(without != text, value)
         self.word(without)
@@ -479,5 +479,6 @@ def _as_list(slots: Any) -> list[str]:
     return [slots] if isinstance(slots, str) else list(slots)
 
 
-def _without_addresses(text: str) -> str:
+def without_addresses(text: str) -> str:
+    """A text that Python makes of an object, as it is in each process."""
     return re.sub(r" at 0x[0-9a-f]+|id=\d+", "", text)

@@ -20,6 +20,7 @@ from typing import Any
 import jax
 
 from spherejax.program_cache import settings
+from spherejax.program_cache.fingerprints import without_addresses
 from spherejax.program_cache.installed import is_installed
 
 
@@ -116,7 +117,8 @@ class _SeenModule:
             # Not instances of classes derived from these: an enumeration is a class of ours, and its members too.
             if type(value) in (int, float, bool, str, tuple):
                 if with_constants and key == key.upper():
-                    constants.append(f"{name}.{key}={value!r}\0")
+                    # A tuple may hold functions, whose texts have addresses: another process would find no entry.
+                    constants.append(f"{name}.{key}={without_addresses(repr(value))}\0")
             elif not _is_original(value, name):
                 return
         self.words = "".join(constants).encode()

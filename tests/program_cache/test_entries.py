@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from spherejax.program_cache import cached_jit, disk_cache, settings
+from spherejax.program_cache import cached_jit, disk_cache, package_state, settings
 
 
 @pytest.fixture
@@ -68,6 +68,20 @@ def test_without_a_package_programs_are_kept_in_memory_alone(folder):
     assert [float(doubled(jnp.float64(x))) for x in (1.0, 2.0)] == [2.0, 4.0]
     assert len(traced) == 1
     assert list(folder.iterdir()) == []
+
+
+def test_constants_that_hold_functions_are_the_same_in_each_process():
+    """A table of records with functions is a constant; with their addresses in the key no process found an entry."""
+
+    def words(number):
+        names = {"TABLE": (lambda x: x, number, len), "SCALE": 2.0}
+        return package_state._SeenModule("none", names, with_constants=True).words
+
+    first, again = words(1), words(1)
+    assert first == again
+    assert first is not None
+    assert b"0x" not in first
+    assert words(2) != first
 
 
 def test_a_warning_is_told_to_the_contexts_around_it():
