@@ -249,7 +249,7 @@ def test_a_scene_file_is_compared_on_the_command_line(tmp_path, capsys, monkeypa
     out = capsys.readouterr().out
     assert "c = 0.20 mm" in out
     assert "0.02 s of motion (slider, x)" in out
-    rows = {row["model"]: row for row in csv.DictReader((tmp_path / "found" / "table.csv").open())}
+    rows = {row["model"]: row for row in csv.DictReader((tmp_path / "found" / "table.csv").read_text().splitlines())}
     assert list(rows) == ["ideal", "dry", "friction", "lubricated", "bushing"]
     assert float(rows["ideal"]["time_ratio [-]"]) == 1.0
     assert {path.name for path in (tmp_path / "found").iterdir()} >= {
