@@ -1,8 +1,7 @@
 """Runs of `simulate`: each is a lane of its own, and `jax.vmap` of it a queue of runs.
 
-A run of numbers is two programs, its start and its windows of samples, which serve any number of samples above two;
-runs of two samples have two of their own. A run within `jax.jit`, and one with its derivatives, is a program for its
-samples.
+A run of numbers is two programs, its start and its windows of samples, which serve any number of samples. A run within
+`jax.jit`, and one with its derivatives, is a program for its samples.
 """
 
 import math
@@ -37,15 +36,7 @@ from spherejax.motion.integration.integrate import (
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.lanes.operation import runs
-from spherejax.motion.integration.lanes.windows import (
-    Paused,
-    WindowPace,
-    WindowProgress,
-    begun,
-    gone_on,
-    window_at,
-    window_length,
-)
+from spherejax.motion.integration.lanes.windows import Paused, WindowPace, WindowProgress, begun, gone_on, window_at
 from spherejax.motion.integration.row_blocks import as_numbers, placed_rows
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
@@ -84,7 +75,7 @@ def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are
     if can_be_a_job(plan.structure, options):
         request = _Request.of(plan.structure, options)
         given = plan, request, values, known, ts, start, values_are_legal
-        return _in_windows(*given) if ts.shape[0] > 1 and _are_known(given) else integrated.bound(*given)
+        return _in_windows(*given) if ts.shape[0] > 2 and _are_known(given) else integrated.bound(*given)
     return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
 
 
@@ -106,7 +97,7 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
     theta[list(plan.unknown)] = values
     described = None if start is None else jnp.asarray(start.y)
     start = _as_flying(plan, theta, times[0], start)
-    begin = started.bound(plan, request, values, known, ends, window_length(len(times)), start, values_are_legal)
+    begin = started.bound(plan, request, values, known, ends, start, values_are_legal)
     known_how: list[Callable] = []
 
     def run() -> Outcome:
@@ -301,12 +292,10 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
 
 
 @cached_jit(what="the start of a run", options=SOON)
-def started(
-    plan: Plan, request: _Request, values, known, ends, n_window: int, start, values_are_legal
-) -> tuple[Paused, Assembly]:
+def started(plan: Plan, request: _Request, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
     """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
     job = request.job(plan, values, known, ends, start, values_are_legal)
-    run = begun(request.problem(plan, ends), job.numbers, job.y0, ends, n_window, job.may_run, job.status)
+    run = begun(request.problem(plan, ends), job.numbers, job.y0, ends, job.may_run, job.status)
     return run, job.assembly
 
 

@@ -26,8 +26,7 @@ from spherejax.motion.integration.status import Status
 
 WINDOW = 2048
 """Samples of a window. To begin a run and to pause it take some 0.2 ms each: with windows of 1024, 200,001 samples of a
-four-bar with friction cost a tenth more; with windows of 16,384, a run of few samples does. A run from one instant to
-another has a window of two: with one of 2048 a dry four-bar of 558 steps took 5.4 ms instead of 4.3 ms."""
+four-bar with friction cost a tenth more; with windows of 16,384, a run of few samples does."""
 
 
 class RunUnderWay(NamedTuple):
@@ -89,16 +88,11 @@ class _ArrayForm:
     shape: tuple[int, ...]
 
 
-def window_length(n_samples: int) -> int:
-    """How many samples a window of a run with so many has."""
-    return WINDOW if n_samples > 2 else 2
-
-
 def window_at(ts: Float[np.ndarray, " n"], first: int) -> Float[np.ndarray, " w"]:
     """The sample times from one on, as a window. That one has been written before, and is not written again; what is
     left of the last window is infinite, and never comes."""
-    window = np.full(window_length(len(ts)), np.inf)
-    part = ts[first : first + len(window)]
+    window = np.full(WINDOW, np.inf)
+    part = ts[first : first + WINDOW]
     window[: len(part)] = part
     return window
 
@@ -156,9 +150,7 @@ SHORTEST_TURN = 1e-7
 """Time that a turn takes at least [s]: clocks of some systems have ticks of 16 ms."""
 
 
-def begun(
-    problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], n_window: int, may_run, status
-) -> Paused:
+def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> Paused:
     """A run before its first window.
 
     Args:
@@ -166,13 +158,12 @@ def begun(
         parameters: of the run.
         y0: state at the start.
         ends: of the motion [s].
-        n_window: samples of its windows; with two there are none within a step, and methods leave out what serves them.
         may_run: whether it is to be made.
         status: what it reports otherwise.
     """
     parameters, y0, may_run, status = jax.tree.map(lambda x: jnp.asarray(x)[None], (parameters, y0, may_run, status))
-    # What the sample times are is not needed before the run goes on.
-    times = jnp.full(n_window, ends[1]).at[0].set(ends[0])
+    # As many sample times as any window has; what they are is not asked before the run goes on.
+    times = jnp.full(WINDOW, ends[1]).at[0].set(ends[0])
 
     def begin() -> RunUnderWay:
         queue = Queue(problem, parameters, y0, times, may_run, status, Block())
