@@ -152,7 +152,7 @@ def cautioned(system: System, shares, y: Float[Array, " n_flat"]) -> list[str]:
         shares: as for `findings`, of one run.
         y: a flat state of the run.
     """
-    is_beyond = dict(zip(CHECKS, np.asarray(shares) > 1, strict=True))
+    is_beyond: dict[str, bool] = dict(zip(CHECKS, np.asarray(shares) > 1, strict=True))
     state = unpack(system.layout, jnp.asarray(y))
     motions = body_motions(system, state)
     parts = []
