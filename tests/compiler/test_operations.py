@@ -345,7 +345,7 @@ LATER = {
 }
 
 
-@pytest.mark.parametrize("name", SINCE_JAX_0_11)
+@pytest.mark.parametrize("name", sorted(SINCE_JAX_0_11))
 def test_primitives_of_a_later_jax(name):
     function, n = LATER[name]
     x = np.random.default_rng(3).uniform(0.5, 2.0, (n, 5))
