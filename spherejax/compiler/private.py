@@ -125,7 +125,7 @@ def _is_interface_the_same() -> bool:
     path = header()
     if path is None:
         return False
-    lines = path.read_text().splitlines()
+    lines = path.read_text(encoding="utf-8").splitlines()
     wanted = f"#define XLA_FFI_API_MAJOR {ffi_abi.API_MAJOR}", f"#define XLA_FFI_API_MINOR {ffi_abi.API_MINOR}"
     return all(line in lines for line in wanted)
 
