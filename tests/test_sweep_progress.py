@@ -172,11 +172,11 @@ def test_a_stopped_sweep_keeps_what_has_been_computed(monkeypatch, tmp_path):
     """The chunks that threads had finished when the interrupt came were not stored."""
     ready, at_once = [], crew.wait
 
-    def interrupted(under_way, return_when):
+    def interrupted(under_way, timeout, return_when):
         ready.append(at_once(under_way).done)  # all that were handed out
         if len(ready) == 2:
             raise KeyboardInterrupt
-        return at_once(under_way, return_when=return_when)
+        return at_once(under_way, timeout, return_when=return_when)
 
     monkeypatch.setattr(crew, "wait", interrupted)
     grid, ts = {"gravity": np.linspace(1.0, 20.0, 12)}, np.linspace(0.0, 0.1, 3)
