@@ -122,8 +122,8 @@ def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_pat
     scene = pendulum(9.81, 1.0)
     of_diffrax = diffrax.Kvaerno5()
     for programs, name, solver, lengths, n_programs in (
-        (integrated, "integrated", None, (1,), 1),
-        (gone_on_with, "gone_on_with", None, (2, 3, 4), 2),
+        (integrated, "integrated", None, (1, 2), 2),
+        (gone_on_with, "gone_on_with", None, (3, 4), 1),
         (integrate, "integrate", of_diffrax, (2, 3), 2),
     ):
         programs.clear()
