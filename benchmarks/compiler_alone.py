@@ -5,21 +5,25 @@
 
 Each problem is integrated three times, with the same solver, tolerances and steps: the function as it is, its scalar
 program, and the scalar program within `native_code`, which makes machine code of programs from
-`primitive.SMALLEST_CALLED` operations on. Times are the least of several calls of a compiled
-function; the first call is compiling.
+`primitive.SMALLEST_CALLED` operations on. Times are the least of several calls of compiled
+functions, by turns.
 """
 
 import argparse
-import time
 from collections.abc import Callable
+from functools import partial
 
-import diffrax
-import jax
-import jax.numpy as jnp
-import numpy as np
+from machine import shortest_by_turns, use_one_core, write
 
-import spherejax  # noqa: F401 - sets XLA's flags and 64-bit numbers; the compiler itself needs nothing of it
-from spherejax.compiler import native_code, scalarize
+use_one_core()
+
+import diffrax  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import spherejax  # noqa: E402, F401 - sets XLA's flags and 64-bit numbers; the compiler itself needs nothing of it
+from spherejax.compiler import native_code, scalarize  # noqa: E402
 
 
 def lorenz(t, y, args):
@@ -72,9 +76,9 @@ def problems() -> dict[str, tuple[Callable, np.ndarray, np.ndarray, float]]:
     ])  # fmt: skip
     random = np.random.default_rng(3)
     return {
-        "Lorenz": (lorenz, np.array([1.0, 1.0, 1.0]), np.array([10.0, 28.0, 8.0 / 3.0]), 10.0),
-        "three bodies": (three_bodies, figure_eight, np.ones(3), 20.0),
-        "20 species": (chemistry, random.uniform(0.1, 1.0, SPECIES), random.uniform(0.1, 10.0, REACTIONS), 10.0),
+        "Lorenz": (lorenz, np.array([1.0, 1.0, 1.0]), np.array([10.0, 28.0, 8.0 / 3.0]), 50.0),
+        "three bodies": (three_bodies, figure_eight, np.ones(3), 100.0),
+        "20 species": (chemistry, random.uniform(0.1, 1.0, SPECIES), random.uniform(0.1, 10.0, REACTIONS), 50.0),
     }
 
 
@@ -105,28 +109,31 @@ def variants(function: Callable, y0: np.ndarray, args: np.ndarray, t1: float) ->
     }
 
 
+def _finished(run: Callable, *arguments):
+    return jax.block_until_ready(run(*arguments))
+
+
 def main() -> None:
     """Measure, or check."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="short runs, results compared, no times")
     is_check = parser.parse_args().check
-    print(f"{'problem':14} {'how':16} {'steps':>7} {'first call':>12} {'a run':>12} {'a step':>12}")
+    rows = []
     for name, (function, y0, args, t1) in problems().items():
-        first = None
-        for how, run in variants(function, y0, args, t1 / 20 if is_check else t1).items():
-            begin = time.perf_counter()
-            end, steps = jax.block_until_ready(run(y0, args))
-            compiling, times = time.perf_counter() - begin, []
-            for _ in range(1 if is_check else 15):
-                begin = time.perf_counter()
-                jax.block_until_ready(run(y0, args))
-                times.append(time.perf_counter() - begin)
-            first = end if first is None else first
-            if is_check:  # in a short time not even the Lorenz system makes much of a rounding
-                np.testing.assert_allclose(end, first, rtol=1e-7, atol=1e-9)
-            best = min(times)
-            step = 1e6 * best / int(steps)
-            print(f"{name:14} {how:16} {int(steps):7} {compiling:10.2f} s {1e3 * best:9.3f} ms {step:9.3f} us")
+        runs = variants(function, y0, args, t1 / 100 if is_check else t1)
+        calls = [partial(_finished, run, y0, args) for run in runs.values()]
+        results = [call() for call in calls]
+        if is_check:  # in a short time not even the Lorenz system makes much of a rounding
+            for end, n_steps in results:
+                np.testing.assert_allclose(end, results[0][0], rtol=1e-7, atol=1e-9)
+                assert n_steps == results[0][1]
+            continue
+        row = {"problem": name}
+        for how, seconds, (_, n_steps) in zip(runs, shortest_by_turns(calls), results, strict=True):
+            row[f"{how.replace(' ', '_')}_us_a_step"] = f"{1e6 * seconds / int(n_steps):.2f}"
+        rows.append(row)
+    if rows:
+        write("compiler_alone", "python benchmarks/compiler_alone.py", rows)
 
 
 if __name__ == "__main__":
