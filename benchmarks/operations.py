@@ -45,16 +45,16 @@ class Noting(Interpreter):
         """As there."""
         return self._noted(equation, super().equation, equation, inputs)
 
-    def marked(self, jaxpr, equation, inputs):
+    def custom_jvp_nodes(self, jaxpr, equation, inputs):
         """As there."""
-        return self._noted(equation, super().marked, jaxpr, equation, inputs)
+        return self._noted(equation, super().custom_jvp_nodes, jaxpr, equation, inputs)
 
-    def _noted(self, equation, make, *given):
+    def _noted(self, equation, make, *arguments):
         origins = vars(self.graph).setdefault("origins", {})
         begin, before = len(self.graph.operations), self._asking
         self._asking = asking_for(equation) or before
         try:
-            return make(*given)
+            return make(*arguments)
         finally:
             origins.update({n: origins.get(n, self._asking) for n in range(begin, len(self.graph.operations))})
             self._asking = before
@@ -87,7 +87,10 @@ class NotingForward(Forward):
 def by_function(line) -> Counter:
     """How many operations of a line each function has asked for."""
     graph, origins = line.graph, vars(line.graph)["origins"]
-    free = {*line.flat_given, *(n for n in line.nodes if graph.operations[n] in ("constant", "input", "marked"))}
+    free = {
+        *line.flat_residuals,
+        *(n for n in line.nodes if graph.operations[n] in ("constant", "input", "custom_jvp_node")),
+    }
     return Counter(origins.get(n, "another") for n in line.nodes if n not in free)
 
 
@@ -97,7 +100,7 @@ def rows_of(name: str, scene: sj.Scene) -> list[dict[str, object]]:
     program = program_for(state_rate, structure).scalar
     assert program is not None, f"{name} has no scalar program"
     line = program._line("rest", True)
-    derivative = line.derivative(tuple(i == STATE for i in range(len(line.shapes) + len(line.given))))
+    derivative = line.derivative(tuple(i == STATE for i in range(len(line.shapes) + len(line.residuals))))
     counts = [by_function(each) for each in (line, derivative.values, derivative.slopes)]
     functions = sorted(set().union(*counts), key=lambda each: -sum(count[each] for count in counts))
     rows: list[dict[str, object]] = [

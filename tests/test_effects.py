@@ -37,7 +37,7 @@ def primitives(scene) -> set[str]:
 def primitives_inside(scene) -> set[str]:
     """Of those that each evaluation makes; the roots of moments of inertia are taken once."""
     line = program_of(scene)[1].scalar._line("rest")
-    return set(line.graph.count(line._flat, line.flat_given))
+    return set(line.graph.count(line._flat, line.flat_residuals))
 
 
 FRICTION_OPERATIONS = {"tanh", "exp"}

@@ -34,36 +34,36 @@ def sources():
 
 def test_text_is_read_and_written_as_utf_8():
     """Not in the system's encoding, which is cp1252 on Windows: it cannot read the sources of this package."""
-    found = []
+    faults = []
     for path, tree in sources():
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
             function = call.func
             name = getattr(function, "attr", getattr(function, "id", ""))
-            words = [each.value for each in call.args if isinstance(each, ast.Constant)]
+            words = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
             is_binary = any(isinstance(word, str) and set(word) <= set("rwxab+") and "b" in word for word in words)
-            if name not in TEXT or is_binary or any(each.arg == "encoding" for each in call.keywords):
+            if name not in TEXT or is_binary or any(keyword.arg == "encoding" for keyword in call.keywords):
                 continue
             text = ast.unparse(call)
             # Files of Linux alone, files by number, and the metadata of packages, which has no such argument.
             if not text.startswith(("os.open(", "Path('/proc/", "distribution.read_text(")):
-                found.append(f"{path.relative_to(PACKAGE)}:{call.lineno}: {text}")
-    assert not found
+                faults.append(f"{path.relative_to(PACKAGE)}:{call.lineno}: {text}")
+    assert not faults
 
 
 def test_what_windows_does_not_have_is_asked_for_with_care():
     """Modules are imported within functions, and names of `os` stand beside a look whether they are there."""
-    found = []
+    faults = []
     for path, tree in sources():
         text = path.read_text(encoding="utf-8")
         for node in tree.body:
-            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
-            found += [f"{path.name}: import {name}" for name in names if name.split(".")[0] in POSIX_ONLY]
+            faults += [f"{path.name}: import {name}" for name in names if name.split(".")[0] in POSIX_ONLY]
         used = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "os"}
         for name in used & POSIX_NAMES:
             if f'hasattr(os, "{name}")' not in text and "except (AttributeError" not in text:
-                found.append(f"{path.name}: os.{name}")
-    assert not found
+                faults.append(f"{path.name}: os.{name}")
+    assert not faults
 
 
 # Locks, waits, output -------------------------------------------------------------------------------------------------

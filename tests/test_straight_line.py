@@ -180,13 +180,13 @@ def test_a_root_is_flat_where_it_is_guarded():
 def test_derivatives_cost_what_they_must():
     """Coefficients are made once, whatever the number of tangents; what does not move costs nothing."""
     line = PROGRAM._line("rest")
-    derivative = line.derivative((False, False, True, *(False for _ in line.given)))
-    value = line.graph.count(line._flat, line.flat_given).total()
-    slopes = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.flat_given).total()
+    derivative = line.derivative((False, False, True, *(False for _ in line.residuals)))
+    value = line.graph.count(line._flat, line.flat_residuals).total()
+    slopes = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.flat_residuals).total()
     assert 0 < slopes < 3 * value
-    names = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.flat_given)
+    names = derivative.slopes.graph.count(derivative.slopes._flat, derivative.slopes.flat_residuals)
     assert set(names) <= {"add", "sub", "mul", "neg", "select"}
-    by_time = line.derivative((False, True, False, *(False for _ in line.given)))
+    by_time = line.derivative((False, True, False, *(False for _ in line.residuals)))
     names = sorted(everything(NUMBERS, T, Y))
     assert [name for name, follows in zip(names, by_time.follows, strict=True) if follows] == ["one"]
 

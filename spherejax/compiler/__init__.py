@@ -37,6 +37,6 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = import_module(_PLACES[name], __name__)
-    found = getattr(module, name, module)  # a module that is public stands for itself
-    globals()[name] = found
-    return found
+    value = getattr(module, name, module)  # a module that is public stands for itself
+    globals()[name] = value
+    return value

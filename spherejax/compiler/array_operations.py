@@ -172,8 +172,8 @@ def _names_by_jax(*moved: int) -> Callable[[Graph, Sequence[np.ndarray], Use], l
         name = use.primitive.name
         operands = [x if at in moved else _indices(name, graph, x) for at, x in enumerate(inputs)]
         with jax.ensure_compile_time_eval():  # also where somebody traces the function that is made a program
-            found = np.asarray(use.primitive.bind(*operands, **use.parameters))
-        return [_inside(name, found)]
+            nodes = np.asarray(use.primitive.bind(*operands, **use.parameters))
+        return [_inside(name, nodes)]
 
     return names
 
@@ -184,10 +184,10 @@ def _names_of_gather(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> li
     return [_inside("gather", _gathered(array, _indices("gather", graph, indices), use.parameters))]
 
 
-def _inside(name: str, found: np.ndarray) -> np.ndarray:
-    if np.any(found < 0):  # what fills is -1, or the least integer: the name of no node
+def _inside(name: str, nodes: np.ndarray) -> np.ndarray:
+    if np.any(nodes < 0):  # what fills is -1, or the least integer: the name of no node
         raise NotScalarizable(f"{name!r} with an index out of range")
-    return found
+    return nodes
 
 
 def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.ndarray:
@@ -195,7 +195,7 @@ def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.nda
     how, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
     dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
     kept = [size for dimension, size in enumerate(sizes) if dimension not in dropped]
-    found = np.empty((*indices.shape[:-1], *kept), np.int64)
+    parts = np.empty((*indices.shape[:-1], *kept), np.int64)
     # Of the other modes each drops or fills what is outside, and what is promised to be inside is checked here.
     clips = parameters["mode"] == jax.lax.GatherScatterMode.CLIP
     for place in np.ndindex(indices.shape[:-1]):
@@ -207,8 +207,8 @@ def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.nda
         begin = np.clip(begin, 0, room) if clips else begin
         is_within = np.all((begin >= 0) & (begin <= room))
         part = array[tuple(map(slice, begin, begin + sizes))] if is_within else np.full(sizes, -1)
-        found[place] = part.reshape(kept)
-    return np.moveaxis(found, range(found.ndim - len(kept), found.ndim), how.offset_dims)
+        parts[place] = part.reshape(kept)
+    return np.moveaxis(parts, range(parts.ndim - len(kept), parts.ndim), how.offset_dims)
 
 
 def _broadcast(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
@@ -298,12 +298,12 @@ def _row_of(text: ArrayText, indices: Value, row: int, n: int) -> list[str]:
 
 
 def _is_inside(text: ArrayText, starts: dict[int, str], room: dict[int, int]) -> str:
-    found = "true"
+    is_inside = "true"
     for dimension, start in starts.items():
         above = text.made(f"icmp sge i64 {start}, 0")
         below = text.made(f"icmp sle i64 {start}, {room[dimension]}")
-        found = text.made(f"and i1 {found}, {text.made(f'and i1 {above}, {below}')}")
-    return found
+        is_inside = text.made(f"and i1 {is_inside}, {text.made(f'and i1 {above}, {below}')}")
+    return is_inside
 
 
 LARGEST_GATHER = 64
@@ -322,7 +322,7 @@ def _gather(text, values, parameters, avals):
         raise NotWrittenError("a gather of many rows")
     room = {d: source.shape[d] - sizes[d] for d in of_index}
     block = _offsets(source.shape, sizes)
-    found = []
+    parts = []
     for row in range(rows):
         starts = dict(zip(of_index, _row_of(text, indices, row, n), strict=True))
         part = text.picked(source, _begin(text, source.shape, starts, room), block)
@@ -334,11 +334,11 @@ def _gather(text, values, parameters, avals):
             inside = _is_inside(text, starts, room)
             instead = text.known(np.asarray(np.nan if filling is None else filling, _DTYPES[source.kind]))
             part = _selected(text, inside, instead, part, part.shape)
-        found.append(part)
+        parts.append(part)
     # Which entry stands where, by the rule of names.
     names = np.arange(rows * block.size)
     ids = _placed(names.reshape(rows, *block.shape), indices.shape, how)
-    return [text.moved(found, np.broadcast_to(ids.reshape(aval.shape), aval.shape), source.kind)]
+    return [text.moved(parts, np.broadcast_to(ids.reshape(aval.shape), aval.shape), source.kind)]
 
 
 def _placed(parts: np.ndarray, shape: Sequence[int], how: Any) -> np.ndarray:
@@ -526,7 +526,7 @@ def _times_and_plus(text: ArrayText, width: int, total: str, a: str, b: str) -> 
 
 def _product(text: ArrayText, left: Value, right: Value, row: np.ndarray, column: np.ndarray) -> str:
     """A sum of products."""
-    are_whole = all(np.array_equal(each, each[0] + np.arange(each.size)) for each in (row, column))
+    are_whole = all(np.array_equal(places, places[0] + np.arange(places.size)) for places in (row, column))
     if not are_whole or row.size < 8 or left.size == 1 or right.size == 1:  # a vector has eight numbers
         total = constant(0.0, DOUBLE)
         for i, j in zip(row, column, strict=True):
@@ -534,7 +534,7 @@ def _product(text: ArrayText, left: Value, right: Value, row: np.ndarray, column
         return total
     size, products = row.size, text.array(row.shape, DOUBLE)
     for at, width in chunks(size):
-        a, b = (text.read(each, int(of[0]) + at, width) for each, of in ((left, row), (right, column)))
+        a, b = (text.read(factor, int(of[0]) + at, width) for factor, of in ((left, row), (right, column)))
         # Without `contract`: the sum below goes by halves, and has no place for fused additions.
         text.write(products, at, text.made(f"fmul {vector(DOUBLE, width)} {a}, {b}"), width)
     total = ARRAY_OPERATIONS["reduce_sum"].llvm
@@ -600,5 +600,5 @@ _ALL = (
     ArrayOperation(name="nonbatchable", llvm=_same),
 )
 
-ARRAY_OPERATIONS: dict[str, ArrayOperation] = {each.name: each for each in _ALL}
+ARRAY_OPERATIONS: dict[str, ArrayOperation] = {operation.name: operation for operation in _ALL}
 """By the names of JAX's primitives."""

@@ -22,31 +22,35 @@ class Forward:
 
     Attributes:
         values: the graph, with the coefficients added.
-        slopes: a graph of derivatives; its inputs are the tangents, and nodes `"given"` stand for coefficients.
-        given: the node of `slopes` for each coefficient, a node of `values`.
+        slopes: a graph of derivatives; its inputs are the tangents, and nodes `"residual"` stand for coefficients.
+        residuals: the node of `slopes` for each coefficient, a node of `values`.
     """
 
     def __init__(
-        self, graph: Graph, nodes: Sequence[int], tangents: Mapping[int, tuple[int, int]], still: Collection[int] = ()
+        self,
+        graph: Graph,
+        nodes: Sequence[int],
+        tangents: Mapping[int, tuple[int, int]],
+        inactive: Collection[int] = (),
     ):
         """Make the derivative.
 
         Args:
             graph: the nodes.
-            nodes: those that are needed, in an order of evaluation, with the slopes of marked nodes.
+            nodes: those that are needed, in an order of evaluation; with the slopes of each `custom_jvp_node`.
             tangents: of what moves, the input of `slopes` that is its tangent.
 
         Other args:
-            still: nodes that are given, and do not move with what they depend on.
+            inactive: nodes whose values are arguments; they do not move with what they depend on.
         """
         self.values, self.slopes = graph.copy(), Graph()
-        self.given: dict[int, int] = {}
+        self.residuals: dict[int, int] = {}
         self._of: dict[int, int] = {node: self.slopes.input(place) for node, place in tangents.items()}
         self._linear: set[int] = set()
         for node in nodes:
             if graph.operations[node] == "tangent" or any(a in self._linear for a in graph.arguments[node]):
                 self._linear.add(node)
-            if node not in self._of and node not in still:
+            if node not in self._of and node not in inactive:
                 slope = self._slope(node)
                 if slope is not None:
                     self._of[node] = slope
@@ -61,17 +65,18 @@ class Forward:
         Raises:
             NotScalarizable: where a derivative is of higher order than rules are followed.
         """
-        found = self.slopes.needed(outputs)
-        if any(self.slopes.operations[node] == "refused" for node in found):
+        nodes = self.slopes.needed(outputs)
+        if any(self.slopes.operations[node] == "refused" for node in nodes):
             raise NotScalarizable("a derivative of so high an order through a function with jax.custom_jvp")
-        return found
+        return nodes
 
     def _slope(self, node: int) -> int | None:
         graph, operation = self.values, self.values.operations[node]
         arguments = graph.arguments[node]
         if operation == "tangent":
+            # A rule is written for any tangents of its arguments; here they are those of this derivative.
             return self._of.get(arguments[0])
-        if operation == "marked":
+        if operation == "custom_jvp_node":
             slope = graph.parameters[node]
             if slope is None and node in self._linear:  # what is linear is its own derivative, whichever rule it has
                 slope = arguments[0]
@@ -92,8 +97,8 @@ class Forward:
     def sum(self, first: int | None, *others: int | None) -> int | None:
         """A node of `slopes`; None stands for a structural zero."""
         total = first
-        for each in others:
-            total = each if total is None else total if each is None else self.slopes.add(total, each)
+        for slope in others:
+            total = slope if total is None else total if slope is None else self.slopes.add(total, slope)
         return total
 
     def times(self, coefficient: int, slope: int | None) -> int | None:
@@ -107,9 +112,9 @@ class Forward:
         """The node of `slopes` that stands for a node of `values`."""
         if self.values.is_constant(node):  # it folds in the linear program as well
             return self.slopes.constant(self.values.value(node), self.values.dtypes[node])
-        if node not in self.given:
-            self.given[node] = self.slopes.node("given", (), self.values.dtypes[node], node)
-        return self.given[node]
+        if node not in self.residuals:
+            self.residuals[node] = self.slopes.node("residual", (), self.values.dtypes[node], node)
+        return self.residuals[node]
 
     def _partial(self, node: int, by: int) -> int:
         """The node of `values` for the derivative of an operation by one of its arguments."""
@@ -117,10 +122,11 @@ class Forward:
         dtypes = tuple(graph.dtypes[a] for a in graph.arguments[node])
         closed = _slope_program(operation, graph.parameters[node], dtypes, by)
         names = [np.array(a, np.int64) for a in graph.arguments[node]]
-        (found,) = Interpreter(graph).run(closed.jaxpr, closed.consts, names)
-        return int(found)
+        (partial,) = Interpreter(graph).run(closed.jaxpr, closed.consts, names)
+        return int(partial)
 
 
+# Kept, because a program has the same function at many nodes, and tracing is what a derivative spends its time with.
 @lru_cache(maxsize=256)
 def _slope_program(operation: str, parameters: Any, dtypes: tuple, by: int) -> Any:
     """The derivative of an operation by one of its arguments, as its record or else JAX has it."""
@@ -150,7 +156,7 @@ class Transposed:
         graph: Graph,
         nodes: Sequence[int],
         moving: Collection[int],
-        still: Collection[int],
+        inactive: Collection[int],
         outputs: Mapping[int, Sequence[tuple[int, int]]],
     ):
         """Add the transpose.
@@ -159,7 +165,7 @@ class Transposed:
             graph: the nodes; nodes are added to it.
             nodes: those that are needed, in an order of evaluation.
             moving: what it is linear in.
-            still: nodes that are given, and do not move with what they depend on.
+            inactive: nodes whose values are arguments; they do not move with what they depend on.
             outputs: for the nodes that are returned, the inputs that are the numbers along them.
 
         Raises:
@@ -167,9 +173,10 @@ class Transposed:
         """
         self.graph = graph
         self._along: dict[int, int] = {}
+        # A transpose exists of what depends on the linear arguments; all else are coefficients of it.
         depends = set(moving)
         for node in nodes:
-            if node not in still and any(a in depends for a in graph.arguments[node]):
+            if node not in inactive and any(a in depends for a in graph.arguments[node]):
                 depends.add(node)
         for node, places in outputs.items():
             for place in places:

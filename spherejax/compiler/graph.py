@@ -30,7 +30,8 @@ class Graph:
         operations: the name of the operation of each node, in `operations.OPERATIONS`; or `"constant"`, `"input"`, or
             `"tangent"`, which nothing but a slope depends on.
         arguments: the earlier nodes that each node reads.
-        parameters: a constant's value, an input's position, the slope of a marked node, or a primitive's parameters.
+        parameters: a constant's value, an input's position, the slope of a `custom_jvp_node`, or a primitive's
+            parameters.
         dtypes: the NumPy dtype of each node.
     """
 
@@ -56,12 +57,14 @@ class Graph:
             arguments: the numbers of the arguments whose entries are inputs, where they have others in the new graph.
         """
         made = Graph()
+        # Shallow copies: nodes are never changed, only added, and a graph has tens of thousands.
         vars(made).update({name: value.copy() for name, value in vars(self).items()})
         if arguments is not None:
             for node, operation in enumerate(made.operations):
                 if operation == "input":
                     argument, entry = made.parameters[node]
                     made.parameters[node] = arguments[argument], entry
+            # The register has the inputs under their old numbers.
             made.__setstate__(made.__getstate__())
         return made
 
@@ -97,17 +100,22 @@ class Graph:
         return self.node("input", (), FLOAT, position)
 
     def tangent(self, node: int) -> int:
-        """Stands for the tangent of a node in what `marked` is given; a structural zero for what does not move."""
+        """Stands for the tangent of a node in a slope (`custom_jvp_node`); a structural zero for what does not move."""
         if self.is_constant(node):
             return self.constant(0, FLOAT)
         return self.node("tangent", (node,), FLOAT)
 
-    def marked(self, node: int, slope: int | None) -> int:
+    def custom_jvp_node(self, node: int, slope: int | None) -> int:
         """A node with a derivative of its own: one that is linear in tangents of others, `slope`; None is refused.
 
         Its value is the node's. Whoever differentiates the graph takes the slope, and does not look behind the node.
         """
-        return node if self.is_constant(node) else self.node("marked", (node,), self.dtypes[node], slope)
+        return node if self.is_constant(node) else self.node("custom_jvp_node", (node,), self.dtypes[node], slope)
+
+    def parameters_of(self, node: int) -> Any:
+        """The parameters of a node's primitive, as sorted pairs; None where it has none."""
+        # A node with a derivative rule of its own has its slope there, which does not belong to the operation.
+        return None if self.operations[node] == "custom_jvp_node" else self.parameters[node]
 
     def predicate_of(self, node: int) -> int:
         """The boolean node that an integer 0 or 1 was made from, or the node itself."""
@@ -190,28 +198,28 @@ class Graph:
 
     # Emission ---------------------------------------------------------------------------------------------------
 
-    def needed(self, outputs: Sequence[int], given: Collection[int] = (), with_slopes: bool = False) -> list[int]:
+    def needed(self, outputs: Sequence[int], known_nodes: Collection[int] = (), with_slopes: bool = False) -> list[int]:
         """The nodes that the outputs depend on, in an order in which they can be evaluated.
 
         Args:
             outputs: nodes.
-            given: nodes that are not looked behind.
-            with_slopes: with the slopes of marked nodes, and what they depend on.
+            known_nodes: nodes whose values are known, so that what they depend on is not needed.
+            with_slopes: with the slopes of nodes that have a derivative rule of their own, and what these depend on.
         """
-        given = frozenset(given)
+        known_nodes = frozenset(known_nodes)
         # From the last node to the first: a node reads earlier ones alone, so that one pass finds all.
         is_needed = np.zeros(len(self.operations), bool)
         is_needed[list(outputs)] = True
         for index in range(len(self.operations) - 1, -1, -1):
-            if is_needed[index] and index not in given:
+            if is_needed[index] and index not in known_nodes:
                 for argument in self.arguments[index]:
                     is_needed[argument] = True
-                if with_slopes and self.operations[index] == "marked" and self.parameters[index] is not None:
+                if with_slopes and self.operations[index] == "custom_jvp_node" and self.parameters[index] is not None:
                     is_needed[self.parameters[index]] = True
         return [int(index) for index in np.flatnonzero(is_needed)]
 
-    def invariants(self, outputs: Sequence[int], given: Collection[int]) -> list[int]:
-        """The operations that depend on given arguments alone and are read by others that depend on more (or returned).
+    def invariants(self, outputs: Sequence[int], leading: Collection[int]) -> list[int]:
+        """The operations that depend on leading arguments alone, and are returned or read by those that depend on more.
 
         These are what can be evaluated once, ahead of a loop in which those arguments do not change.
         """
@@ -221,7 +229,7 @@ class Graph:
         for index in self.needed(outputs):
             operation = self.operations[index]
             if operation == "input":
-                is_invariant[index] = self.parameters[index][0] in given
+                is_invariant[index] = self.parameters[index][0] in leading
             else:
                 is_invariant[index] = all(is_invariant[a] for a in self.arguments[index])
             if not is_invariant[index]:
@@ -229,12 +237,12 @@ class Graph:
         frontier.update(index for index in outputs if is_invariant[index])
         return sorted(index for index in frontier if self.operations[index] not in ("constant", "input"))
 
-    def count(self, outputs: Sequence[int], given: Collection[int] = ()) -> Counter:
-        """How many operations of each name the outputs need (`FREE` and given nodes not counted)."""
+    def count(self, outputs: Sequence[int], known_nodes: Collection[int] = ()) -> Counter:
+        """How many operations of each name the outputs need (`FREE` and known nodes not counted)."""
         names = Counter()
-        for index in self.needed(outputs, given):
+        for index in self.needed(outputs, known_nodes):
             operation = self.operations[index]
-            if operation not in FREE and index not in given:
+            if operation not in FREE and index not in known_nodes:
                 names[operation] += 1
         return names
 
@@ -242,10 +250,10 @@ class Graph:
         self,
         outputs: Sequence[int],
         read: Callable[[tuple[int, int]], jax.Array],
-        given: Mapping[int, jax.Array] | None = None,
+        known_values: Mapping[int, jax.Array] | None = None,
     ) -> dict[int, jax.Array]:
         """Evaluate the outputs with JAX scalars (or tracers); `read(position)` gives the inputs."""
-        values: dict = dict(given or {})
+        values: dict = dict(known_values or {})
         for index in self.needed(outputs, values.keys()):
             operation = self.operations[index]
             if index in values:
@@ -256,12 +264,11 @@ class Graph:
                 values[index] = read(self.parameters[index])
             else:
                 arguments = [values[a] for a in self.arguments[index]]
-                parameters = None if operation == "marked" else self.parameters[index]  # a node has its slope there
-                values[index] = by_jax(operation, parameters)(*arguments)
+                values[index] = by_jax(operation, self.parameters_of(index))(*arguments)
         return values
 
 
-FREE = frozenset({"constant", "input", "marked"})
+FREE = frozenset({"constant", "input", "custom_jvp_node"})
 """Names of nodes that cost nothing."""
 
 _COMMUTATIVE = frozenset(name for name, operation in OPERATIONS.items() if operation.commutes)

@@ -21,6 +21,7 @@ def widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
         return x
     n_inner = x.ndim - axes.bit_count()
     own = [axis for axis in range(len(lanes)) if axes >> axis & 1]
+    # From the last axis on, so that those before it keep their places.
     for at, axis in reversed([*enumerate(own)]):
         if not wanted >> axis & 1:
             x = jax.lax.index_in_dim(x, 0, n_inner + at, keepdims=False)
@@ -60,8 +61,8 @@ def by_a_loop(call: Callable[..., Sequence[Array]], arguments: Sequence, dims: S
     def one(parts: Sequence) -> list[Array]:
         return [*call(*(x if part is None else part for x, part in zip(arguments, parts, strict=True)))]
 
-    found = jax.lax.map(one, moved)
-    return found, [0] * len(found)
+    results = jax.lax.map(one, moved)
+    return results, [0] * len(results)
 
 
 def inside_a_loop(
@@ -81,14 +82,15 @@ def inside_a_loop(
         was, now: of the results, before and with the new axis alone.
     """
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
+    # The new axis goes last, where the operation wants its lanes; the old one goes first, where `map` takes it.
     new = [int(dim is not None) for dim in dims]
     rows = [jnp.moveaxis(x, -1 - last, 0) if over else None for x, over, last in zip(turned, axes, new, strict=True)]
 
     def one(parts: Sequence) -> list[Array]:
         return [*call(*(x if part is None else part for x, part in zip(turned, parts, strict=True)))]
 
-    found = [
+    results = [
         jnp.moveaxis(x, 0, -1 - last) if over else x[0]
         for x, over, last in zip(jax.lax.map(one, rows), was, now, strict=True)
     ]
-    return found, [x.ndim - 1 if last else None for x, last in zip(found, now, strict=True)]
+    return results, [x.ndim - 1 if last else None for x, last in zip(results, now, strict=True)]

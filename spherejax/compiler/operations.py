@@ -643,6 +643,33 @@ def _comparison(name: str, sign: str, numpy: Callable[..., Any], python: Callabl
     )
 
 
+def _extreme(name: str, numpy: Callable[..., Any], in_stablehlo: Callable[..., Any], c: str) -> ScalarOperation:
+    return ScalarOperation(
+        name=name,
+        jax=getattr(lax, f"{name}_p").bind,
+        numpy=numpy,
+        stablehlo=in_stablehlo,
+        llvm=_extremum(name),
+        accepts=same(DOUBLE, WHOLE, TRUTH),
+        c=c,
+    )
+
+
+def _bitwise(
+    name: str, sign: str, numpy: Callable[..., Any], in_stablehlo: Callable[..., Any] | None
+) -> ScalarOperation:
+    """An operation on two truths, or on the bits of two whole numbers."""
+    return ScalarOperation(
+        name=name,
+        jax=getattr(lax, f"{name}_p").bind,
+        numpy=numpy,
+        stablehlo=in_stablehlo,
+        llvm=_logic(name),
+        accepts=same(TRUTH, WHOLE),
+        c=f"{{}} {sign} {{}}",
+    )
+
+
 _OF_ERF = 2.0 / np.sqrt(np.pi)
 
 _ALL = (
@@ -826,24 +853,8 @@ _ALL = (
         name="is_finite", jax=lax.is_finite_p.bind, numpy=np.isfinite, llvm=_llvm_is_finite, c="is_finite({})"
     ),
     # The larger, the smaller, what lies between.
-    ScalarOperation(
-        name="max",
-        jax=lax.max_p.bind,
-        numpy=np.maximum,
-        stablehlo=stablehlo.maximum,
-        llvm=_extremum("max"),
-        accepts=same(DOUBLE, WHOLE, TRUTH),
-        c="larger({}, {})",
-    ),
-    ScalarOperation(
-        name="min",
-        jax=lax.min_p.bind,
-        numpy=np.minimum,
-        stablehlo=stablehlo.minimum,
-        llvm=_extremum("min"),
-        accepts=same(DOUBLE, WHOLE, TRUTH),
-        c="smaller({}, {})",
-    ),
+    _extreme("max", np.maximum, stablehlo.maximum, "larger({}, {})"),
+    _extreme("min", np.minimum, stablehlo.minimum, "smaller({}, {})"),
     ScalarOperation(
         name="clamp",
         jax=lax.clamp_p.bind,
@@ -859,32 +870,9 @@ _ALL = (
     _comparison("eq", "==", np.equal, operator.eq, "oeq", "eq", (DOUBLE, WHOLE, TRUTH)),
     _comparison("ne", "!=", np.not_equal, operator.ne, "une", "ne", (DOUBLE, WHOLE, TRUTH)),
     # Truths, and bits of whole numbers.
-    ScalarOperation(
-        name="and",
-        jax=lax.and_p.bind,
-        numpy=np.bitwise_and,
-        stablehlo=stablehlo.and_,
-        llvm=_logic("and"),
-        accepts=same(TRUTH, WHOLE),
-        c="{} & {}",
-    ),
-    ScalarOperation(
-        name="or",
-        jax=lax.or_p.bind,
-        numpy=np.bitwise_or,
-        stablehlo=stablehlo.or_,
-        llvm=_logic("or"),
-        accepts=same(TRUTH, WHOLE),
-        c="{} | {}",
-    ),
-    ScalarOperation(
-        name="xor",
-        jax=lax.xor_p.bind,
-        numpy=np.bitwise_xor,
-        llvm=_logic("xor"),
-        accepts=same(TRUTH, WHOLE),
-        c="{} ^ {}",
-    ),
+    _bitwise("and", "&", np.bitwise_and, stablehlo.and_),
+    _bitwise("or", "|", np.bitwise_or, stablehlo.or_),
+    _bitwise("xor", "^", np.bitwise_xor, None),
     ScalarOperation(
         name="not",
         jax=lax.not_p.bind,
@@ -912,8 +900,8 @@ _ALL = (
         c="{}",
     ),
     ScalarOperation(
-        # A node that has a derivative of its own (`Graph.marked`), and the value of its argument.
-        name="marked",
+        # A node that has a derivative of its own (`Graph.custom_jvp_node`), and the value of its argument.
+        name="custom_jvp_node",
         jax=lambda a: a,
         primitives=(),
         copies=True,
@@ -926,15 +914,17 @@ _ALL = (
     ),
 )
 
-OPERATIONS: dict[str, ScalarOperation] = {each.name: each for each in _ALL}
+OPERATIONS: dict[str, ScalarOperation] = {operation.name: operation for operation in _ALL}
 """By the names that nodes of a graph have."""
 
 OF_PRIMITIVE: dict[str, ScalarOperation] = {
-    name: each for each in _ALL for name in ((each.name,) if each.primitives is None else each.primitives)
+    name: operation
+    for operation in _ALL
+    for name in ((operation.name,) if operation.primitives is None else operation.primitives)
 }
 """By the names of JAX's primitives."""
 
-LIBRARY: dict[str, str] = {each.name: each.library for each in _ALL if each.library is not None}
+LIBRARY: dict[str, str] = {operation.name: operation.library for operation in _ALL if operation.library is not None}
 """Functions of the mathematical library that machine code calls, by the names of the operations that they are."""
 
 INNER_PROGRAM = {

@@ -34,14 +34,15 @@ from spherejax.compiler.operations import FLOAT
 
 
 class StraightLine:
-    """Part of a graph, from arrays to arrays (static: it is told by its identity).
+    """Part of a graph, from arrays to arrays (static: it is compared by its identity).
 
     Attributes:
         graph: the nodes.
         outputs: names of the nodes that are returned, in arrays.
         shapes: of the arguments whose entries are the graph's inputs.
-        given: nodes whose values are arguments too, behind the arrays: numbers, or vectors of them.
-        in_machine_code: whether it is called as machine code of its own, where that can be; see `machine.code`. Then
+        residuals: nodes whose values are arguments too, behind the arrays: numbers, or vectors of them. They come from
+            another line: what was evaluated ahead of a loop, or the coefficients of a derivative.
+        in_machine_code: whether it is called as machine code of its own, where that can be; see `native.compile`. Then
             what it gives to its derivatives are vectors: each argument of a call costs time.
     """
 
@@ -50,47 +51,49 @@ class StraightLine:
         graph: Graph,
         outputs: Sequence[np.ndarray],
         shapes: Sequence[Shape],
-        given: Sequence[np.ndarray],
+        residuals: Sequence[np.ndarray],
         in_machine_code: bool = False,
     ):
-        self.graph, self.outputs, self.shapes, self.given = graph, tuple(outputs), tuple(shapes), tuple(given)
-        self.flat_given = tuple(int(node) for group in self.given for node in group.ravel())
+        self.graph, self.outputs, self.shapes, self.residuals = graph, tuple(outputs), tuple(shapes), tuple(residuals)
+        self.flat_residuals = tuple(int(node) for group in self.residuals for node in group.ravel())
         self.in_machine_code = in_machine_code
         self.called: dict[tuple, str] = {}  # names of its machine code, which go when it goes
         self._spread: dict = {}
         self._jitted: dict = {}
-        self._derivatives: dict[tuple[Moves, ...], Derivative] = {}
+        self._derivatives: dict[tuple[ActiveInputs, ...], Derivative] = {}
         self._transposes: dict[tuple[tuple[bool, ...], tuple[bool, ...]], StraightLine] = {}
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Evaluate; arrays first, then what is given."""
+        """Evaluate; arrays first, then residuals."""
         return _straight_line.bind(*arguments, line=self, lanes=(), axes=(0,) * len(arguments))
 
     def __repr__(self) -> str:
         """What it does, so that a printed program still says which operations it has."""
-        counts = self.graph.count(self._flat, self.flat_given)
+        counts = self.graph.count(self._flat, self.flat_residuals)
         return f"StraightLine({', '.join(f'{name} {n}' for name, n in sorted(counts.items()))})"
 
     def __cache_key__(self) -> tuple:
         """What it computes, for fingerprints of programs."""
         graph, nodes = self.graph, self._with_slopes
         place = {node: at for at, node in enumerate(nodes)}
-        given = {node: at for at, node in enumerate(self.flat_given)}
+        residuals = {node: at for at, node in enumerate(self.flat_residuals)}
         lines = tuple(
-            (given[node],)
-            if node in given
+            (residuals[node],)
+            if node in residuals
             else (
                 str(graph.operations[node]),
                 tuple(place[a] for a in graph.arguments[node]),
                 repr(
-                    place.get(graph.parameters[node]) if graph.operations[node] == "marked" else graph.parameters[node]
+                    place.get(graph.parameters[node])
+                    if graph.operations[node] == "custom_jvp_node"
+                    else graph.parameters[node]
                 ),
                 str(graph.dtypes[node]),
             )
             for node in nodes
         )
         outputs = tuple((o.shape, tuple(place[int(n)] for n in o.ravel())) for o in self.outputs)
-        return lines, outputs, self.shapes, tuple(group.shape for group in self.given), self.in_machine_code
+        return lines, outputs, self.shapes, tuple(group.shape for group in self.residuals), self.in_machine_code
 
     @cached_property
     def _flat(self) -> list[int]:
@@ -99,16 +102,16 @@ class StraightLine:
     @cached_property
     def nodes(self) -> list[int]:
         """What is needed, in an order in which it can be evaluated."""
-        return self.graph.needed(self._flat, self.flat_given)
+        return self.graph.needed(self._flat, self.flat_residuals)
 
     @cached_property
     def _with_slopes(self) -> list[int]:
-        return self.graph.needed(self._flat, self.flat_given, with_slopes=True)
+        return self.graph.needed(self._flat, self.flat_residuals, with_slopes=True)
 
     @cached_property
     def n_operations(self) -> int:
         """How many operations it has."""
-        return self.graph.count(self._flat, self.flat_given).total()
+        return self.graph.count(self._flat, self.flat_residuals).total()
 
     @cached_property
     def can_be_called(self) -> bool:
@@ -122,37 +125,37 @@ class StraightLine:
     def spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
         """The axes of all nodes, and of the outputs, for arguments with these axes."""
         if axes not in self._spread:
-            self._spread[axes] = self._found_spread(axes)
+            self._spread[axes] = self._spread_over(axes)
         return self._spread[axes]
 
-    def _found_spread(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
-        graph, groups = self.graph, zip(self.given, axes[len(self.shapes) :], strict=True)
-        given = {int(node): over for group, over in groups for node in group.ravel()}
-        found: dict[int, int] = {}
+    def _spread_over(self, axes: tuple[int, ...]) -> tuple[dict[int, int], tuple[int, ...]]:
+        graph, groups = self.graph, zip(self.residuals, axes[len(self.shapes) :], strict=True)
+        of_residuals = {int(node): over for group, over in groups for node in group.ravel()}
+        spread: dict[int, int] = {}
         for node in self.nodes:
-            if node in given:
-                found[node] = given[node]
+            if node in of_residuals:
+                spread[node] = of_residuals[node]
             elif graph.operations[node] == "input":
-                found[node] = axes[graph.parameters[node][0]]
+                spread[node] = axes[graph.parameters[node][0]]
             else:
-                found[node] = _joined(found[argument] for argument in graph.arguments[node])
-        return found, tuple(_joined(found[int(node)] for node in output.ravel()) for output in self.outputs)
+                spread[node] = _joined(spread[argument] for argument in graph.arguments[node])
+        return spread, tuple(_joined(spread[int(node)] for node in output.ravel()) for output in self.outputs)
 
     def one_by_one(self, lanes: Shape, axes: tuple[int, ...]) -> Callable[..., list[Array]]:
         """`by_operations` with axes of lanes."""
         function, (_, spread) = self.by_operations, self.spread(axes)
         for axis in range(len(lanes)):  # the mapping that comes last is the outermost, and finds its axis last
-            inwards, outwards = ([-1 if over >> axis & 1 else None for over in each] for each in (axes, spread))
+            inwards, outwards = ([-1 if over >> axis & 1 else None for over in of_all] for of_all in (axes, spread))
             function = jax.vmap(function, tuple(inwards), outwards)
         return function
 
-    def derivative(self, moves: tuple["Moves", ...]) -> "Derivative":
+    def derivative(self, moves: tuple["ActiveInputs", ...]) -> "Derivative":
         """Along tangents of the arguments that move, all of their entries or some."""
         if moves not in self._derivatives:
             self._derivatives[moves] = self._derived(moves)
         return self._derivatives[moves]
 
-    def _derived(self, moves: tuple["Moves", ...]) -> "Derivative":
+    def _derived(self, moves: tuple["ActiveInputs", ...]) -> "Derivative":
         entries = self._entries(moves, self._with_slopes)
         moving = [
             nodes if some is True else [nodes[entry] for entry in some]
@@ -162,39 +165,40 @@ class StraightLine:
         tangents = {
             node: (i, place) for i, nodes in enumerate(moving) for place, node in enumerate(nodes) if node is not None
         }
-        forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_given))
+        forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_residuals))
         zero = forward.slopes.constant(0, FLOAT)
-        found = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
-        follows = tuple(any(each is not None for each in slopes) for slopes in found)
+        derivatives = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
+        follows = tuple(any(slope is not None for slope in of_output) for of_output in derivatives)
         slopes = [
-            np.array([zero if each is None else each for each in slopes], np.int64).reshape(output.shape)
-            for output, slopes, has_some in zip(self.outputs, found, follows, strict=True)
+            np.array([zero if slope is None else slope for slope in of_output], np.int64).reshape(output.shape)
+            for output, of_output, has_some in zip(self.outputs, derivatives, follows, strict=True)
             if has_some
         ]
+        # A coefficient whose products all folded away is not handed over.
         needed = set(forward.needed([int(node) for output in slopes for node in output.ravel()]))
-        given = {node: name for node, name in forward.given.items() if name in needed}
-        coefficients = grouped([*given], forward.values, self.in_machine_code)
-        names = [np.array([given[int(node)] for node in each.ravel()]).reshape(each.shape) for each in coefficients]
+        residuals = {node: name for node, name in forward.residuals.items() if name in needed}
+        coefficients = grouped([*residuals], forward.values, self.in_machine_code)
+        names = [np.array([residuals[int(node)] for node in c.ravel()]).reshape(c.shape) for c in coefficients]
         values = [*self.outputs, *coefficients]
         shapes = [
             shape if some is True else (len(some),) for shape, some in zip(self._all_shapes, moves, strict=True) if some
         ]
         return Derivative(
-            StraightLine(forward.values, values, self.shapes, self.given, self.in_machine_code),
+            StraightLine(forward.values, values, self.shapes, self.residuals, self.in_machine_code),
             StraightLine(forward.slopes, slopes, shapes, names, self.in_machine_code),
             follows,
         )
 
     @property
     def _all_shapes(self) -> list[Shape]:
-        return [*self.shapes, *(group.shape for group in self.given)]
+        return [*self.shapes, *(group.shape for group in self.residuals)]
 
-    def transposed(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
+    def transposed(self, linear: tuple[bool, ...], has_cotangent: tuple[bool, ...]) -> "StraightLine":
         """Of a line that is linear in some of its arguments: from numbers along its outputs to numbers along these.
 
         Args:
             linear: which arguments these are.
-            told: the outputs along which there are numbers, among those that depend on the linear arguments.
+            has_cotangent: the outputs along which there are numbers, among those that depend on the linear arguments.
 
         Returns:
             A line whose arguments are the numbers along these outputs, then the arguments that are not linear; its
@@ -203,14 +207,15 @@ class StraightLine:
         Raises:
             NotScalarizable: if it is not linear, as far as its operations show.
         """
-        if (linear, told) not in self._transposes:
-            self._transposes[linear, told] = self._made_transpose(linear, told)
-        return self._transposes[linear, told]
+        if (linear, has_cotangent) not in self._transposes:
+            self._transposes[linear, has_cotangent] = self._made_transpose(linear, has_cotangent)
+        return self._transposes[linear, has_cotangent]
 
-    def _made_transpose(self, linear: tuple[bool, ...], told: tuple[bool, ...]) -> "StraightLine":
-        followed = [*itertools.compress(self.outputs, told)]
-        still = [i for i in range(len(self.shapes)) if not linear[i]]
-        number = {i: -1 - i for i in range(len(self.shapes))} | {i: at for at, i in enumerate(still, len(followed))}
+    def _made_transpose(self, linear: tuple[bool, ...], has_cotangent: tuple[bool, ...]) -> "StraightLine":
+        followed = [*itertools.compress(self.outputs, has_cotangent)]
+        inactive = [i for i in range(len(self.shapes)) if not linear[i]]
+        # The linear arguments are gone in the new line: numbers below zero, which no argument has, stand for them.
+        number = {i: -1 - i for i in range(len(self.shapes))} | {i: at for at, i in enumerate(inactive, len(followed))}
         graph = self.graph.copy(number)
         moving = self._entries(linear, self.nodes)
         along: dict[int, list[tuple[int, int]]] = {}
@@ -218,32 +223,34 @@ class StraightLine:
             for entry, node in enumerate(output.ravel()):
                 along.setdefault(int(node), []).append((i, entry))
         leaves = {node for entries in moving for node in entries if node is not None}
-        made = Transposed(graph, self.nodes, leaves, frozenset(self.flat_given), along)
+        made = Transposed(graph, self.nodes, leaves, frozenset(self.flat_residuals), along)
         outputs = [
             np.array([made.along(node) for node in entries], np.int64).reshape(shape)
             for entries, shape in itertools.compress(zip(moving, self._all_shapes, strict=True), linear)
         ]
-        given = [group for i, group in enumerate(self.given, len(self.shapes)) if not linear[i]]
-        shapes = [*(o.shape for o in followed), *(self.shapes[i] for i in still)]
-        return StraightLine(graph, outputs, shapes, given, self.in_machine_code)
+        residuals = [group for i, group in enumerate(self.residuals, len(self.shapes)) if not linear[i]]
+        shapes = [*(o.shape for o in followed), *(self.shapes[i] for i in inactive)]
+        return StraightLine(graph, outputs, shapes, residuals, self.in_machine_code)
 
-    def _entries(self, chosen: Sequence["Moves"], nodes: Sequence[int]) -> list[list[int | None]]:
+    def _entries(self, chosen: Sequence["ActiveInputs"], nodes: Sequence[int]) -> list[list[int | None]]:
         """The nodes that are the entries of the chosen arguments; None for those that none of `nodes` depends on.
 
         What only a derivative rule reads is among the nodes of a derivative: a weight, say, of which the value reads
         the acceleration alone, which was evaluated ahead.
         """
-        graph, given = self.graph, frozenset(self.flat_given)
+        graph, residuals = self.graph, frozenset(self.flat_residuals)
         inputs = {
-            graph.parameters[node]: node for node in nodes if graph.operations[node] == "input" and node not in given
+            graph.parameters[node]: node
+            for node in nodes
+            if graph.operations[node] == "input" and node not in residuals
         }
-        found: list[list[int | None]] = [
+        entries: list[list[int | None]] = [
             [inputs.get((i, entry)) for entry in range(int(np.prod(shape)))] if chosen[i] else []
             for i, shape in enumerate(self.shapes)
         ]
-        return found + [
+        return entries + [
             [int(node) for node in group.ravel()] if chosen[i] else []
-            for i, group in enumerate(self.given, len(self.shapes))
+            for i, group in enumerate(self.residuals, len(self.shapes))
         ]
 
     @cached_property
@@ -251,12 +258,12 @@ class StraightLine:
         """The same as operations of JAX, one by one: what other programs take in, and what runs without a compiler."""
 
         def evaluated(*arguments: Array) -> list[Array]:
-            arrays, given = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
-            known = {}
-            for group, x in zip(self.given, given, strict=True):
+            arrays, residuals = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
+            known_values = {}
+            for group, x in zip(self.residuals, residuals, strict=True):
                 parts = [x] if group.shape == () else jax.lax.split(x, [1] * group.size)
-                known.update(zip(map(int, group.ravel()), (part.reshape(()) for part in parts), strict=True))
-            values = self.graph.emit(self._flat, _reader(arrays), known)
+                known_values.update(zip(map(int, group.ravel()), (part.reshape(()) for part in parts), strict=True))
+            values = self.graph.emit(self._flat, _reader(arrays), known_values)
             return [self._assembled(output, values) for output in self.outputs]
 
         return jax.jit(evaluated)
@@ -276,8 +283,8 @@ def grouped(nodes: Sequence[int], graph: Graph, in_vectors: bool) -> list[np.nda
     return [np.array([node for node in nodes if graph.dtypes[node] == kind]) for kind in kinds]
 
 
-Moves = bool | tuple[int, ...]
-"""Whether an argument moves, or which of its entries do; then its tangent is the vector of theirs."""
+ActiveInputs = bool | tuple[int, ...]
+"""Of an argument: whether it has a tangent, or which of its entries have; then its tangent is the vector of theirs."""
 
 
 class Derivative(NamedTuple):
@@ -337,8 +344,8 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
     n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
     if n == 1:
         alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
-        found = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
-        return [jnp.expand_dims(x, 0) for x in found], [0] * len(found)
+        results = _straight_line.bind(*alone, line=line, lanes=lanes, axes=axes)
+        return [jnp.expand_dims(x, 0) for x in results], [0] * len(results)
     if lanes and is_called(line, lanes):  # machine code has one axis of lanes: the longer one
         if lanes[0] >= n:
             return by_a_loop(partial(_straight_line.bind, line=line, lanes=lanes, axes=axes), arguments, dims)
@@ -350,9 +357,9 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
     last = 1 << len(lanes)
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
     now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
-    found = _straight_line.bind(*turned, line=line, lanes=(*lanes, n), axes=now)
+    results = _straight_line.bind(*turned, line=line, lanes=(*lanes, n), axes=now)
     _, spread = line.spread(now)
-    return found, [x.ndim - 1 if over & last else None for x, over in zip(found, spread, strict=True)]
+    return results, [x.ndim - 1 if over & last else None for x, over in zip(results, spread, strict=True)]
 
 
 def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
@@ -361,15 +368,15 @@ def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine
         type(t) is not ad.Zero and jax.typeof(x).dtype == FLOAT for x, t in zip(primals, tangents, strict=True)
     )
     derivative = line.derivative(moves)
-    found = _straight_line.bind(*primals, line=derivative.values, lanes=lanes, axes=axes)
-    values, coefficients = found[: len(line.outputs)], found[len(line.outputs) :]
+    results = _straight_line.bind(*primals, line=derivative.values, lanes=lanes, axes=axes)
+    values, coefficients = results[: len(line.outputs)], results[len(line.outputs) :]
     _, spread = derivative.values.spread(axes)
     over = *itertools.compress(axes, moves), *spread[len(line.outputs) :]
     along = [*itertools.compress(tangents, moves)]
     slopes = _straight_line.bind(*along, *coefficients, line=derivative.slopes, lanes=lanes, axes=over)
     _, narrow = derivative.slopes.spread(over)
     wide = itertools.compress(spread, derivative.follows)
-    moved = iter(widened(*each, lanes) for each in zip(slopes, narrow, wide, strict=True))
+    moved = iter(widened(*slope, lanes) for slope in zip(slopes, narrow, wide, strict=True))
     return values, [
         next(moved) if follows else ad.Zero(jax.typeof(value).to_tangent_aval())
         for value, follows in zip(values, derivative.follows, strict=True)
@@ -380,22 +387,22 @@ def _transposed(cotangents: Sequence, *arguments: Any, line: StraightLine, lanes
     """Of a program that is linear in some of its arguments."""
     linear = tuple(ad.is_undefined_primal(x) for x in arguments)
     _, follow = line.spread(tuple(map(int, linear)))
-    told = tuple(each > 0 and type(x) is not ad.Zero for x, each in zip(cotangents, follow, strict=True))
+    has_cotangent = tuple(depends > 0 and type(x) is not ad.Zero for x, depends in zip(cotangents, follow, strict=True))
     _, spread = line.spread(axes)
-    # What comes back is summed over the lanes that an argument has not: what is told of an output without these lanes
-    # counts once, and is told to the first.
-    own = [(x, has) for x, has, each in zip(cotangents, spread, told, strict=True) if each]
+    # What comes back is summed over the lanes that an argument does not have. So the cotangent of an output without
+    # these lanes is put into the first of them alone, and counts once.
+    own = [(x, has) for x, has, is_followed in zip(cotangents, spread, has_cotangent, strict=True) if is_followed]
     widest = _joined(has for _, has in own)
-    given = [in_first_lanes(x, has, widest, lanes) for x, has in own]
+    along = [in_first_lanes(x, has, widest, lanes) for x, has in own]
     stays = [not moves for moves in linear]
-    still = [*itertools.compress(arguments, stays)]
-    back = line.transposed(linear, told)
-    over = *(widest for _ in given), *itertools.compress(axes, stays)
-    _, found_over = back.spread(over)
-    found = _straight_line.bind(*given, *still, line=back, lanes=lanes, axes=over)
+    inactive = [*itertools.compress(arguments, stays)]
+    back = line.transposed(linear, has_cotangent)
+    over = *(widest for _ in along), *itertools.compress(axes, stays)
+    _, back_over = back.spread(over)
+    parts_of_all = _straight_line.bind(*along, *inactive, line=back, lanes=lanes, axes=over)
     parts = iter(
         widened(narrowed(x, has, has & wanted), has & wanted, wanted, lanes)
-        for x, has, wanted in zip(found, found_over, itertools.compress(axes, linear), strict=True)
+        for x, has, wanted in zip(parts_of_all, back_over, itertools.compress(axes, linear), strict=True)
     )
     return [next(parts) if moves else None for moves in linear]
 

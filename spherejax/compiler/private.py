@@ -115,8 +115,8 @@ def _is_known_jaxlib() -> bool:
 
 def header() -> Path | None:
     """The header of the binary interface that jaxlib installs; None where it installs none."""
-    found = importlib.util.find_spec("jaxlib")
-    places = [] if found is None else found.submodule_search_locations or []
+    package = importlib.util.find_spec("jaxlib")
+    places = [] if package is None else package.submodule_search_locations or []
     paths = [Path(place) / "include" / "xla" / "ffi" / "api" / "c_api.h" for place in places]
     return next((path for path in paths if path.is_file()), None)
 

@@ -19,12 +19,12 @@ from jax import Array
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.compiler.emit.c import PRELUDE, c_functions
-from spherejax.compiler.emit.eager import NumbersNow
+from spherejax.compiler.emit.eager import EagerEvaluator
 from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.hooks import attached
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.operations import FLOAT
-from spherejax.compiler.primitive import Moves, StraightLine, grouped, is_called
+from spherejax.compiler.primitive import ActiveInputs, StraightLine, grouped, is_called
 from spherejax.compiler.trace import Interpreter
 
 
@@ -63,20 +63,21 @@ class ScalarProgram:
             part: which one.
             in_vectors: whether what goes ahead is passed on in vectors.
         """
+        # JAX traces again in the context of machine code; what it traced outside must stay as it is.
         key = part, in_vectors, machine_code.native_code_enabled()
         if key not in self._lines:
             ahead = grouped(self._ahead, self._graph, in_vectors)
-            outputs, shapes, given = {
+            outputs, shapes, residuals = {
                 "whole": (self._outputs, self._shapes, []),
                 "first": (ahead, self._shapes[: self._n_leading], []),
                 "rest": (self._outputs, self._shapes, ahead),
             }[part]
-            self._lines[key] = StraightLine(self._graph, outputs, shapes, given, machine_code.native_code_enabled())
+            self._lines[key] = StraightLine(self._graph, outputs, shapes, residuals, machine_code.native_code_enabled())
         return self._lines[key]
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is made of it at its first use; a tree of results stands for its structure."""
-        state = {name: value for name, value in vars(self).items() if name not in ("_lines", "_numbers_now")}
+        state = {name: value for name, value in vars(self).items() if name not in ("_lines", "_eager")}
         return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -121,13 +122,13 @@ class ScalarProgram:
         flat = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(arguments)]
         entries = [array.ravel().tolist() for array in flat]
         with np.errstate(all="ignore"):
-            values = iter(self._numbers_now(entries))
+            values = iter(self._eager(entries))
         outputs = [np.array([next(values) for _ in range(o.size)]).reshape(o.shape) for o in self._outputs]
         return jax.tree.unflatten(self._tree, outputs)
 
     @cached_property
-    def _numbers_now(self) -> NumbersNow:
-        return NumbersNow(self._graph, self._flat_outputs)
+    def _eager(self) -> EagerEvaluator:
+        return EagerEvaluator(self._graph, self._flat_outputs)
 
     def ahead(self, *leading) -> tuple[Array, ...]:
         """What depends on the leading arguments alone, to be evaluated once ahead of a loop; see `inside`."""
@@ -143,8 +144,9 @@ class ScalarProgram:
         """What `inside` evaluates, from its arguments one after the other and what was evaluated ahead of them."""
         in_vectors = _are_vectors(ahead)
         if ahead and not in_vectors and machine_code.native_code_enabled():
-            kinds = dict.fromkeys(each.dtype for each in ahead)
-            ahead = tuple(jnp.stack([each for each in ahead if each.dtype == kind]) for kind in kinds)
+            # Evaluated outside of the context, as single numbers; a call takes vectors, for each argument costs time.
+            kinds = dict.fromkeys(x.dtype for x in ahead)
+            ahead = tuple(jnp.stack([x for x in ahead if x.dtype == kind]) for kind in kinds)
             in_vectors = True
         return self._line("rest", in_vectors), ahead
 
@@ -156,7 +158,7 @@ class ScalarProgram:
         """What goes ahead, in vectors, None for nothing; and the rest, which takes these."""
         return self._line("first", True) if self._ahead else None, self._line("rest", True)
 
-    def moving_inside(self, ahead: tuple[Array, ...], moving: Collection[int]) -> tuple[Moves, ...]:
+    def moving_inside(self, ahead: tuple[Array, ...], moving: Collection[int]) -> tuple[ActiveInputs, ...]:
         """What moves of the first argument, and of what was evaluated ahead, as the line of `line_inside` takes it.
 
         Args:
@@ -165,15 +167,15 @@ class ScalarProgram:
         """
         line, _ = self.line_inside(ahead)
         graph, moves = self._graph, {}
-        for node in graph.needed(line.flat_given):
+        for node in graph.needed(line.flat_residuals):
             if graph.operations[node] == "input":
                 leaf, entry = graph.parameters[node]
                 moves[node] = leaf == 0 and entry in moving
             else:
                 moves[node] = any(moves[a] for a in graph.arguments[node])
-        places = [tuple(i for i, node in enumerate(group.ravel()) if moves[int(node)]) for group in line.given]
-        of_given = [line.dtype(group) == FLOAT and some for group, some in zip(line.given, places, strict=True)]
-        return tuple(sorted(moving)), *of_given
+        places = [tuple(i for i, node in enumerate(group.ravel()) if moves[int(node)]) for group in line.residuals]
+        of_residuals = [line.dtype(group) == FLOAT and some for group, some in zip(line.residuals, places, strict=True)]
+        return tuple(sorted(moving)), *of_residuals
 
     def slopes_inside(self, ahead: tuple[Array, ...], slopes: tuple[Array | None, ...]) -> tuple[Array | None, ...]:
         """Derivatives of what was evaluated ahead, as the line of `line_inside` takes it.
@@ -184,8 +186,8 @@ class ScalarProgram:
         """
         if _are_vectors(ahead) or not machine_code.native_code_enabled():
             return slopes
-        kinds = dict.fromkeys(each.dtype for each in ahead)
-        moving = [each for each in slopes if each is not None]
+        kinds = dict.fromkeys(x.dtype for x in ahead)
+        moving = [slope for slope in slopes if slope is not None]
         return tuple(jnp.stack(moving, -1) if kind == FLOAT else None for kind in kinds)
 
     @property
@@ -198,7 +200,7 @@ class ScalarProgram:
         return jax.tree.unflatten(self._tree, outputs)
 
     def c_source(self, name: str) -> str:
-        """The program as functions of C; see `c_source.c_functions`.
+        """The program as functions of C; see `emit.c.c_functions`.
 
         Raises:
             NotScalarizable: for an operation that C does not have.
@@ -214,7 +216,7 @@ class ScalarProgram:
 
 
 def _are_vectors(ahead: tuple[Array, ...]) -> bool:
-    return any(jnp.ndim(each) > 0 for each in ahead)
+    return any(jnp.ndim(x) > 0 for x in ahead)
 
 
 def scalarize(
@@ -234,7 +236,7 @@ def scalarize(
     Other args:
         fixed: entries known in advance, `{(leaf number, flat index): value}`: the program folds the values and
             does not read those entries.
-        n_ahead: number of leading leaves of the arguments that `ahead` is given.
+        n_ahead: number of leading leaves of the arguments that `ahead` takes.
         maximum_operations: give up beyond this size; None for no limit. Compiling 20,000 operations takes about ten
             seconds, 70,000 more than two minutes.
         has_slopes: whether what derivative rules give is made with it. Without, it takes a third less to make, and its
@@ -259,10 +261,12 @@ def scalarize(
         ]
         inputs.append(np.array(names, np.int64).reshape(shape))
     interpreter = Interpreter(graph, maximum_operations, has_slopes=has_slopes)
+    # What no output depends on is left out before it is followed; it may have no scalar rule, as a check that is off.
     jaxpr, _ = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
     outputs = interpreter.run(jaxpr, closed.consts, inputs)
     tree = jax.tree.structure(output_shapes)
     program = ScalarProgram(graph, outputs, tree, shapes, getattr(function, "__name__", repr(function)), n_ahead)
+    # The interpreter only bounds what is made on the way (`WASTE`); this is the size itself.
     if maximum_operations is not None and program.n_operations > maximum_operations:
         raise TooManyOperations(f"more than {maximum_operations} scalar operations")
     return program

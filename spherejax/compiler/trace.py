@@ -30,6 +30,7 @@ class Interpreter:
 
     def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
         """The names of a jaxpr's outputs."""
+        # A variable is an array of node names, so that operations that only move entries cost nothing.
         environment: dict = {}
 
         def read(atom):
@@ -39,10 +40,14 @@ class Interpreter:
             environment[variable] = self.names_of(constant)
         environment.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
-            given = equation, [read(atom) for atom in equation.invars]
-            outputs = self.marked(jaxpr, *given) if self._follows_rule(equation) else self.equation(*given)
+            inputs = [read(atom) for atom in equation.invars]
+            if self._follows_rule(equation):
+                outputs = self.custom_jvp_nodes(jaxpr, equation, inputs)
+            else:
+                outputs = self.equation(equation, inputs)
             environment.update(zip(equation.outvars, outputs, strict=True))
-            # What derivative rules give does not count: it is there for those who ask for it.
+            # Counted while it grows: a program far above the limit takes minutes to make. What derivative rules give
+            # does not count: it is there for those who ask for it.
             if self.limit is not None and len(self.graph.operations) - self._n_for_slopes > WASTE * self.limit:
                 raise TooManyOperations(f"more than {self.limit} scalar operations")
         return [read(atom) for atom in jaxpr.outvars]
@@ -52,7 +57,7 @@ class Interpreter:
         if isinstance(value, jax.core.Tracer):
             raise NotScalarizable("the function closes over a traced value; pass it as an argument")
         array = np.asarray(value)
-        if array.dtype == jax.dtypes.float0:
+        if array.dtype == jax.dtypes.float0:  # the tangent of an index has no values; nothing reads it
             array = np.zeros(array.shape, BOOL)
         dtype = graph_dtype(array.dtype)
         names = [self.graph.constant(entry, dtype) for entry in array.ravel()]
@@ -62,7 +67,7 @@ class Interpreter:
         """The names of what an operation of JAX gives."""
         name, parameters = equation.primitive.name, equation.params
         inner = inner_program(name, parameters)
-        if inner is not None:
+        if inner is not None:  # inlined: a straight line has no calls
             return self.run(*inner, inputs)
         if name == "straight_line":  # a program within a program
             line, how = parameters["line"], {name: parameters[name] for name in ("lanes", "axes")}
@@ -84,6 +89,7 @@ class Interpreter:
 
     def inlined(self, function, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
         """The names of what a function gives that stands for an operation."""
+        # Traced from shapes alone: values are names of nodes here, which JAX cannot evaluate with.
         closed = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars))
         return self.run(closed.jaxpr, closed.consts, inputs)
 
@@ -98,39 +104,44 @@ class Interpreter:
             return self._depth == 0
         return equation.primitive.name == "custom_jvp_call" and self._depth <= HIGHEST_DERIVATIVE
 
-    def marked(self, jaxpr, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
-        """The names of what an operation gives, marked with what its derivative rule gives."""
+    def custom_jvp_nodes(self, jaxpr, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        """The names of what an operation gives, as nodes that have the derivative of its own rule."""
         places = [i for i, variable in enumerate(equation.outvars) if _has_derivative(variable)]
         with self._at(HIGHEST_DERIVATIVE + 1):  # rules of what it is made of do not count
             values = self.equation(equation, inputs)
+        # Beyond the highest order the rule is not followed: a derivative of that order is refused by name.
         slopes = itertools.repeat(None)
         if self._depth < HIGHEST_DERIVATIVE:
             begin, own = len(self.graph.operations), self._n_for_slopes
             with self._at(self._depth + 1):
                 slopes = self._slopes(jaxpr, equation, inputs, [equation.outvars[i] for i in places])
+            # What was counted within is part of it: rules of rules.
             self._n_for_slopes = own + len(self.graph.operations) - begin
-        for i, names in zip(places, slopes, strict=False):
-            values[i] = _each(self.graph.marked, values[i], np.full(values[i].shape, None) if names is None else names)
+        for i, names in zip(places, slopes, strict=False):  # `repeat` has no end
+            names = np.full(values[i].shape, None) if names is None else names
+            values[i] = _by_entry(self.graph.custom_jvp_node, values[i], names)
         return values
 
     def _slopes(self, jaxpr, equation, inputs: list[np.ndarray], wanted: list) -> list[np.ndarray]:
         """What the derivative rule of an operation gives, linear in the tangents of its arguments."""
-        given = {atom: x for atom, x in zip(equation.invars, inputs, strict=True) if not isinstance(atom, jex.Literal)}
-        moving = {atom: _each(self.graph.tangent, x) for atom, x in given.items() if atom.aval.dtype == FLOAT}
-        alone = jaxpr.replace(constvars=[], invars=[*given], outvars=wanted, eqns=[equation])
+        # By variable: an argument that is passed twice is one variable, with one tangent.
+        arguments = {a: x for a, x in zip(equation.invars, inputs, strict=True) if not isinstance(a, jex.Literal)}
+        moving = {atom: _by_entry(self.graph.tangent, x) for atom, x in arguments.items() if atom.aval.dtype == FLOAT}
+        # The equation as a program of its own, so that JAX applies the rule that it has for it.
+        alone = jaxpr.replace(constvars=[], invars=[*arguments], outvars=wanted, eqns=[equation])
         evaluated = jex.jaxpr_as_fun(jex.ClosedJaxpr(alone, []))
 
-        def along(arguments, tangents):
-            known = dict(zip(given, arguments, strict=True))
+        def along(values, tangents):
+            primals = dict(zip(arguments, values, strict=True))
 
             def of_moving(*numbers):
-                moved = known | dict(zip(moving, numbers, strict=True))
-                return evaluated(*(moved[atom] for atom in given))
+                moved = primals | dict(zip(moving, numbers, strict=True))
+                return evaluated(*(moved[atom] for atom in arguments))
 
-            return jax.jvp(of_moving, [known[atom] for atom in moving], tangents)[1]
+            return jax.jvp(of_moving, [primals[atom] for atom in moving], tangents)[1]
 
-        closed = jax.make_jaxpr(along)([atom.aval for atom in given], [atom.aval for atom in moving])
-        return self.run(closed.jaxpr, closed.consts, [*given.values(), *moving.values()])
+        closed = jax.make_jaxpr(along)([atom.aval for atom in arguments], [atom.aval for atom in moving])
+        return self.run(closed.jaxpr, closed.consts, [*arguments.values(), *moving.values()])
 
     @contextmanager
     def _at(self, depth: int):
@@ -150,6 +161,7 @@ class Interpreter:
         closed, length = parameters["jaxpr"], parameters["length"]
         turns = range(length - 1, -1, -1) if parameters["reverse"] else range(length)
         stacked: list[list] = []
+        # A jaxpr is followed again in each turn: names differ, and folding goes further where a turn has constants.
         for turn in turns:
             outputs = self.run(
                 closed.jaxpr, closed.consts, [*constants, *carried, *(column[turn] for column in columns)]
@@ -167,6 +179,7 @@ class Interpreter:
         if graph.is_constant(index):
             chosen = branches[int(np.clip(int(graph.value(index)), 0, len(branches) - 1))]
             return self.run(chosen.jaxpr, chosen.consts, operands)
+        # JAX makes the index a whole number; a selection needs the truth that it was made from.
         index = graph.predicate_of(index)
         if len(branches) != 2 or graph.dtypes[index] != BOOL:
             raise NotScalarizable("a switch between more than two branches")
@@ -182,9 +195,9 @@ def _has_derivative(variable) -> bool:
     return not private.is_dropped(variable) and variable.aval.dtype == FLOAT
 
 
-def _each(function, *arrays: np.ndarray) -> np.ndarray:
+def _by_entry(function, *arrays: np.ndarray) -> np.ndarray:
     """A function of nodes, for each entry."""
-    names = [function(*each) for each in zip(*(array.ravel().tolist() for array in arrays), strict=True)]
+    names = [function(*nodes) for nodes in zip(*(array.ravel().tolist() for array in arrays), strict=True)]
     return np.array(names, np.int64).reshape(arrays[0].shape)
 
 

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
+from jax.core import ShapedArray
 from jax.extend import core as jex
 
 from spherejax.compiler import primitive
@@ -118,8 +119,8 @@ ROWS = {
     ),
     "stop_gradient": Row(lax.stop_gradient),
 }
-BY_THE_COMPILER = {"marked"}
-"""Operations that no function of JAX becomes: a rule of one's own marks nodes; `test_scalarize` has it."""
+BY_THE_COMPILER = {"custom_jvp_node"}
+"""Operations that no function of JAX becomes: a node of a function with its own derivative rule (`test_scalarize`)."""
 
 SINCE_JAX_0_11 = {"one_minus_square", "log2", "polynomial"}
 """Of which there are primitives since that version only: see the last test but one."""
@@ -171,10 +172,10 @@ def program(name: str):
     return scalarize(ROWS[name].function, *[jnp.zeros(())] * n_arguments(name))
 
 
-def agrees(name: str, found, where=slice(None)) -> None:
-    found, right = np.asarray(found), expected(name)
-    assert found.dtype == right.dtype
-    np.testing.assert_allclose(found[where], right[where], rtol=ROWS[name].digits, atol=1e-300)
+def agrees(name: str, result, where=slice(None)) -> None:
+    result, right = np.asarray(result), expected(name)
+    assert result.dtype == right.dtype
+    np.testing.assert_allclose(result[where], right[where], rtol=ROWS[name].digits, atol=1e-300)
 
 
 # In each form --------------------------------------------------------------------------------------------------------
@@ -189,7 +190,7 @@ def test_it_becomes_its_node(name):
 def test_known_numbers_are_folded(name):
     """But for a structural zero, which is of no sign, and whose products are zero."""
     values = arguments(name)
-    fixed = {(i, at): x for i, each in enumerate(values) for at, x in enumerate(each)}
+    fixed = {(i, at): x for i, numbers in enumerate(values) for at, x in enumerate(numbers)}
     made = scalarize(ROWS[name].function, *values, fixed=fixed)
     assert made.n_operations == 0
     where = ~np.any([(x == 0) & np.signbit(x) for x in values], 0)
@@ -200,7 +201,7 @@ def test_known_numbers_are_folded(name):
 
 @pytest.mark.parametrize("name", ROWS)
 def test_python_evaluates_it(name):
-    agrees(name, [program(name).compute(*each) for each in zip(*arguments(name), strict=True)])
+    agrees(name, [program(name).compute(*numbers) for numbers in zip(*arguments(name), strict=True)])
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -238,8 +239,8 @@ def in_a_loop(function: Callable, *values: np.ndarray) -> np.ndarray:
     start = jnp.zeros((), jnp.int64), jnp.zeros(shape.shape, shape.dtype), *map(jnp.asarray, values)
     closed = jax.make_jaxpr(run)(*start)
     (loop,) = closed.jaxpr.eqns
-    known = dict(zip([*closed.jaxpr.constvars, *closed.jaxpr.invars], [*closed.consts, *start], strict=True))
-    operands = [known[atom] for atom in loop.invars]
+    values_of = dict(zip([*closed.jaxpr.constvars, *closed.jaxpr.invars], [*closed.consts, *start], strict=True))
+    operands = [values_of[atom] for atom in loop.invars]
     return np.asarray(jax.jit(lambda *x: looped(loop.params, x))(*operands)[-1])
 
 
@@ -276,10 +277,10 @@ def in_c(tmp_path_factory):
     parts = [PRELUDE]
     for name in names:
         n = n_arguments(name)
-        given = ", ".join(f"a + {i}" for i in range(n))
+        entries = ", ".join(f"a + {i}" for i in range(n))
         parts += [program(name).c_source(f"f_{name}"),
                   f"void test_{name}(const double *a, double *out) {{ double ahead[f_{name}_ahead_size + 1];"
-                  f" f_{name}_ahead(a, ahead); f_{name}(ahead, {given}, out); }}"]  # fmt: skip
+                  f" f_{name}_ahead(a, ahead); f_{name}(ahead, {entries}, out); }}"]  # fmt: skip
     (folder / "all.c").write_text("\n".join(parts))
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
@@ -297,11 +298,11 @@ def test_what_c_does_not_have_is_refused_by_name(monkeypatch):
 @pytest.mark.parametrize("name", [name for name, row in ROWS.items() if "c" not in row.without])
 def test_c_evaluates_it(name, in_c):
     function, out = getattr(in_c, f"test_{name}"), (ctypes.c_double * 1)()
-    found = []
-    for each in zip(*arguments(name), strict=True):
-        function((ctypes.c_double * len(each))(*each), out)
-        found.append(out[0])
-    agrees(name, np.array(found).astype(expected(name).dtype))
+    results = []
+    for numbers in zip(*arguments(name), strict=True):
+        function((ctypes.c_double * len(numbers))(*numbers), out)
+        results.append(out[0])
+    agrees(name, np.array(results).astype(expected(name).dtype))
 
 
 # Derivatives ---------------------------------------------------------------------------------------------------------
@@ -333,7 +334,7 @@ def test_its_derivative_is_that_of_finite_differences(name):
 def primitive_of(name: str, function: Callable) -> Callable:
     """A primitive of a later JAX, as far as the compiler meets it."""
     later = jex.Primitive(name)
-    later.def_abstract_eval(lambda x, *_, **__: jax.core.ShapedArray(x.shape, x.dtype))
+    later.def_abstract_eval(lambda x, *_, **__: ShapedArray(x.shape, x.dtype))
     later.def_impl(lambda *arguments, **_: function(*arguments))
     return later.bind
 
@@ -383,8 +384,8 @@ def test_powers_by_known_exponents_where_they_end(exponent):
     made = scalarize(lambda x: x**exponent, x)
     with np.errstate(all="ignore"):
         right = x**exponent
-    for found in (made.compute(x), jax.jit(made)(x)):
-        np.testing.assert_allclose(found, right, rtol=1e-14)
+    for result in (made.compute(x), jax.jit(made)(x)):
+        np.testing.assert_allclose(result, right, rtol=1e-14)
 
 
 @pytest.mark.parametrize("exponent", [np.inf, -np.inf, np.nan, 1e300])

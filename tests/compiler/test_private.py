@@ -41,9 +41,9 @@ def test_offsets_are_those_of_the_header_that_is_installed(tmp_path):
     )
     include = header.parents[3]
     subprocess.run(["cc", "-std=c11", f"-I{include}", source, "-o", tmp_path / "offsets"], check=True)
-    said = subprocess.run([tmp_path / "offsets"], check=True, capture_output=True, text=True).stdout
-    found = dict(re.findall(r"(\w+) (\d+)", said))
-    assert {name: int(found[name]) for name in OFFSETS} == {name: getattr(ffi_abi, name) for name in OFFSETS}
+    printed = subprocess.run([tmp_path / "offsets"], check=True, capture_output=True, text=True).stdout
+    numbers = dict(re.findall(r"(\w+) (\d+)", printed))
+    assert {name: int(numbers[name]) for name in OFFSETS} == {name: getattr(ffi_abi, name) for name in OFFSETS}
     assert ffi_abi.FRAME_RESULTS + 8 <= 8 * ffi_abi.FRAME_WORDS
 
 

@@ -1,8 +1,11 @@
 """The compiler on small functions that have nothing to do with mechanisms: Lorenz, a pendulum, a dense solve."""
 
 import ctypes
+import re
 import shutil
 import subprocess
+import textwrap
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +13,9 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from spherejax import compiler
 from spherejax.compiler import NotScalarizable, ScalarProgram, linear_algebra, native_code, scalarize
+from spherejax.compiler.emit.llvm import FunctionText
 
 
 def lorenz(t, y, args):
@@ -61,18 +66,18 @@ def independent(function, t, y, args):
 
 
 def test_a_program_computes_what_the_function_says(case):
-    function, program, given = case
-    expected = independent(function, *given)
-    np.testing.assert_allclose(program(*given), expected, rtol=1e-12)
-    np.testing.assert_allclose(program.compute(*given), expected, rtol=1e-12)
-    np.testing.assert_allclose(jax.jit(program)(*given), expected, rtol=1e-12)
+    function, program, arguments = case
+    expected = independent(function, *arguments)
+    np.testing.assert_allclose(program(*arguments), expected, rtol=1e-12)
+    np.testing.assert_allclose(program.compute(*arguments), expected, rtol=1e-12)
+    np.testing.assert_allclose(jax.jit(program)(*arguments), expected, rtol=1e-12)
 
 
 def test_its_derivatives_are_those_of_the_function(case):
-    function, program, given = case
+    function, program, arguments = case
     for mode in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(mode(program, 1)(*given), mode(function, 1)(*given), rtol=1e-10, atol=1e-12)
-    check_grads(lambda y: program(given[0], y, given[2]), (given[1],), order=1, rtol=1e-6)
+        np.testing.assert_allclose(mode(program, 1)(*arguments), mode(function, 1)(*arguments), rtol=1e-10, atol=1e-12)
+    check_grads(lambda y: program(arguments[0], y, arguments[2]), (arguments[1],), order=1, rtol=1e-6)
 
 
 def test_it_is_mapped_over_lanes(case):
@@ -85,24 +90,59 @@ def test_it_is_mapped_over_lanes(case):
 @pytest.mark.skipif(not native_code.is_available(), reason="no machine code with this jaxlib")
 def test_as_machine_code_it_computes_the_same(case, monkeypatch):
     monkeypatch.setattr("spherejax.compiler.primitive.SMALLEST_CALLED", 0)  # programs this small are XLA's otherwise
-    function, program, given = case
+    function, program, arguments = case
     with native_code(), native_code.record_ffi_targets() as codes:
-        found = jax.jit(lambda *arguments: program(*arguments))(*given)
-    np.testing.assert_allclose(found, independent(function, *given), rtol=1e-12)
+        result = jax.jit(lambda *values: program(*values))(*arguments)
+    np.testing.assert_allclose(result, independent(function, *arguments), rtol=1e-12)
     (content,) = codes().values()
     assert content[:4] == b"\x7fELF" or content[:4] == b"\xcf\xfa\xed\xfe" or content[:2] == b"\x64\x86"
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_as_c_it_computes_the_same(case, tmp_path):
-    function, program, given = case
+    function, program, arguments = case
     source, library = tmp_path / "program.c", tmp_path / "program.so"
-    source.write_text(f"{ScalarProgram.C_PRELUDE}\n{program.c_source('rate')}")
-    subprocess.run(["cc", "-std=c11", "-O1", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
     # Two functions: what depends on the leading argument alone goes ahead, into an array that the other one reads.
-    assert "rate" in source.read_text()
-    assert ctypes.CDLL(str(library)) is not None
-    assert program.n_operations >= len(independent(function, *given))
+    called = """
+void called(const double *t, const double *y, const double *args, double *out) {
+  double ahead[rate_ahead_size + 1];
+  rate_ahead(t, ahead);
+  rate(ahead, t, y, args, out);
+}
+"""
+    source.write_text(f"{ScalarProgram.C_PRELUDE}\n{program.c_source('rate')}{called}")
+    subprocess.run(["cc", "-std=c11", "-O1", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+    expected = independent(function, *arguments)
+    result = np.full(expected.shape, np.nan)
+    operands = [np.ascontiguousarray(x, np.float64) for x in arguments]
+    pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in [*operands, result]]
+    ctypes.CDLL(str(library)).called(*pointers)
+    np.testing.assert_allclose(result, expected, rtol=1e-12)
+
+
+def test_the_worked_example_of_the_readme_is_what_the_compiler_does():
+    """Each number and each line of text in it, but for those that depend on the processor."""
+    readme = Path(compiler.__file__).with_name("README.md").read_text(encoding="utf-8")
+    example = readme[readme.index("## From a function to machine code") : readme.index("## Where things stand")]
+    scope = {"jnp": jnp}
+    exec(textwrap.dedent(example[example.index("    def pendulum") : example.index("1. **JAX")]), scope)
+    arguments = 0.0, np.ones(2), 1.0
+    jaxpr = jax.make_jaxpr(scope["pendulum"])(*arguments)
+    assert "Twelve operations" in example
+    assert len(jaxpr.eqns) == 12
+    program = scalarize(scope["pendulum"], *arguments)
+    nodes = [*map(int, re.findall(r"^ +(\d+) (?:input|sin|mul|neg) ", example, re.MULTILINE))]
+    graph = program._graph
+    assert nodes == graph.needed(program._flat_outputs)
+    for node in nodes:
+        read = graph.parameters[node] if graph.operations[node] == "input" else graph.arguments[node]
+        inside = ", ".join(map(str, read))
+        assert re.search(rf"^ +{node} {graph.operations[node]} \({inside}\)", example, re.MULTILINE)
+    text = FunctionText(program._line("whole"), (), (0, 0, 0)).written()
+    lines = re.findall(r"^ +((?:%v|store).*)$", example, re.MULTILINE)
+    assert len(lines) == 8
+    for line in lines:
+        assert f"  {line}\n" in text
 
 
 def test_what_has_no_rule_is_refused_by_name():

@@ -63,6 +63,7 @@ def c_functions(graph: Graph, outputs: Sequence[int], ahead: Sequence[int], n_ar
     Raises:
         NotScalarizable: for an operation that C does not have.
     """
+    # A program need not read all of its arguments, of which a C compiler would warn.
     arguments = "".join(f"const double *a{i}, " for i in range(n_arguments))
     unused = "".join(f" (void)a{i};" for i in range(n_arguments))
     place = {node: i for i, node in enumerate(ahead)}
@@ -85,17 +86,18 @@ def c_functions(graph: Graph, outputs: Sequence[int], ahead: Sequence[int], n_ar
 
 
 def _read_ahead(graph: Graph, node: int, place: int) -> str:
+    # All that goes ahead is passed on as doubles; a truth is 0 or 1 of them.
     return f"ahead[{place}] != 0" if graph.dtypes[node] == BOOL else f"ahead[{place}]"
 
 
-def _statements(graph: Graph, outputs: Sequence[int], given: dict[int, str]) -> list[str]:
+def _statements(graph: Graph, outputs: Sequence[int], known_texts: dict[int, str]) -> list[str]:
     lines = []
-    for node in graph.needed(outputs, given.keys()):
+    for node in graph.needed(outputs, known_texts.keys()):
         operation = graph.operations[node]
-        if operation == "constant":
+        if operation == "constant":  # written where it is read: a compiler of C folds it there
             continue
-        if node in given:
-            text = given[node]
+        if node in known_texts:
+            text = known_texts[node]
         elif operation == "input":
             argument, entry = graph.parameters[node]
             text = f"a{argument}[{entry}]"
@@ -107,7 +109,7 @@ def _statements(graph: Graph, outputs: Sequence[int], given: dict[int, str]) -> 
 
 def _written(graph: Graph, node: int, operation: str) -> str:
     kinds = tuple(KINDS[graph.dtypes[a]] for a in graph.arguments[node])
-    call = Call(kinds, KINDS[graph.dtypes[node]], dict(graph.parameters[node] or ()) if operation != "marked" else {})
+    call = Call(kinds, KINDS[graph.dtypes[node]], dict(graph.parameters_of(node) or ()))
     text = OPERATIONS[operation].in_c(call, *(_name(graph, a) for a in graph.arguments[node]))
     if text is None:
         raise NotScalarizable(f"the operation {operation!r} is not written in C")
@@ -119,7 +121,7 @@ def _name(graph: Graph, node: int) -> str:
 
 
 def _constant(value: Any) -> str:
-    if isinstance(value, np.bool_ | bool):
+    if isinstance(value, np.bool_ | bool):  # before `float`: C prints a truth as 1, not as 0x1p+0
         return str(int(value))
     number = float(value)
     if math.isfinite(number):

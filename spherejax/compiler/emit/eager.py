@@ -12,8 +12,8 @@ _NONE, _ALL = -1, -2
 """In place of an argument: there is none; the function takes all values."""
 
 
-class NumbersNow:
-    """The outputs of a graph, by a list of what is to be done, made once: to go through the graph takes longer.
+class EagerEvaluator:
+    """The outputs of a graph, evaluated by a list of steps, which is made once: to go through the graph takes longer.
 
     Args:
         graph: the nodes.
@@ -27,7 +27,7 @@ class NumbersNow:
         self._steps: list[tuple[int, Callable, int, int]] = []
         for node in graph.needed(outputs):
             operation, arguments = graph.operations[node], [place[a] for a in graph.arguments[node]]
-            if operation == "marked":
+            if operation == "custom_jvp_node":  # has the value of its argument
                 place[node] = arguments[0]
                 continue
             place[node] = at = len(self._begin)
@@ -37,8 +37,9 @@ class NumbersNow:
             elif operation != "constant":
                 # Of whole numbers Python's results are others: 7 / 2 is 3.5, and sums do not wrap.
                 has_whole = any(graph.dtypes[a] == INT for a in graph.arguments[node])
-                known = None if has_whole else OPERATIONS[operation].python
-                function = known or _evaluated_by(graph, node)
+                python = None if has_whole else OPERATIONS[operation].python
+                function = python or _evaluated_by(graph, node)
+                # One or two arguments are passed without a list, which would have to be made in every call.
                 if len(arguments) > 2:
                     self._steps.append((at, _of_all(function, arguments), _ALL, _NONE))
                 else:
@@ -48,7 +49,7 @@ class NumbersNow:
 
     def __call__(self, entries: Sequence[Sequence[float]]) -> list:
         """The outputs, from the entries of each argument."""
-        values = self._begin.copy()
+        values = self._begin.copy()  # with the constants, which no step writes
         for at, argument, entry in self._inputs:
             values[at] = entries[argument][entry]
         for at, function, a, b in self._steps:
@@ -70,6 +71,7 @@ def _evaluated_by(graph: Graph, node: int) -> Callable:
     dtypes = [graph.dtypes[a] for a in graph.arguments[node]]
 
     def evaluated(*arguments: Any) -> Any:
+        # Of the types of the nodes: a float of Python does not say whether it stands for a whole number.
         operands = [np.asarray(a, dtype) for a, dtype in zip(arguments, dtypes, strict=True)]
         return graph.evaluated(graph.operations[node], operands, graph.parameters[node]).item()
 

@@ -22,11 +22,11 @@ LANES_AT_A_TIME = 8
 
 def can_be_written(line: Any) -> bool:
     """Whether all operations of a line have a rule here."""
-    graph, given = line.graph, frozenset(line.flat_given)
+    graph, residuals = line.graph, frozenset(line.flat_residuals)
     return all(
         _is_known(graph, node)
         for node in line.nodes
-        if node not in given and graph.operations[node] not in ("constant", "input")
+        if node not in residuals and graph.operations[node] not in ("constant", "input")
     )
 
 
@@ -36,8 +36,7 @@ def _is_known(graph: Any, node: int) -> bool:
 
 def _call(graph: Any, node: int) -> Call:
     kinds = tuple(KINDS[graph.dtypes[a]] for a in graph.arguments[node])
-    parameters = () if graph.operations[node] == "marked" else graph.parameters[node]  # which has its slope there
-    return Call(kinds, KINDS[graph.dtypes[node]], dict(parameters) if parameters else {})
+    return Call(kinds, KINDS[graph.dtypes[node]], dict(graph.parameters_of(node) or ()))
 
 
 FUNCTION = "PROGRAM"
@@ -48,6 +47,7 @@ def head(n_arguments: int, n_results: int) -> str:
     """How a function begins that XLA calls: with pointers to the numbers, `%a0`, ... and `%r0`, ..."""
     lines = [ffi_abi.beginning(FUNCTION)]
     for letter, of, n in (("a", "arguments", n_arguments), ("r", "results", n_results)):
+        # All places are looked up at the start: in a loop over lanes LLVM would have to prove that they stay the same.
         for i in range(n):
             lines += [
                 f"  %{letter}{i}.place = getelementptr inbounds ptr, ptr %{of}, i64 {i}",
@@ -65,12 +65,13 @@ def widest_for(*lines: Any) -> int:
 
 
 def _element(dtype: np.dtype, in_memory: bool) -> str:
+    # XLA keeps a truth in a byte; LLVM computes with single bits.
     return "i8" if in_memory and dtype == BOOL else KINDS[dtype]
 
 
 def constant(value: Any, kind: str) -> str:
     """A number, exactly."""
-    if kind == DOUBLE:
+    if kind == DOUBLE:  # by its bits: LLVM refuses decimals that are no double exactly
         return f"0x{int(np.float64(value).view(np.uint64)):016X}"
     return str(int(value)) if kind == WHOLE else "true" if value else "false"
 
@@ -99,10 +100,11 @@ class Numbers:
     def intrinsic(self, word: str, kind: str, *names: str, result: str | None = None) -> str:
         """A function that LLVM has itself; `result` where it gives another kind than it takes."""
         typed, to = self.type(kind), self.type(result or kind)
-        marks = "".join(f".{self._mark(each)}" for each in ([result, kind] if result else [kind]))
+        # LLVM tells its intrinsics apart by the types in their names: the result first, where it is another one.
+        marks = "".join(f".{self._mark(kind_of)}" for kind_of in ([result, kind] if result else [kind]))
         name = f"@llvm.{word}{marks}"
         self._declared[f"declare {to} {name}({', '.join([typed] * len(names))})"] = None
-        return self.made(f"call {to} {name}({', '.join(f'{typed} {each}' for each in names)})")
+        return self.made(f"call {to} {name}({', '.join(f'{typed} {argument}' for argument in names)})")
 
     def _mark(self, kind: str) -> str:
         element = {DOUBLE: "f64"}.get(kind, kind)
@@ -111,14 +113,15 @@ class Numbers:
     def library(self, word: str, *names: str) -> str:
         """A function of the mathematical library, of one number after the other: it has none of vectors."""
         needs = ", ".join(["double"] * len(names))
+        # `memory(none)`: nobody reads `errno`, so that equal calls are made once and unused ones not at all.
         self._declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
         if self._size == 1:
-            return self.made(f"call double @{word}({', '.join(f'double {each}' for each in names)})")
+            return self.made(f"call double @{word}({', '.join(f'double {argument}' for argument in names)})")
         typed, whole = self.type(DOUBLE), "poison"
         for i in range(self._size):
-            each = [self.made(f"extractelement {typed} {name}, i64 {i}") for name in names]
-            found = self.made(f"call double @{word}({', '.join(f'double {x}' for x in each)})")
-            whole = self.made(f"insertelement {typed} {whole}, double {found}, i64 {i}")
+            numbers = [self.made(f"extractelement {typed} {name}, i64 {i}") for name in names]
+            result = self.made(f"call double @{word}({', '.join(f'double {x}' for x in numbers)})")
+            whole = self.made(f"insertelement {typed} {whole}, double {result}, i64 {i}")
         return whole
 
 
@@ -141,13 +144,14 @@ class FunctionText:
         self.axes = axes
         self.n_lanes = lanes[0] if lanes else 1
         self.n_runs = n_runs
+        # Of several runs a value is a vector already; vectors of vectors there are not.
         self.width = 1 if n_runs > 1 else min(self.n_lanes, widest_for(line))
         self.lines: list[str] = []
         self.declared: dict[str, None] = {}
         self.values: dict[int, str] = {}
         self.wide: dict[int, str] = {}
         self.place: dict[int, tuple[int, int]] = {}
-        for i, group in enumerate(line.given, len(line.shapes)):
+        for i, group in enumerate(line.residuals, len(line.shapes)):
             self.place.update({int(node): (i, entry) for entry, node in enumerate(group.ravel())})
         for node in line.nodes:
             if node not in self.place and self.graph.operations[node] == "input":
@@ -178,6 +182,7 @@ class FunctionText:
         if self.width == 1:
             return value
         element, vector = _element(dtype, False), self._type(dtype, True)
+        # LLVM has no instruction that fills a vector; this pair is what it recognizes as one.
         first = self._made(f"insertelement {vector} poison, {element} {value}, i64 0")
         return self._made(f"shufflevector {vector} {first}, {vector} poison, <{self.width} x i32> zeroinitializer")
 
@@ -194,6 +199,7 @@ class FunctionText:
         return self.wide[node]
 
     def _pointer(self, argument: str, entry: int, dtype: np.dtype, is_wide: bool) -> str:
+        # Steps of an array of numbers: the size of a vector may be rounded up.
         element = self._type(dtype, False, True).replace("<", "[").replace(">", "]")
         at: Any = entry * self.n_lanes if is_wide else entry
         if is_wide and self.in_loop:
@@ -205,6 +211,7 @@ class FunctionText:
         dtype, is_wide = self.graph.dtypes[node], bool(self.spread[node])
         pointer = self._pointer(f"%a{argument}", entry, dtype, is_wide)
         kind = self._type(dtype, is_wide, True)
+        # A vector begins at any entry, so that no more can be said than the alignment of one number.
         value = self._made(f"load {kind}, ptr {pointer}, align {1 if dtype == BOOL else 8}")
         return self._made(f"trunc {kind} {value} to {self._type(dtype, is_wide)}") if dtype == BOOL else value
 
@@ -238,6 +245,7 @@ class FunctionText:
 
         It has pointers to all arguments, then to all results.
         """
+        # A result overlaps nothing else; arguments may be the same array twice, which is harmless.
         pointers = [f"ptr %a{i}" for i in range(self.n_arguments)] + [
             f"ptr noalias %r{i}" for i in range(self.n_results)
         ]
@@ -248,7 +256,7 @@ class FunctionText:
     @property
     def n_arguments(self) -> int:
         """Of the line."""
-        return len(self.line.shapes) + len(self.line.given)
+        return len(self.line.shapes) + len(self.line.residuals)
 
     @property
     def n_results(self) -> int:
@@ -277,7 +285,7 @@ class FunctionText:
 
     def _over_all_lanes(self) -> None:
         n_turns = -(-self.n_lanes // self.width)
-        if n_turns == 1:
+        if n_turns == 1:  # without a loop all places are constants
             self._part(is_wide=True)
             return
         wanted = [a for node in self.line.nodes if self.spread[node] for a in self.graph.arguments[node]]

@@ -113,6 +113,7 @@ class ArrayText:
     def array(self, shape: Sequence[int], kind: str) -> Value:
         """Room on the stack for an array, which belongs to this place in the text."""
         size, name = int(np.prod(shape, dtype=int)), self.new("%m")
+        # Never given back: a place in the text is one place in memory, also in a loop, so that all of them add up.
         self._bytes += size * (1 if kind == "i1" else 8)
         if self._bytes > LARGEST_STACK:
             raise NotWrittenError("arrays that do not fit the stack")
@@ -123,14 +124,14 @@ class ArrayText:
         """A constant."""
         array = np.asarray(value)
         kind = kind_of(array.dtype)
-        if array.size == 1:
+        if array.size == 1:  # stands in the instructions themselves, where LLVM folds it
             return Value(array.shape, kind, constant(array.ravel()[0], kind))
         key = kind, array.shape, array.tobytes()
         if key not in self._constants and array.size:
-            name, each = self.new("@known"), stored_as(kind)
+            name, stored = self.new("@known"), stored_as(kind)
             numbers = (constant(x, "i64" if kind == "i1" else kind) for x in array.ravel())
-            entries = ", ".join(f"{each} {x}" for x in numbers)
-            self.outside.append(f"{name} = private constant [{array.size} x {each}] [{entries}], align 64")
+            entries = ", ".join(f"{stored} {x}" for x in numbers)
+            self.outside.append(f"{name} = private constant [{array.size} x {stored}] [{entries}], align 64")
             self._constants[key] = Value(array.shape, kind, name, Memory(is_own=False))
         return self._constants[key] if array.size else Value(array.shape, kind, "")
 
@@ -168,14 +169,14 @@ class ArrayText:
         if value.size == 1:
             return value.name if width == 1 else self.spread(value.name, kind, width)
         self.checked(value)
-        typed, kept = (f"<{width} x {each}>" if width > 1 else each for each in (kind, stored_as(kind)))
-        found = self.made(f"load {kept}, ptr {self.pointer(value, at)}, align {1 if kind == 'i1' else 8}")
-        return self.made(f"trunc {kept} {found} to {typed}") if kind == "i1" else found
+        typed, kept = (vector(of_kind, width) for of_kind in (kind, stored_as(kind)))
+        loaded = self.made(f"load {kept}, ptr {self.pointer(value, at)}, align {1 if kind == 'i1' else 8}")
+        return self.made(f"trunc {kept} {loaded} to {typed}") if kind == "i1" else loaded
 
     def write(self, target: Value, at: int | str, name: str, width: int = 1) -> None:
         """Entries into an array."""
         kind = target.kind
-        typed, kept = (f"<{width} x {each}>" if width > 1 else each for each in (kind, stored_as(kind)))
+        typed, kept = (vector(of_kind, width) for of_kind in (kind, stored_as(kind)))
         if kind == "i1":
             name = self.made(f"zext {typed} {name} to {kept}")
         self.say(f"store {kept} {name}, ptr {self.pointer(target, at)}, align {1 if kind == 'i1' else 8}")
@@ -184,20 +185,21 @@ class ArrayText:
         """A number in each entry of a vector."""
         if width == 1:
             return name
-        found, vector = self.new(), f"<{width} x {kind}>"
+        filled, typed = self.new(), vector(kind, width)
         if kind == "double":
-            self.lines.append(spread_out(found, name, vector))
-            return found
-        first = self.made(f"insertelement {vector} poison, {kind} {name}, i64 0")
-        return self.made(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
+            self.lines.append(spread_out(filled, name, typed))
+            return filled
+        first = self.made(f"insertelement {typed} poison, {kind} {name}, i64 0")
+        return self.made(f"shufflevector {typed} {first}, {typed} poison, <{width} x i32> zeroinitializer")
 
     def copy(self, source: Value, target: Value) -> None:
         """All entries of an array into another one."""
         if source.name == target.name or not source.size:
             return
-        if source.size == 1:
+        if source.size == 1:  # is no array in memory: its name is the number
             self.write(target, 0, source.name)
         elif source.size > LARGEST_WRITTEN_OUT:
+            # A call, where vectors would be more than 128 loads and stores in the text.
             self.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
             n = source.size * (1 if source.kind == "i1" else 8)
             self.checked(source)
@@ -239,7 +241,7 @@ class ArrayText:
 
     def moved(self, sources: Sequence[Value], entries: np.ndarray, kind: str) -> Value:
         """An array of entries of others, which are counted through; one that stands in one piece stays where it is."""
-        flat, begins = entries.ravel(), np.cumsum([0, *(each.size for each in sources)])
+        flat, begins = entries.ravel(), np.cumsum([0, *(source.size for source in sources)])
         if flat.size == 0:
             return Value(entries.shape, kind, "")
         of = np.searchsorted(begins, flat, side="right") - 1
@@ -247,11 +249,13 @@ class ArrayText:
         first = self.checked(sources[of[0]])
         if flat.size == 1:
             return Value(entries.shape, kind, self.read(first, int(within[0])))
+        # Nothing is written for it: most reshapes and slices end here.
         is_whole = np.all(of == of[0]) and np.array_equal(within, within[0] + np.arange(flat.size))
         if is_whole:
             return first._replace(shape=entries.shape, name=self.pointer(first, int(within[0])))
         if flat.size > LARGEST_WRITTEN_OUT:
             raise NotWrittenError(f"{flat.size} numbers that are moved")
+        # In runs of entries that follow each other, or are the same one (step 0): a vector for each eight of a run.
         target, at = self.array(entries.shape, kind), 0
         while at < flat.size:
             source, begin, n = sources[of[at]], int(within[at]), 1
@@ -260,15 +264,15 @@ class ArrayText:
                 n += 1
             for part, width in chunks(n):
                 if step:
-                    found = self.read(source, begin + part, width)
+                    entries_read = self.read(source, begin + part, width)
                 else:
-                    found = self.spread(self.read(source, begin), kind, width)
-                self.write(target, at + part, found, width)
+                    entries_read = self.spread(self.read(source, begin), kind, width)
+                self.write(target, at + part, entries_read, width)
             at += n
         return target
 
     def picked(self, source: Value, begin: str, offsets: np.ndarray) -> Value:
-        """Entries of an array at distances from one that is found when the program runs."""
+        """Entries of an array at distances from one whose place is known when the program runs."""
         flat = offsets.ravel()
         self.checked(source)
         at = source._replace(name=self.pointer(source, begin)) if source.size > 1 else source
@@ -312,6 +316,8 @@ class ArrayText:
         """
         total, at, n, step = start, 0, len(entries), LANES_AT_A_TIME
         begin = int(entries[0])
+        # Eight sums side by side, which are put together at the end: in a chain each sum would wait for the one before.
+        # The order of a sum is another one than XLA's; results differ by rounding.
         if n >= step and np.array_equal(entries, begin + np.arange(n)):
             several = self.read(value, begin, step)
             for at in range(step, n - step + 1, step):
@@ -326,11 +332,11 @@ class ArrayText:
         size = LANES_AT_A_TIME
         while size > 1:
             typed, half = vector(kind, size), size // 2
-            places = (", ".join(f"i32 {i}" for i in each) for each in (range(half), range(half, size)))
+            places = (", ".join(f"i32 {i}" for i in part) for part in (range(half), range(half, size)))
             parts = [
-                self.made(f"shufflevector {typed} {name}, {typed} poison, <{half} x i32> <{each}>") for each in places
+                self.made(f"shufflevector {typed} {name}, {typed} poison, <{half} x i32> <{part}>") for part in places
             ]
-            if half == 1:
+            if half == 1:  # a vector of one is another type than its number
                 parts = [self.made(f"extractelement <1 x {kind}> {part}, i64 0") for part in parts]
             name, size = join(half, *parts), half
         return name

@@ -30,7 +30,7 @@ def entry_at(name: str, array: str, begin: int | str) -> str:
 
 def spread_out(name: str, value: str, kind: str) -> str:
     """A number in each lane of a vector."""
-    width = kind[1 : kind.index(" ")]
+    width = kind[1 : kind.index(" ")]  # of `<8 x double>`
     return (
         f"  {name}.one = insertelement {kind} poison, double {value}, i64 0\n"
         f"  {name} = shufflevector {kind} {name}.one, {kind} poison, <{width} x i32> zeroinitializer"
@@ -50,6 +50,7 @@ def stored(name: str, array: str, begin: int, kind: str) -> str:
 def add_scaled(name: str, vector: str, number: str, other: str, kind: str, is_wide: bool = False) -> str:
     """vector + number * other; a wide number is a vector itself."""
     wide = number if is_wide else f"{name}.wide"
+    # `contract`: LLVM may make one fused operation of both, as it may in XLA's own code; never a sum in another order.
     lines = [
         f"  {name}.part = fmul contract {kind} {wide}, {other}",
         f"  {name} = fadd contract {kind} {vector}, {name}.part",
@@ -69,6 +70,8 @@ def summing(size: int) -> str:
     Args:
         size: of x, of each k_j, and of y.
     """
+    # The outer loop is over blocks of entries and the inner one over stages: sums stay in registers, and y is written
+    # once. The other way round, y would be loaded and stored for each stage.
     block = AT_ONCE * LANES_AT_A_TIME
     whole, rest = divmod(size, block)
     lines = [
@@ -106,6 +109,7 @@ def _summing(label: str, n_entries: int, size: int) -> str:
     lines += [
         f"  %{label}.s{i} = phi {kind} [%{label}.x{i}, %{label}], [%{label}.t{i}, %{label}.on]" for i, _, kind in kinds
     ]
+    # A weight of zero is jumped over: 0 times infinity would be NaN, and a stage that was not made yet has any number.
     lines += [
         f"  %{label}.more = icmp slt i64 %{label}.j, %n",
         f"  br i1 %{label}.more, label %{label}.look, label %{label}.end",

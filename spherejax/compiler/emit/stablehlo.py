@@ -33,9 +33,11 @@ class Writer:
             FLOAT: ir.F64Type.get(), BOOL: ir.IntegerType.get_signless(1), INT: ir.IntegerType.get_signless(64),
         }  # fmt: skip
         self.types: dict[tuple[np.dtype, int], Any] = {}
+        # Flat once: an entry is then one slice, whatever the shape of its argument.
         self.flat = [self._flat(i, x) for i, x in enumerate(arguments[: len(line.shapes)])]
         self.values: dict[int, Any] = {}
-        for i, (group, x) in enumerate(zip(line.given, arguments[len(line.shapes) :], strict=True), len(line.shapes)):
+        n = len(line.shapes)
+        for i, (group, x) in enumerate(zip(line.residuals, arguments[n:], strict=True), n):
             if group.shape == ():
                 self.values[int(group)] = x
                 continue
@@ -48,7 +50,7 @@ class Writer:
         for node in self.line.nodes:
             if node not in self.values:
                 self.values[node] = self._node(node)
-        return [self._output(*each) for each in zip(self.line.outputs, self.outputs_spread, strict=True)]
+        return [self._output(*output) for output in zip(self.line.outputs, self.outputs_spread, strict=True)]
 
     def _node(self, node: int) -> Any:
         graph, operation = self.graph, self.graph.operations[node]
@@ -66,8 +68,8 @@ class Writer:
         function = by_jax(operation, graph.parameters[node])
         avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
         context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])
-        (found,) = mlir.lower_fun(function, multiple_results=False)(context, *arguments)
-        return found
+        (result,) = mlir.lower_fun(function, multiple_results=False)(context, *arguments)
+        return result
 
     def _type(self, dtype: np.dtype, axes: int) -> Any:
         if (dtype, axes) not in self.types:
@@ -79,6 +81,7 @@ class Writer:
         own = self.spread[node]
         if own == axes:
             return self.values[node]
+        # Kept: the same number is spread once for all that meet it, and not for each.
         if (node, axes) not in self.wide:
             among = [axis for axis in range(len(self.lanes)) if axes >> axis & 1]
             dims = ir.DenseI64ArrayAttr.get([at for at, axis in enumerate(among) if own >> axis & 1])
@@ -97,15 +100,16 @@ class Writer:
         """One entry of a flat argument, with its lanes."""
         lanes = sizes(self.lanes, axes)
         begin, end = [index, *(0 for _ in lanes)], [index + 1, *lanes]
-        attributes = [ir.DenseI64ArrayAttr.get(each) for each in (begin, end, [1] * len(begin))]
+        attributes = [ir.DenseI64ArrayAttr.get(numbers) for numbers in (begin, end, [1] * len(begin))]
         return stablehlo.reshape(self._type(dtype, axes), stablehlo.slice(array, *attributes))
 
     def _output(self, output: np.ndarray, axes: int) -> Any:
         lanes, element = sizes(self.lanes, axes), self.elements[self.line.dtype(output)]
-        if output.size == 0:
+        if output.size == 0:  # StableHLO concatenates at least one
             return mlir.ir_constant(np.zeros(output.shape))
         one = ir.RankedTensorType.get((1, *lanes), element)
         nodes = [int(node) for node in output.ravel()]
+        # A node that is returned several times is shaped once.
         rows = {node: stablehlo.reshape(one, self._over(axes, node)) for node in dict.fromkeys(nodes)}
         parts = [rows[node] for node in nodes]
         whole = parts[0] if len(parts) == 1 else stablehlo.concatenate(parts, mlir.i64_attr(0))

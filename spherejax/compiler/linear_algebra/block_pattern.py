@@ -119,15 +119,15 @@ def _elimination(pattern: BlockPattern) -> Elimination:
         for i in coming:
             joined[i].update(k for k in coming if k != i)
         later.append(coming)
-    given = {pair: e for e, pair in enumerate(pattern.pairs)}
+    number = {pair: e for e, pair in enumerate(pattern.pairs)}
     sources, slot = [], {}
     for row, coming in zip(order, later, strict=True):
         for i in coming:
             slot[i, row] = pattern.n_blocks + len(sources)
             # Stored with rows of i and columns of the pivot: as it is given for i < row, else transposed.
-            transposed = given.get((row, i), len(given)) + len(given)
-            sources.append(given.get((i, row), transposed))
-    sources.append(2 * len(given))
+            transposed = number.get((row, i), len(number)) + len(number)
+            sources.append(number.get((i, row), transposed))
+    sources.append(2 * len(number))
     return Elimination(np.array(sources, int), _segments(pattern.n_blocks, order, later, slot, len(sources) - 1))
 
 

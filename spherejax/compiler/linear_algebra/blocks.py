@@ -85,8 +85,8 @@ def _solve_one(pattern: BlockPattern, smallest_pivot: float, diagonal, pairs, ri
     """Segment after segment forward, then back."""
     m = diagonal.shape[-1]
     zero = jnp.zeros((1, m, m))
-    given = jnp.concatenate([pairs, jnp.swapaxes(pairs, -1, -2), zero])
-    blocks = jnp.concatenate([diagonal, given[pattern.elimination.sources]])
+    sources = jnp.concatenate([pairs, jnp.swapaxes(pairs, -1, -2), zero])
+    blocks = jnp.concatenate([diagonal, sources[pattern.elimination.sources]])
     entries = jnp.diagonal(diagonal, axis1=-2, axis2=-1)
     smallest = smallest_pivot * entries
     x = jnp.concatenate([right, jnp.zeros((1, *right.shape[1:]))])

@@ -60,8 +60,8 @@ def _lower_rows_of_blocks(graph: Graph, pattern: BlockPattern, diagonal: np.ndar
     m = diagonal.shape[-1]
     rows: Rows = [{} for _ in range(pattern.n_blocks * m)]
     for block, names in enumerate(diagonal):
-        for i, found in enumerate(_lower_rows(graph, names)):
-            rows[block * m + i] = {block * m + j: node for j, node in found.items()}
+        for i, entries in enumerate(_lower_rows(graph, names)):
+            rows[block * m + i] = {block * m + j: node for j, node in entries.items()}
     for (left, below), names in zip(pattern.pairs, pairs.tolist(), strict=True):
         for i, entries in enumerate(names):
             for j, node in enumerate(entries):

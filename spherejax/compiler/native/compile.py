@@ -114,6 +114,7 @@ def native_code_enabled() -> bool:
 
 # Compiling ------------------------------------------------------------------------------------------------------------
 
+# Re-entrant: `called_text` holds it while `target_of` takes it.
 _lock = threading.RLock()
 _loaded: dict[str, tuple[Any, bytes]] = {}
 _listening = threading.local()
@@ -155,15 +156,17 @@ def target_of(text: str, *, is_wide: bool, is_optimised: bool, prefix: str = "sp
         prefix: of the name.
     """
     text = _with_widths(text, is_wide)
+    # All that the object code follows from, so that another process may take it by its name alone.
     facts = "\0".join([text, str(is_optimised), *_machine(is_wide, is_optimised)])
     name = prefix + hashlib.sha256(facts.encode()).hexdigest()[:32]
     with _lock:
         if name not in _loaded:
-            kept = attached().lookup(name)
-            if isinstance(kept, bytes):
+            stored = attached().lookup(name)
+            if isinstance(stored, bytes):
                 with suppress(Exception):  # whatever is wrong with it: it is compiled anew
-                    _load(name, kept)
+                    _load(name, stored)
         if name not in _loaded:
+            # Named after its digest in the process, too: symbols of LLVM's engines are one namespace.
             content = _compiled(text.replace(f"@{FUNCTION}", f"@{name}"), is_wide, is_optimised)
             attached().save(name, content)
             _load(name, content)
@@ -176,9 +179,9 @@ TARGETS: dict[str, Callable[..., str]] = {}
 
 def note_ffi_targets(names: Iterable[str]) -> None:
     """Programs that what is lowered now calls; see `record_ffi_targets`."""
-    heard = getattr(_listening, "names", None)
-    if heard is not None:
-        heard.update(names)
+    recorded = getattr(_listening, "names", None)
+    if recorded is not None:
+        recorded.update(names)
 
 
 @contextmanager
@@ -190,7 +193,7 @@ def record_ffi_targets() -> Iterator[Callable[[], dict[str, bytes]]]:
         yield lambda: {name: _loaded[name][1] for name in sorted(names)}
     finally:
         _listening.names = before
-        if before is not None:
+        if before is not None:  # a recorder around this one records what was lowered within, too
             before |= names
 
 
@@ -259,6 +262,7 @@ def _compiled(text: str, is_wide: bool, is_optimised: bool) -> bytes:
 def _load(name: str, content: bytes) -> None:
     import llvmlite.binding as llvm
 
+    # An engine of its own, with an empty module: it only loads the object code.
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(is_wide=True))
     engine.add_object_file(llvm.ObjectFileRef.from_data(content))
     engine.finalize_object()

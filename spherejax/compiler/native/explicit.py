@@ -20,21 +20,12 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
+from spherejax.compiler.emit import llvm_vectors as vectors
 from spherejax.compiler.emit.llvm import FunctionText, widest_for
-from spherejax.compiler.emit.llvm_vectors import (
-    call_of,
-    entry_at,
-    listed,
-    loaded,
-    room_for,
-    spread_out,
-    stored,
-    summing,
-)
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.groups import Operand, RunGroups, function_of
 from spherejax.compiler.operations import BOOL, FLOAT
-from spherejax.compiler.primitive import Moves, StraightLine
+from spherejax.compiler.primitive import ActiveInputs, StraightLine
 from spherejax.compiler.program import ScalarProgram
 
 LARGEST_STATE = 512
@@ -105,6 +96,7 @@ def can_be_called(line: StraightLine, shape: tuple[int, ...]) -> bool:
         shape: of the state, or of the state and rows of tangents below it.
     """
     (output, *others) = line.outputs
+    # A line that returns more than the rate would need a place for it in each stage.
     is_state = not others and output.shape == shape[-1:] and line.dtype(output) == FLOAT
     # As one run, in vectors of several entries; of a group of runs each entry is a vector.
     size = output.size if len(shape) == 1 else output.size * (1 + RunGroups().lanes_for(shape[0] - 1))
@@ -123,7 +115,7 @@ def stages(
     n_made: Any,
     others: Sequence[Array],
     along: Sequence[Array | None] | None = None,
-    moving: Sequence[Moves] | None = None,
+    moving: Sequence[ActiveInputs] | None = None,
 ) -> tuple[Array, Array]:
     """The increments k, shape (s, size, n_runs), and sums of them, shape (m, size, n_runs).
 
@@ -142,15 +134,17 @@ def stages(
     """
     rows = None
     if along is not None:
-        moves: tuple[Moves, ...] = tuple(each is not None for each in along)
+        moves: tuple[ActiveInputs, ...] = tuple(tangents is not None for tangents in along)
         if moving is not None:
             moves = tuple(some if has else False for has, some in zip(moves, moving, strict=True))
             along = [entries_at(x, some) for x, some in zip(along, moves, strict=True)]
+        # Time has no tangent within a step (`bend` and h are the same for all rows); the state always has one.
         derivative = line.derivative((*moves[:at], False, True, *moves[at:]))
         assert derivative.follows == (True,), "a rate that does not depend on the state"
         line, rows = derivative.values, _Rows(derivative.slopes, tuple(map(bool, moves)), y.shape[0] - 1)
         others = *others, *(x for x in along if x is not None)
     n_runs = y.shape[-1]
+    # One run is written without groups: its entries are the vectors then, and its numbers stay numbers.
     if n_runs == 1:
         t, h, bend, *others = (jnp.squeeze(x, -1) for x in (t, h, bend, *others))
     arguments = t, h, bend, jnp.asarray(n_made, jnp.int64), y, *others
@@ -159,7 +153,7 @@ def stages(
     return k, sums
 
 
-def entries_at(x: Array | None, some: Moves) -> Array | None:
+def entries_at(x: Array | None, some: ActiveInputs) -> Array | None:
     """Some entries of an array, by their numbers along its second axis; None for none.
 
     In pieces: a loop of machine code (`loops`) has no rule for any entries whatever.
@@ -192,7 +186,7 @@ class ExplicitMethod(NamedTuple):
     def of(cls, coefficients: np.ndarray, instants: np.ndarray, sums: Sequence[np.ndarray]) -> "ExplicitMethod":
         """Of arrays; weights of stages that are not there do not count."""
         n = len(instants)
-        weights = (tuple(np.asarray(each)[:n].tolist()) + (0.0,) * (n - len(each)) for each in sums)
+        weights = (tuple(np.asarray(row)[:n].tolist()) + (0.0,) * (n - len(row)) for row in sums)
         return cls(tuple(map(tuple, coefficients.tolist())), tuple(instants.tolist()), tuple(weights))
 
 
@@ -209,9 +203,9 @@ _stages.multiple_results = True
 
 
 @_stages.def_abstract_eval
-def _shapes(t: Any, h: Any, bend: Any, n: Any, y: Any, *others: Any, method: ExplicitMethod, **what: Any) -> list:
-    del t, h, bend, n, others, what
-    return [ShapedArray((len(each), *y.shape), y.dtype) for each in (method.instants, method.sums)]
+def _shapes(t: Any, h: Any, bend: Any, n_made: Any, y: Any, *others: Any, method: ExplicitMethod, **what: Any) -> list:
+    del t, h, bend, n_made, others, what
+    return [ShapedArray((n, *y.shape), y.dtype) for n in (len(method.instants), len(method.sums))]
 
 
 def _target(
@@ -232,6 +226,7 @@ mlir.register_lowering(_stages, _lowered, platform="cpu")
 
 
 def _groups(line: StraightLine, rows: _Rows | None, n_runs: int | None) -> RunGroups:
+    # A state with rows that is beyond the stack goes one run at a time.
     size, lines = int(line.outputs[0].size), (line,) if rows is None else (line, rows.line)
     widest = widest_for(*lines) if size * (1 + (rows.n if rows else 0)) <= LARGEST_STATE else 1
     return RunGroups.of(n_runs, widest)
@@ -244,7 +239,7 @@ def _text(line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs
     below: Any = (size, rows.n) if rows else ()
     others = [Operand(int(np.prod(shape)), kind=kind) for shape, kind in _others(line, method)]
     tangents = [Operand(0, int(np.prod(shape)), rows.n) for shape in _tangents(rows, method)] if rows else []
-    given = (
+    operands = (
         Operand(1),
         Operand(1),
         Operand(1),
@@ -253,21 +248,23 @@ def _text(line: StraightLine, rows: _Rows | None, method: ExplicitMethod, n_runs
         *others,
         *tangents,
     )
-    results = [Operand(size, *below, n=len(each)) for each in (method.instants, method.sums)]
-    called = function_of(given, results, groups, "stages")
+    results = [Operand(size, *below, n=n) for n in (len(method.instants), len(method.sums))]
+    called = function_of(operands, results, groups, "stages")
+    # Sorted: the name of the function is a digest of its text, which has to be the same in every process.
     return "\n".join([*sorted(declared), inner, called])
 
 
 def _others(line: StraightLine, method: ExplicitMethod) -> list[tuple[tuple[int, ...], str]]:
     """Shapes and types of the arguments of f besides t and y."""
-    kinds = ["double"] * len(line.shapes) + ["i8" if line.dtype(group) == BOOL else "double" for group in line.given]
-    shapes = [*line.shapes, *(group.shape for group in line.given)]
+    of_residuals = ["i8" if line.dtype(group) == BOOL else "double" for group in line.residuals]
+    kinds = ["double"] * len(line.shapes) + of_residuals
+    shapes = [*line.shapes, *(group.shape for group in line.residuals)]
     both = [*zip(shapes, kinds, strict=True)]
     return both[: method.at] + both[method.at + 2 :]
 
 
 def _tangents(rows: _Rows, method: ExplicitMethod) -> list[tuple[int, ...]]:
-    """Shapes of the tangents that are given, besides that of the state."""
+    """Shapes of the tangents among the arguments, besides that of the state."""
     at = _place_of_state(rows, method)
     return [shape for i, shape in enumerate(rows.line.shapes) if i != at]
 
@@ -285,63 +282,60 @@ def _stages_text(
     width, n_lanes = groups.width, groups.lanes_for(rows.n) if rows else 0
     n_values = int(line.outputs[0].size) * width
     size = n_values * (1 + n_lanes)
-    rate = FunctionText(line, (), (0,) * (len(line.shapes) + len(line.given)), width)
+    rate = FunctionText(line, (), (0,) * (len(line.shapes) + len(line.residuals)), width)
     declared, inner = rate.written_inside("rate")
+    # In the order of `operands`: those of f first, then tangents, which `along` reads from the same counter.
     numbers = (f"%a{i}" for i in itertools.count(_STATE + 1))
     pointers = ["%time" if i == at else "%moved" if i == at + 1 else next(numbers) for i in range(rate.n_arguments)]
     made = [f"%made{i}" for i in range(1, len(line.outputs))]
-    calls = call_of("rate", [*pointers, "%change", *made])
+    calls = vectors.call_of("rate", [*pointers, "%change", *made])
     memory = [
-        room_for(name, output.size * width, "i8" if line.dtype(output) == BOOL else "double")
+        vectors.room_for(name, output.size * width, "i8" if line.dtype(output) == BOOL else "double")
         for name, output in zip(made, line.outputs[1:], strict=True)
     ]
     if rows is not None:
         over = (int(n_lanes > 1),) * len(rows.line.shapes) + (0,) * len(made)
         more, along = FunctionText(rows.line, (n_lanes,) * (n_lanes > 1), over, width).written_inside("along")
+        # State and rows stand behind each other in one array, so that one loop over entries sums up both.
         declared, inner = declared | more, inner + along
         state = _place_of_state(rows, method)
         moving = ["%moved.rows" if i == state else next(numbers) for i in range(len(rows.line.shapes))]
-        calls += call_of("along", [*moving, *made, "%change.rows"])
+        calls += vectors.call_of("along", [*moving, *made, "%change.rows"])
     n_arguments = rate.n_arguments + 3 + (sum(rows.moves) if rows else 0)
-    step = groups.at_a_time
-    chunks = [(begin, min(step, size - begin)) for begin in range(0, size, step)]
-
-    def each(write: Callable[[int, int, str], str]) -> str:
-        return "\n".join(write(at, begin, f"<{wide} x double>") for at, (begin, wide) in enumerate(chunks))
-
-    def of_each_run(name: str, number: str) -> str:
-        """A number that all runs share."""
-        return f"  {name} = fadd double {number}, 0x8000000000000000" if width == 1 else spread_out(name, number, one)
 
     def kept(i: int, begin: int, kind: str) -> str:
         length = "%length" if width > 1 else f"%h{i}.wide"
-        lines = [loaded(f"%f{i}", "%change", begin, kind)]
-        lines += [] if width > 1 else [spread_out(length, "%length", kind)]
-        return "\n".join([*lines, f"  %hf{i} = fmul {kind} {length}, %f{i}", stored(f"%hf{i}", "%p.to", begin, kind)])
+        lines = [vectors.loaded(f"%f{i}", "%change", begin, kind)]
+        # Of a group the length is a vector of the runs' own already; of one run it is a number for all entries.
+        lines += [] if width > 1 else [vectors.spread_out(length, "%length", kind)]
+        lines += [f"  %hf{i} = fmul {kind} {length}, %f{i}", vectors.stored(f"%hf{i}", "%p.to", begin, kind)]
+        return "\n".join(lines)
 
-    new_line, one = "\n", groups.one
+    new_line, one = "\n", groups.one  # a name, because f-strings have no backslashes before Python 3.12
     arguments = ", ".join(f"ptr noalias %a{i}" for i in range(n_arguments))
+    # Stages that are not made stay zero (memset of %r0), so that sums over all of them are right whatever `n_made` is.
+    # Sums begin from %nothing, an array of zeros: one function serves for states and for sums of increments.
     text = f"""\
-@coefficients = private constant [{n * n} x double] [{listed(x for row in coefficients for x in row)}]
-@instants = private constant [{n} x double] [{listed(instants)}]
-@weights = private constant [{n * n_sums} x double] [{listed(x for row in sums for x in row)}]
+@coefficients = private constant [{n * n} x double] [{vectors.listed(x for row in coefficients for x in row)}]
+@instants = private constant [{n} x double] [{vectors.listed(instants)}]
+@weights = private constant [{n * n_sums} x double] [{vectors.listed(x for row in sums for x in row)}]
 {inner}
-{summing(size)}
+{vectors.summing(size)}
 define internal void @stages({arguments}, ptr noalias %r0, ptr noalias %r1) nounwind {{
 work:
-{room_for("%time", width)}
-{room_for("%moved", size)}
-{room_for("%change", size)}
-{room_for("%nothing", size)}
+{vectors.room_for("%time", width)}
+{vectors.room_for("%moved", size)}
+{vectors.room_for("%change", size)}
+{vectors.room_for("%nothing", size)}
   call void @llvm.memset.p0.i64(ptr align 8 %nothing, i8 0, i64 {8 * size}, i1 false)
-{entry_at("%moved.rows", "%moved", n_values)}
-{entry_at("%change.rows", "%change", n_values)}
+{vectors.entry_at("%moved.rows", "%moved", n_values)}
+{vectors.entry_at("%change.rows", "%change", n_values)}
 {new_line.join(memory)}
   %t = load {one}, ptr %a0, align 8
   %h = load {one}, ptr %a1, align 8
   %bend = load {one}, ptr %a2, align 8
   %n.of.all = load i64, ptr %a3
-{of_each_run("%unit", "0x3FF0000000000000")}
+{groups.for_all_runs("%unit", "0x3FF0000000000000")}
   call void @llvm.memset.p0.i64(ptr align 8 %r0, i8 0, i64 {8 * n * size}, i1 false)
   %some = icmp sgt i64 %n.of.all, 0
   br i1 %some, label %stage, label %total
@@ -352,7 +346,7 @@ stage:
   call void @sum(ptr %a4, ptr %r0, ptr %p.a, i64 %i, ptr %moved)
   %p.c = getelementptr inbounds double, ptr @instants, i64 %i
   %c.of.all = load double, ptr %p.c
-{of_each_run("%c", "%c.of.all")}
+{groups.for_all_runs("%c", "%c.of.all")}
   %rest = fsub {one} %unit, %c
   %bent = fmul {one} %bend, %rest
   %straight = fsub {one} %unit, %bent
@@ -366,7 +360,7 @@ stage:
   %length = fmul {one} %h, %speed
 {calls}  %to = mul nuw nsw i64 %i, {size}
   %p.to = getelementptr inbounds double, ptr %r0, i64 %to
-{each(kept)}
+{groups.in_vectors(size, kept)}
   %next = add nuw nsw i64 %i, 1
   %is.done = icmp sge i64 %next, %n.of.all
   br i1 %is.done, label %total, label %stage

@@ -5,18 +5,18 @@ for one group, finds each entry as a vector of the group's runs, and rows as lan
 Where the width of a group does not divide the number of runs, the last one begins earlier, and is made again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from spherejax.compiler.emit.llvm import LANES_AT_A_TIME, head
-from spherejax.compiler.emit.llvm_vectors import call_of, room_for
+from spherejax.compiler.emit.llvm_vectors import call_of, room_for, spread_out
 
 
 class RunGroups(NamedTuple):
     """How a call evaluates its runs.
 
     Attributes:
-        n_runs: how many the call is given; None where its arrays have no axis of runs.
+        n_runs: how many the call has; None where its arrays have no axis of runs.
         width: runs in a group, a power of two.
     """
 
@@ -39,9 +39,25 @@ class RunGroups(NamedTuple):
         """Numbers in the widest vectors that an array's entries can be gone through with, all the same in one run."""
         return self.width if self.width > 1 else LANES_AT_A_TIME
 
+    def vectors(self, size: int) -> list[tuple[int, int, str]]:
+        """The vectors that so many entries are gone through with: number, first entry and type of each."""
+        step = self.at_a_time
+        return [(i, begin, f"<{min(step, size - begin)} x double>") for i, begin in enumerate(range(0, size, step))]
+
+    def in_vectors(self, size: int, write: Callable[[int, int, str], str]) -> str:
+        """Instructions for all of so many entries; `write` has those for one of the `vectors`."""
+        return "\n".join(write(*vector) for vector in self.vectors(size))
+
+    def for_all_runs(self, name: str, number: str) -> str:
+        """The instructions that give a name to a number which all runs share."""
+        if self.width > 1:
+            return spread_out(name, number, self.one)
+        # LLVM has no instruction that copies; -0 is what changes no number, +0 would turn -0 into +0.
+        return f"  {name} = fadd double {number}, 0x8000000000000000"
+
     def lanes_for(self, n_rows: int) -> int:
         """Lanes for so many rows: vectors of three or five numbers are taken to pieces."""
-        if self.width > 1:
+        if self.width > 1:  # each row is a vector of the runs already
             return n_rows
         return n_rows if n_rows <= 2 else 4 if n_rows <= 4 else -(-n_rows // LANES_AT_A_TIME) * LANES_AT_A_TIME
 
@@ -78,7 +94,7 @@ class Operand(NamedTuple):
         return self.before + self.size * n_lanes
 
     def is_as_inside(self, groups: RunGroups) -> bool:
-        """Whether the function inside can be given it as it is."""
+        """Whether the function inside can take it as it is."""
         is_turned = self.n_rows > 0 and groups.lanes_for(self.n_rows) > 1
         has_runs = groups.n_runs is not None and not self.is_shared
         return not is_turned and not has_runs and groups.width == 1
@@ -107,17 +123,18 @@ class Operand(NamedTuple):
         return _turn(way, self.kind, groups.n_runs is not None and not self.is_shared, groups.width)
 
 
-def function_of(given: Sequence[Operand], results: Sequence[Operand], groups: RunGroups, inside: str) -> str:
+def function_of(arguments: Sequence[Operand], results: Sequence[Operand], groups: RunGroups, inside: str) -> str:
     """The function that XLA calls.
 
     Args:
-        given: its arguments.
+        arguments: its arguments.
         results: its results.
         groups: how it goes through the runs.
         inside: name of a function with pointers to all arguments of a group, then to its results.
     """
+    # A dictionary for its order: the text, whose digest is its name, has to be the same in every process.
     room, taken, functions, pointers = [], [], {}, []
-    for i, array in enumerate(given):
+    for i, array in enumerate(arguments):
         if array.is_as_inside(groups):
             pointers.append(f"%a{i}")
             continue
@@ -140,6 +157,8 @@ def function_of(given: Sequence[Operand], results: Sequence[Operand], groups: Ru
     new_line = "\n"
     body = new_line.join([*taken, call_of(inside, pointers).rstrip("\n"), *given_back])
     begin, end = "  %run = add i64 0, 0", ""
+    # The last group begins earlier where the width does not divide the number of runs: some runs are made twice, with
+    # the same results. A group of fewer runs would be a second function.
     if groups.n_runs is not None and groups.n_runs > groups.width:
         last = groups.n_runs - groups.width
         begin = f"""\
@@ -156,7 +175,7 @@ end:"""
     return f"""\
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
 {new_line.join(functions)}
-{head(len(given), len(results))}
+{head(len(arguments), len(results))}
 {new_line.join(room)}
 {begin}
 {body}
@@ -177,6 +196,7 @@ def _turn_name(way: str, kind: str, has_runs: bool) -> str:
 def _turn(way: str, kind: str, has_runs: bool, width: int) -> str:
     """A function that copies some numbers, and rows behind them into lanes or back, for a group of runs."""
     vector = kind if width == 1 else f"<{width} x {kind}>"
+    # Of one number: runs begin anywhere in the arrays of XLA, which has aligned only their first entries.
     align = 1 if kind == "i8" else 8
     if way == "out":
         moved = f"  %x = load {vector}, ptr %q, align {align}\n  store {vector} %x, ptr %p, align {align}"
@@ -190,6 +210,7 @@ def _turn(way: str, kind: str, has_runs: bool, width: int) -> str:
             f"  store {vector} %x, ptr %q, align {align}"
         )
 
+    # Twice in the text, under other names: for what has no rows, and for the rows.
     def places(label: str, far: str, near: str) -> str:
         return (
             f"  %far.{label} = mul i64 {far}, %stride\n"

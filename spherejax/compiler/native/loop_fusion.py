@@ -50,7 +50,7 @@ LARGEST_PART = 64
 
 
 _FUSED = frozenset([
-    *OF_PRIMITIVE, *(name for name, each in ARRAY_OPERATIONS.items() if each.fuses), *INNER_PROGRAM,
+    *OF_PRIMITIVE, *(name for name, operation in ARRAY_OPERATIONS.items() if operation.fuses), *INNER_PROGRAM,
     "straight_line", "while", "scan", "cond", "platform_index",
     "maybe_set", "select_if_vmap", "unvmap_any", "unvmap_all", "unvmap_max",  # of equinox
 ])  # fmt: skip
@@ -68,9 +68,10 @@ def fuse_loops(function: Callable) -> Callable:
     def made(*arguments: Any) -> Any:
         if not machine_code.native_code_enabled():
             return function(*arguments)
+        # Traced here, and evaluated operation by operation, so that loops are seen before JAX lowers them.
         closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        found = _evaluated(closed.jaxpr, closed.consts, jax.tree.leaves(arguments), is_loop=False)
-        return jax.tree.unflatten(jax.tree.structure(shapes), found)
+        results = _evaluated(closed.jaxpr, closed.consts, jax.tree.leaves(arguments), is_loop=False)
+        return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
     return made
 
@@ -81,14 +82,14 @@ def _calls(equation: Any) -> bool:
         return is_called(equation.params["line"], equation.params["lanes"])
     if equation.primitive.name in ("stages", "rosenbrock_stages"):
         return True
-    return any(_calls(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
+    return any(_calls(e) for inner in jex.jaxprs_in_params(equation.params) for e in inner.eqns)
 
 
 def _is_alone(equation: Any) -> bool:
     """Whether the machine code that is called in an operation is for one run, not for many in lanes."""
     if equation.primitive.name in machine_code.TARGETS:
         return equation.params["n_runs"] is None
-    return all(_is_alone(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
+    return all(_is_alone(e) for inner in jex.jaxprs_in_params(equation.params) for e in inner.eqns)
 
 
 def _reduces(name: str) -> bool:
@@ -108,13 +109,15 @@ def _joins(equation: Any) -> bool:
         return math.prod(equation.invars[1].aval.shape[:-1]) == 1
     if equation.primitive.name not in _FUSED:
         return False
-    return all(_joins(each) for inner in jex.jaxprs_in_params(equation.params) for each in inner.eqns)
+    return all(_joins(e) for inner in jex.jaxprs_in_params(equation.params) for e in inner.eqns)
 
 
 def _evaluated(jaxpr: Any, constants: Sequence, arguments: Sequence, is_loop: bool) -> list:
     """The results of a program; in a loop its operations stand together where they can."""
     known: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
     waiting = [(equation, _joins(equation)) for equation in jaxpr.eqns]
+    # By turns: all that is ready and may stand together becomes one kernel, then all calls that are ready are made. So
+    # as few kernels as possible lie between two calls.
     while waiting:
         together, left = [], []
         ready = set(known)
@@ -124,6 +127,7 @@ def _evaluated(jaxpr: Any, constants: Sequence, arguments: Sequence, is_loop: bo
                 ready.update(equation.outvars)
             else:
                 left.append((equation, joins))
+        # What a call reads is passed on by itself; what other kernels read may be packed into vectors.
         later = {a for e, joins in left for a in e.invars if joins and isinstance(a, jex.Var)}
         whole = {a for e, joins in left for a in e.invars if not joins and isinstance(a, jex.Var)}
         whole.update(a for a in jaxpr.outvars if isinstance(a, jex.Var))
@@ -134,6 +138,7 @@ def _evaluated(jaxpr: Any, constants: Sequence, arguments: Sequence, is_loop: bo
                 _call(equation, known, is_loop)
             else:
                 waiting.append((equation, joins))
+        # A program is in an order in which it can be evaluated, so that its first operation is always ready.
         assert together or len(waiting) < len(left), "a program that waits for itself"
     return [_read(atom, known) for atom in jaxpr.outvars]
 
@@ -168,12 +173,12 @@ def _parts(avals: Sequence[tuple[Any, Any]]) -> list[list[tuple[Any, int, tuple[
     for name, aval in avals:
         if 0 < aval.size <= LARGEST_PART:
             kinds.setdefault(aval.dtype, []).append((name, aval))
-    found = []
-    for each in kinds.values():
-        if len(each) > 1:
-            begins = np.cumsum([0, *(aval.size for _, aval in each)])
-            found.append([(name, int(at), aval.shape) for (name, aval), at in zip(each, begins, strict=False)])
-    return found
+    groups = []
+    for named in kinds.values():
+        if len(named) > 1:  # one alone would gain nothing, and be reshaped
+            begins = np.cumsum([0, *(aval.size for _, aval in named)])
+            groups.append([(name, int(at), aval.shape) for (name, aval), at in zip(named, begins, strict=False)])
+    return groups
 
 
 def _joined(arrays: Sequence) -> Any:
@@ -219,10 +224,11 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
         known.update(zip(outputs, function(*(_read(a, known) for a in inputs)), strict=True))
         return
     # What is empty has no place in memory, and is made anew.
-    given = [known[a] if aval.size else aval for a, aval in zip(inputs, read_at_all, strict=True)]
-    passed = (x.vector if isinstance(x, _VectorPart) else x for x in given if not isinstance(x, ShapedArray))
-    sources = [*{id(each): each for each in passed}.values()]
-    place = {id(each): at for at, each in enumerate(sources)}
+    arguments = [known[a] if aval.size else aval for a, aval in zip(inputs, read_at_all, strict=True)]
+    passed = (x.vector if isinstance(x, _VectorPart) else x for x in arguments if not isinstance(x, ShapedArray))
+    # Parts of one vector are passed as that vector, once. Tracers are compared by identity: `==` would be an operation.
+    sources = [*{id(array): array for array in passed}.values()]
+    place = {id(array): at for at, array in enumerate(sources)}
     groups = _parts([(at, out.aval) for at, out in enumerate(outputs) if out not in whole])
     apart = [at for at in range(len(outputs)) if not any(at == name for group in groups for name, *_ in group)]
 
@@ -232,18 +238,17 @@ def _make(equations: list, whole: set, later: set, known: dict, is_loop: bool) -
                 return jnp.zeros(x.shape, x.dtype)
             return x.taken(values[place[id(x.vector)]]) if isinstance(x, _VectorPart) else values[place[id(x)]]
 
-        taken = map(array, given)
-        found = function(*taken)
-        return [*(found[at] for at in apart), *(_joined([found[name] for name, *_ in group]) for group in groups)]
+        results = function(*map(array, arguments))
+        return [*(results[at] for at in apart), *(_joined([results[name] for name, *_ in group]) for group in groups)]
 
     shapes = [outputs[at].aval for at in apart]
-    avals = [ShapedArray(each.shape, each.dtype) for each in shapes]
+    avals = [ShapedArray(shape.shape, shape.dtype) for shape in shapes]
     for group in groups:
         _, begin, shape = group[-1]
         avals.append(ShapedArray((begin + math.prod(shape),), outputs[group[0][0]].aval.dtype))
-    found = _kernel.bind(*sources, function=with_vectors, avals=tuple(avals))
-    known.update((outputs[at], x) for at, x in zip(apart, found, strict=False))
-    for vector, group in zip(found[len(apart) :], groups, strict=True):
+    results = _kernel.bind(*sources, function=with_vectors, avals=tuple(avals))
+    known.update((outputs[at], x) for at, x in zip(apart, results, strict=False))
+    for vector, group in zip(results[len(apart) :], groups, strict=True):
         known.update((outputs[at], _VectorPart(vector, begin, shape)) for at, begin, shape in group)
 
 
@@ -256,24 +261,25 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
     values = [a.val if isinstance(a, jex.Literal) else known[a] for a in equation.invars]
     # One whose lanes end one by one is left as it is.
     if name == "while" and parameters["cond_jaxpr"].jaxpr.outvars[0].aval.size == 1:
-        found = _as_a_whole(equation, [*map(_whole, values)]) if not is_loop and _is_alone(equation) else None
-        known.update(zip(equation.outvars, found or _while(parameters, values), strict=True))
+        # A loop within a loop is part of the outer one, which was tried as a whole before.
+        results = _as_a_whole(equation, [*map(_whole, values)]) if not is_loop and _is_alone(equation) else None
+        known.update(zip(equation.outvars, results or _while(parameters, values), strict=True))
         return
     values = [*map(_whole, values)]
     if (inner := inner_program(name, parameters)) is not None:
-        found = _evaluated(*inner, values, is_loop)
+        results = _evaluated(*inner, values, is_loop)
     elif name == "scan":
         loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
-        found = _evaluated(loop.jaxpr, loop.consts, values, is_loop)
+        results = _evaluated(loop.jaxpr, loop.consts, values, is_loop)
     else:
         changed = {"branches": _changed(parameters["branches"])} if name == "cond" else {}
         inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
         outputs = [out for out in equation.outvars if not private.is_dropped(out)]
         whole = equation.replace(params={**parameters, **changed})
-        found = _as_function([whole], inputs, outputs)(*(_read(a, known) for a in inputs))
-        known.update(zip(outputs, found, strict=True))
+        results = _as_function([whole], inputs, outputs)(*(_read(a, known) for a in inputs))
+        known.update(zip(outputs, results, strict=True))
         return
-    known.update(zip(equation.outvars, found, strict=True))
+    known.update(zip(equation.outvars, results, strict=True))
 
 
 def _as_a_whole(equation: Any, values: Sequence) -> list | None:
@@ -296,9 +302,9 @@ def _while(parameters: Any, values: Sequence) -> list:
     condition, body = (jex.jaxpr_as_fun(parameters[name]) for name in ("cond_jaxpr", "body_jaxpr"))
     # XLA must not know a number that enters: it would write it into the kernels, and leave an argument unread.
     values = [x if isinstance(x, _VectorPart) else jax.lax.optimization_barrier(jnp.asarray(x)) for x in values]
-    given, kept = ([_whole(values[i]) for i in each] for each in (of_condition, fixed))
+    condition_operands, kept = ([_whole(values[i]) for i in places] for places in (of_condition, fixed))
     begin = [values[i] for i in start]
-    avals = [each.aval for each in parameters["body_jaxpr"].jaxpr.outvars]
+    avals = [out.aval for out in parameters["body_jaxpr"].jaxpr.outvars]
     groups = _parts([*enumerate(avals)])
     apart = [at for at in range(len(avals)) if not any(at == name for group in groups for name, *_ in group)]
 
@@ -306,24 +312,26 @@ def _while(parameters: Any, values: Sequence) -> list:
         return [*(_whole(arrays[at]) for at in apart), *(_vector_of([arrays[at] for at, *_ in g], g) for g in groups)]
 
     def parts(state: Sequence) -> list:
-        found: list[Any] = [None] * len(avals)
+        carried: list[Any] = [None] * len(avals)
         for at, x in zip(apart, state, strict=False):
-            found[at] = x
+            carried[at] = x
         for vector, group in zip(state[len(apart) :], groups, strict=True):
             for name, at, shape in group:
-                found[name] = _VectorPart(vector, at, shape)
-        return found
+                carried[name] = _VectorPart(vector, at, shape)
+        return carried
 
     def arrays(state: Sequence) -> list:
         return [*map(_whole, parts(state))]
 
-    examples = [jax.ShapeDtypeStruct(each.shape, each.dtype, weak_type=each.weak_type) for each in avals]
+    # With weak types: a loop must carry what it began with, and a weak float is another type to JAX.
+    examples = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in avals]
     whole = jax.make_jaxpr(lambda *all_of_it: packed(body(*all_of_it)))(*kept, *examples)
 
+    # The same for constants of the body.
     constants = jax.lax.optimization_barrier([jnp.asarray(value) for value in whole.consts])
 
     def goes_on(state: list) -> Any:
-        return jnp.reshape(condition(*given, *arrays(state))[0], ())  # of one lane
+        return jnp.reshape(condition(*condition_operands, *arrays(state))[0], ())  # of one lane
 
     def turn(state: list) -> list:
         return _evaluated(whole.jaxpr, constants, [*kept, *parts(state)], is_loop=True)
@@ -341,10 +349,10 @@ def _whole(value: Any) -> Any:
 
 def _vector_of(arrays: Sequence, group: Sequence[tuple[Any, int, tuple[int, ...]]]) -> Any:
     """The arrays of a group as one vector: that which they are parts of, if they are all of it."""
-    parts = [each for each in arrays if isinstance(each, _VectorPart)]
+    parts = [array for array in arrays if isinstance(array, _VectorPart)]
     if len(parts) == len(arrays):
-        (vector, *others), (_, last, shape) = {id(each.vector): each.vector for each in parts}.values(), group[-1]
-        begins = [each.begin for each in parts]
+        (vector, *others), (_, last, shape) = {id(part.vector): part.vector for part in parts}.values(), group[-1]
+        begins = [part.begin for part in parts]
         if not others and begins == [begin for _, begin, _ in group] and vector.size == last + math.prod(shape):
             return vector
     return _joined([*map(_whole, arrays)])
@@ -359,12 +367,12 @@ def _as_loop(parameters: Any, arguments: Sequence) -> list:
     def body(state: tuple) -> tuple:
         i, carried, rows = state
         at = n - 1 - i if parameters["reverse"] else i
-        found = turn(*fixed, *carried, *(jax.lax.dynamic_index_in_dim(x, at, keepdims=False) for x in xs))
-        new = zip(rows, found[n_carried:], strict=True)
-        return i + 1, found[:n_carried], [jax.lax.dynamic_update_index_in_dim(y, row, at, 0) for y, row in new]
+        results = turn(*fixed, *carried, *(jax.lax.dynamic_index_in_dim(x, at, keepdims=False) for x in xs))
+        new = zip(rows, results[n_carried:], strict=True)
+        return i + 1, results[:n_carried], [jax.lax.dynamic_update_index_in_dim(y, row, at, 0) for y, row in new]
 
-    shapes = [each.aval for each in parameters["jaxpr"].jaxpr.outvars[n_carried:]]
-    rows = [jnp.zeros((n, *each.shape), each.dtype) for each in shapes]
+    shapes = [out.aval for out in parameters["jaxpr"].jaxpr.outvars[n_carried:]]
+    rows = [jnp.zeros((n, *aval.shape), aval.dtype) for aval in shapes]
     begin = jnp.zeros((), jnp.int64), list(arguments[n_fixed : n_fixed + n_carried]), rows
     _, carried, rows = jax.lax.while_loop(lambda state: state[0] < n, body, begin)
     return [*carried, *rows]
@@ -377,14 +385,13 @@ def _changed(inner: Any) -> Any:
     if not any(map(_calls, inner.jaxpr.eqns)):
         return inner
     examples = [
-        jax.ShapeDtypeStruct(each.aval.shape, each.aval.dtype, weak_type=each.aval.weak_type)
-        for each in inner.jaxpr.invars
+        jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype, weak_type=v.aval.weak_type) for v in inner.jaxpr.invars
     ]
     types = [(out.aval.dtype, out.aval.weak_type) for out in inner.jaxpr.outvars]
 
     def evaluated(*arguments: Any) -> list:
-        found = _evaluated(inner.jaxpr, inner.consts, arguments, is_loop=True)
-        return [x if weak else jnp.asarray(x, dtype) for x, (dtype, weak) in zip(found, types, strict=True)]
+        results = _evaluated(inner.jaxpr, inner.consts, arguments, is_loop=True)
+        return [x if weak else jnp.asarray(x, dtype) for x, (dtype, weak) in zip(results, types, strict=True)]
 
     return jax.make_jaxpr(evaluated)(*examples)
 
@@ -410,16 +417,17 @@ def _shapes(*values: Any, function: Callable, avals: tuple) -> list:
 def _batched(values: Sequence, dims: Sequence, *, function: Callable, avals: tuple) -> tuple[Sequence, Sequence]:
     """Of many lanes it is what it was."""
     del avals
-    found = jax.vmap(lambda *each: tuple(function(*each)), tuple(dims))(*values)
-    return found, [0] * len(found)
+    results = jax.vmap(lambda *arrays: tuple(function(*arrays)), tuple(dims))(*values)
+    return results, [0] * len(results)
 
 
 def _witnesses(values: Sequence) -> list:
     """A number of each array, put together by type."""
+    # By type, because numbers of several types cannot be one vector.
     filled = [value for value in values if jnp.size(value)]
     kinds = dict.fromkeys(value.dtype for value in filled)
     firsts = {kind: [jax.lax.slice(v.reshape(-1), (0,), (1,)) for v in filled if v.dtype == kind] for kind in kinds}
-    return [jnp.concatenate(each) for each in firsts.values()]
+    return [jnp.concatenate(numbers) for numbers in firsts.values()]
 
 
 def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Sequence:
@@ -430,14 +438,14 @@ def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Se
     if private.n_devices(context) > 1:
         # A native function cannot hold the collective operations that XLA's partitioner would put into it.
         return mlir.lower_fun(function, multiple_results=True)(context, *values)
-    found = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
-    (first, *_) = found
+    results = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
+    (first, *_) = results
     call = first.owner
     if call.name == "func.call":  # anything else is right as well, and slower
         call.attributes[private.ATTRIBUTES] = ir.DictAttr.get(
             {name: ir.StringAttr.get(word) for name, word in private.KERNEL_ATTRIBUTES.items()}
         )
-    return found[: len(avals)]
+    return results[: len(avals)]
 
 
 batching.primitive_batchers[_kernel] = _batched

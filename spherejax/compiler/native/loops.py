@@ -81,6 +81,7 @@ def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple
 
 
 def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
+    # The text is that of a single run, and was written before anybody mapped it.
     return by_a_loop(partial(_loop.bind, **how), arguments, dims)
 
 
@@ -110,15 +111,17 @@ class LoopText:
         begin = n_conditions + n_fixed
         slots = []
         for i, (value, aval) in enumerate(zip(values[begin:], self.results, strict=True)):
+            # A large array (samples, steps) is carried where the result belongs, which saves copying it at the end.
             if value.size < LARGE:
                 slots.append(None)
                 continue
             slot = Value(aval.shape, value.kind, f"%r{i}", Memory(is_own=True))
             text.copy(value, slot)
             slots.append(slot)
-        found = self.loop(self.parameters, values, slots)
-        for i, (value, aval) in enumerate(zip(found, self.results, strict=True)):
+        finals = self.loop(self.parameters, values, slots)
+        for i, (value, aval) in enumerate(zip(finals, self.results, strict=True)):
             self._result(value, aval, f"%r{i}")
+        # Room first: an `alloca` within the loop would take more of the stack in each turn.
         body = [*text.room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
         begin_of_all = head(len(self.avals), len(self.results))
         return "\n".join([*text.declared, *text.outside, *self._functions, begin_of_all, *body])
@@ -127,19 +130,21 @@ class LoopText:
         kind = kind_of(aval.dtype)
         if not aval.size:
             return Value(aval.shape, kind, "")
+        # Whole numbers are computed with 64 bits; JAX has counters and indices of 32.
         if np.dtype(aval.dtype) == np.int32:
             if aval.size > 1:
-                raise NotWrittenError("an array of 32-bit numbers that is given")
+                raise NotWrittenError("an array of 32-bit numbers that is an argument")
             return Value(
                 aval.shape, kind, self.text.made(f"sext i32 {self.text.made(f'load i32, ptr {pointer}')} to i64")
             )
+        # Arguments belong to XLA, which may read them again: they are not changed in place.
         value = Value(aval.shape, kind, pointer, Memory(is_own=False))
         if aval.size > 1:
             return value
         # Read as an array of one entry.
         kept = stored_as(kind)
-        found = self.text.made(f"load {kept}, ptr {pointer}, align 1")
-        return Value(aval.shape, kind, self.text.made(f"trunc i8 {found} to i1") if kind == "i1" else found)
+        number = self.text.made(f"load {kept}, ptr {pointer}, align 1")
+        return Value(aval.shape, kind, self.text.made(f"trunc i8 {number} to i1") if kind == "i1" else number)
 
     def _result(self, value: Value, aval: Any, pointer: str) -> None:
         if np.dtype(aval.dtype) == np.int32:
@@ -151,26 +156,25 @@ class LoopText:
     def program(self, closed: Any, values: Sequence[Value]) -> list[Value]:
         """The results of a program."""
         jaxpr, constants = getattr(closed, "jaxpr", closed), getattr(closed, "consts", ())
-        known: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.text.known, constants), strict=True))
-        known.update(zip(jaxpr.invars, values, strict=True))
+        environment: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.text.known, constants), strict=True))
+        environment.update(zip(jaxpr.invars, values, strict=True))
 
         def read(atom: Any) -> Value:
             if not isinstance(atom, jex.Literal):
-                return known[atom]
+                return environment[atom]
             aval: Any = atom.aval
             return self.text.known(np.asarray(atom.val, aval.dtype))
 
         for equation in jaxpr.eqns:
-            given = [read(atom) for atom in equation.invars]
-            found = self.equation(equation, given)
-            known.update(zip(equation.outvars, found, strict=True))
+            outputs = self.equation(equation, [read(atom) for atom in equation.invars])
+            environment.update(zip(equation.outvars, outputs, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
     def equation(self, equation: Any, values: list[Value]) -> list[Value]:
         """The results of an operation."""
         name, parameters = equation.primitive.name, equation.params
         avals = [out.aval for out in equation.outvars]
-        if equation.effects:
+        if equation.effects:  # a print or a callback needs JAX's runtime
             raise NotWrittenError(f"the operation {name!r} has an effect")
         if name in INNER_PROGRAM:
             return self.program(parameters[INNER_PROGRAM[name]], values)
@@ -182,7 +186,7 @@ class LoopText:
             return self.branch(parameters["branches"], values)
         if name == "platform_index":
             platforms = parameters["platforms"]
-            here = next(i for i, each in enumerate(platforms) if each is None or "cpu" in each)
+            here = next(i for i, names in enumerate(platforms) if names is None or "cpu" in names)
             return [self.text.known(np.int64(here))]
         if name == "straight_line":
             return self.line(parameters, values, avals)
@@ -200,22 +204,23 @@ class LoopText:
         """`jax.lax.while_loop`; what is carried is in slots, large arrays in those of their own."""
         text = self.text
         n_conditions, n_fixed = parameters["cond_nconsts"], parameters["body_nconsts"]
-        given, fixed, begin = (
+        of_condition, fixed, begin = (
             values[:n_conditions],
             values[n_conditions : n_conditions + n_fixed],
             values[n_conditions + n_fixed :],
         )
         carried = [self._slot(value) if slot is None else slot for value, slot in zip(begin, slots, strict=True)]
+        # Carried numbers are in memory, not in `phi`s: LLVM makes registers of those that it has room for.
         look, turn, end = (text.new(word) for word in ("look", "turn", "end"))
         text.say(f"br label %{look}")
         text.lines.append(f"{look}:")
-        (goes_on,) = self.program(parameters["cond_jaxpr"], [*given, *map(self._held, carried)])
-        if goes_on.size != 1:
+        (goes_on,) = self.program(parameters["cond_jaxpr"], [*of_condition, *map(self._held, carried)])
+        if goes_on.size != 1:  # `vmap` of a loop makes such conditions; they are for XLA
             raise NotWrittenError("a loop whose lanes end one by one")
         text.say(f"br i1 {text.read(goes_on)}, label %{turn}, label %{end}")
         text.lines.append(f"{turn}:")
-        found = self.program(parameters["body_jaxpr"], [*fixed, *map(self._held, carried)])
-        self._carry(found, carried)
+        following = self.program(parameters["body_jaxpr"], [*fixed, *map(self._held, carried)])
+        self._carry(following, carried)
         text.say(f"br label %{look}")
         text.lines.append(f"{end}:")
         return [self._held(slot) for slot in carried]
@@ -238,14 +243,17 @@ class LoopText:
         if slot.size > 1:
             return slot
         kept = stored_as(slot.kind)
-        found = self.text.made(f"load {kept}, ptr {slot.name}, align 1")
-        return Value(slot.shape, slot.kind, self.text.made(f"trunc i8 {found} to i1") if slot.kind == "i1" else found)
+        number = self.text.made(f"load {kept}, ptr {slot.name}, align 1")
+        if slot.kind == "i1":
+            number = self.text.made(f"trunc i8 {number} to i1")
+        return Value(slot.shape, slot.kind, number)
 
-    def _carry(self, found: Sequence[Value], carried: Sequence[Value]) -> None:
+    def _carry(self, following: Sequence[Value], carried: Sequence[Value]) -> None:
         """What the next turn begins with; nothing is overwritten that is still to be read."""
+        # A value that stands in a slot of this loop (x, y = y, x) would be overwritten before it is copied.
         places = {id(slot.memory) for slot in carried}
         safe = []
-        for value, slot in zip(found, carried, strict=True):
+        for value, slot in zip(following, carried, strict=True):
             if value.size != slot.size:
                 raise NotWrittenError("a loop that carries another shape")
             if value.size <= 1 or value.name == slot.name or id(value.memory) not in places:
@@ -270,7 +278,7 @@ class LoopText:
         rows = [self._room(aval) for aval in avals[n_carried:]]
         counter = text.array((), "i64")
         text.say(f"store i64 0, ptr {counter.name}, align 8")
-        if n == 0:
+        if n == 0:  # the loop below looks at its counter after the first turn
             return [*map(self._held, carried), *rows]
         turn, end = text.new("turn"), text.new("end")
         text.say(f"br label %{turn}")
@@ -278,12 +286,12 @@ class LoopText:
         i = text.made(f"load i64, ptr {counter.name}, align 8")
         at = text.made(f"sub i64 {n - 1}, {i}") if parameters["reverse"] else i
         slices = [self._row(column, at) for column in columns]
-        found = self.program(parameters["jaxpr"], [*fixed, *map(self._held, carried), *slices])
-        for row, value in zip(rows, found[n_carried:], strict=True):
+        outputs = self.program(parameters["jaxpr"], [*fixed, *map(self._held, carried), *slices])
+        for row, value in zip(rows, outputs[n_carried:], strict=True):
             if value.size:
                 place = text.made(f"mul nsw i64 {at}, {value.size}")
                 text.put(row, place, np.arange(value.size), value)
-        self._carry(found[:n_carried], carried)
+        self._carry(outputs[:n_carried], carried)
         following = text.made(f"add nsw i64 {i}, 1")
         text.say(f"store i64 {following}, ptr {counter.name}, align 8")
         text.say(f"br i1 {text.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
@@ -303,30 +311,34 @@ class LoopText:
 
     def branch(self, branches: Sequence[Any], values: Sequence[Value]) -> list[Value]:
         """`jax.lax.switch`."""
-        text, (which, *given) = self.text, values
+        text, (which, *operands) = self.text, values
+        # A constant is written as its digits: no other branch is written then.
         if which.name.lstrip("-").isdigit():
             at = int(which.name)
-            return self.program(branches[at if 0 <= at < len(branches) else -1], given)
+            return self.program(branches[at if 0 <= at < len(branches) else -1], operands)
         index = text.read(which)
         labels, end = [text.new("branch") for _ in branches], text.new("end")
+        # The last branch is the default: an index outside takes it, as in StableHLO.
         cases = " ".join(f"i64 {i}, label %{label}" for i, label in enumerate(labels[:-1]))
         text.say(f"switch i64 {index}, label %{labels[-1]} [{cases}]")
-        memories = {id(v.memory): v.memory for v in given if v.memory is not None and v.size >= LARGE}
+        memories = {id(v.memory): v.memory for v in operands if v.memory is not None and v.size >= LARGE}
         before = {key: memory.version for key, memory in memories.items()}
         latest = dict(before)
         outs: list[list[Value]] = []
         targets: list[Value | None] = []
         for label, closed in zip(labels, branches, strict=True):
             text.lines.append(f"{label}:")
+            # Each branch begins with the arrays as they were; behind all of them an array counts as changed if it was
+            # changed in any.
             for key, memory in memories.items():
                 memory.version = before[key]
-            found = self.program(closed, given)
+            outputs = self.program(closed, operands)
             if not targets:
-                targets = [None if v.size >= LARGE or not v.size else text.array(v.shape, v.kind) for v in found]
-            for value, target in zip(found, targets, strict=True):
+                targets = [None if v.size >= LARGE or not v.size else text.array(v.shape, v.kind) for v in outputs]
+            for value, target in zip(outputs, targets, strict=True):
                 if target is not None:
                     text.copy(text.checked(value), target)
-            outs.append(found)
+            outs.append(outputs)
             for key, memory in memories.items():
                 latest[key] = max(latest[key], memory.version)
             text.say(f"br label %{end}")
@@ -351,16 +363,18 @@ class LoopText:
         line, lanes, axes = (parameters[name] for name in ("line", "lanes", "axes"))
         if is_called(line, lanes):
             return self.call(machine_code.called(line, lanes, axes), values, avals)
+        # Too small for a call of its own: as a function of this text LLVM may inline it.
         if len(lanes) > 1 or 0 in lanes or not line.can_be_called:
             raise NotWrittenError("a scalar program that is none of machine code")
         name = f"line{len(self._functions)}"
         declared, function = FunctionText(line, lanes, axes).written_inside(name)
+        # Sorted, for a set has another order in each process, and the text's digest is its name.
         self.text.declared.update(dict.fromkeys(sorted(declared)))
         self._functions.append(function)
         results = [self._room(aval) for aval in avals]
-        pointers = [self._address(value) for value in values] + [each.name or "null" for each in results]
+        pointers = [self._address(value) for value in values] + [result.name or "null" for result in results]
         self.text.say(f"call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})")
-        return [self._held(each) for each in results]
+        return [self._held(result) for result in results]
 
     def call(self, name: str, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
         """Machine code that XLA could call as well: it finds what it needs in a frame."""
@@ -368,6 +382,7 @@ class LoopText:
         self.called[name] = None
         text.declared[f"declare ptr @{name}(ptr)"] = None
         results = [self._room(aval) for aval in avals]
+        # The other machine code keeps to XLA's interface, so that the same object code serves both callers.
         frame = self._frame(len(values), len(results))
         for pointers, parts in (
             (frame.arguments, [*map(self._address, values)]),
@@ -375,8 +390,9 @@ class LoopText:
         ):
             for pointer, part in zip(pointers, parts, strict=True):
                 text.say(f"store ptr {part or 'null'}, ptr {pointer}, align 8")
+        # What it returns is null or an error; functions of ours have none.
         text.made(f"call ptr @{name}(ptr {frame.name})")
-        return [self._held(each) for each in results]
+        return [self._held(result) for result in results]
 
     def _address(self, value: Value) -> str:
         """Where a value is; a number is put somewhere."""
@@ -391,6 +407,7 @@ class LoopText:
     def _frame(self, n_arguments: int, n_results: int) -> "_Frame":
         """A frame with places for pointers to numbers, made when the function begins."""
         text, begin = self.text, self._at_begin
+        # Zeros and tables are written once, ahead of the loop; a call then stores the pointers alone.
         frame = text.new("%frame")
         text.room.append(f"  {frame} = alloca [{ffi_abi.FRAME_WORDS} x i64], align 64")
         text.declared["declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"] = None
@@ -402,7 +419,7 @@ class LoopText:
             table, buffers = text.new("%table"), text.new("%buffers")
             text.room += [
                 f"  {table} = alloca [{max(n, 1)} x ptr], align 64",
-                f"  {buffers} = alloca [{max(4 * n, 1)} x i64], align 64",
+                f"  {buffers} = alloca [{max(4 * n, 1)} x i64], align 64",  # four words reach up to `data`
             ]
             at = text.new("%at")
             begin += [

@@ -94,9 +94,9 @@ def check(llvm: Any) -> str:
         engine.add_module(module)
         engine.finalize_object()
         results = (ctypes.c_double * (len(LIBRARY) + len(NUMBERS) + 1))()
-        given = (ctypes.c_double * len(NUMBERS))(*NUMBERS)
+        numbers = (ctypes.c_double * len(NUMBERS))(*NUMBERS)
         program = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(engine.get_function_address("check"))
-        program(ctypes.addressof(given), ctypes.addressof(results))
+        program(ctypes.addressof(numbers), ctypes.addressof(results))
     except Exception as error:
         return f"a small program cannot be compiled ({type(error).__name__}: {error})"
     for name, value, right in zip(

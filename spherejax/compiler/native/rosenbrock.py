@@ -8,7 +8,7 @@ evaluated ahead in the same call. Tangents of the state go along, if there are s
 
     k_i' = gamma S(h f_i' + sum_j C_ij k_j' + d_i h^2 (df/dt)' + gamma h J' k_i / gamma)
 
-f_i' is what makes the tangents of f, and J' k is given by parts of its own. Many runs are a loop around all of this,
+f_i' is what makes the tangents of f, and J' k is made by parts of its own. Many runs are a loop around all of this,
 over groups of them (`groups`).
 """
 
@@ -24,18 +24,8 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
+from spherejax.compiler.emit import llvm_vectors as vectors
 from spherejax.compiler.emit.llvm import FunctionText, widest_for
-from spherejax.compiler.emit.llvm_vectors import (
-    add_scaled,
-    call_of,
-    entry_at,
-    listed,
-    loaded,
-    room_for,
-    spread_out,
-    stored,
-    summing,
-)
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.groups import Operand, RunGroups, function_of
 from spherejax.compiler.operations import BOOL, FLOAT
@@ -70,7 +60,7 @@ class LinePart(NamedTuple):
 
     Attributes:
         line: the line.
-        sources: of each of its arguments: a number for one that the call is given, else a name: of what a stage makes
+        sources: of each of its arguments: a number for an argument of the call, else a name: of what a stage makes
             (`TIME`, `MOVED`, `RIGHT`), or of what another part has made (`made`).
         lanes, axes: as of the operation `straight_line`.
         n_rows: how many rows its lanes are for, instead of `lanes`.
@@ -87,7 +77,7 @@ TIME, MOVED, RIGHT, FOUND = "time", "moved", "right", "found"
 """Of a stage: the arguments of f, the right side, and what S gives."""
 
 BEGIN_ROWS, MOVED_ROWS = "begin.rows", "moved.rows"
-"""Tangents of the state at the start of a step, and of what f is given; over lanes."""
+"""Tangents of the state at the start of a step, and of the argument of f; over lanes."""
 
 
 def made(part: int, output: int) -> str:
@@ -117,7 +107,7 @@ class Rows(NamedTuple):
 
     Attributes:
         n: how many.
-        given: arguments of the call that have an axis of rows, and the sizes of a row.
+        operands: arguments of the call that have an axis of rows, and the sizes of a row.
         along: what makes the tangents of f.
         bends: what is evaluated behind S, and what makes dJ/dy Y k of it, the last; empty where J is constant.
         solve: S for the tangents.
@@ -125,7 +115,7 @@ class Rows(NamedTuple):
     """
 
     n: int
-    given: tuple[tuple[int, int], ...]
+    operands: tuple[tuple[int, int], ...]
     along: LinePart
     bends: tuple[LinePart, ...]
     solve: LinePart
@@ -181,7 +171,7 @@ def rosenbrock_stages(steps: RosenbrockSteps, t: Array, h: Array, y: Array, slop
         steps: what is done.
         t, h, y: where the step starts [s], how long it is [s], the state there, with rows of tangents below it.
         slope: h^2 df/dt there, in the same shape.
-        others: what else the parts are given; `sources` count from t.
+        others: the other arguments of the parts; `sources` count from t.
     """
     arguments = t, h, y, slope, *others
     (k,) = _rosenbrock_stages.bind(*arguments, steps=steps, n_runs=None, shared=(False,) * len(arguments))
@@ -202,19 +192,20 @@ def _shapes(t: Any, h: Any, y: Any, *others: Any, steps: RosenbrockSteps, **how:
 def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
     """More runs, on a last axis; a run alone needs none, and of two axes one is gone along."""
     n = next(x.shape[dim] for x, dim in zip(arguments, dims, strict=True) if dim is not None)
-    if n == 1:
+    if n == 1:  # without an axis of runs its text, and so its machine code, is that of a run alone
         alone = [x if dim is None else jnp.squeeze(x, dim) for x, dim in zip(arguments, dims, strict=True)]
         return [x[None] for x in _rosenbrock_stages.bind(*alone, **how)], [0]
-    if how["n_runs"] is not None:
+    if how["n_runs"] is not None:  # groups have one axis of runs: the new one is a loop around the call
         moved = [None if dim is None else jnp.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
 
         def one(parts: Sequence) -> list[Array]:
-            found = (x if part is None else part for x, part in zip(arguments, parts, strict=True))
-            return _rosenbrock_stages.bind(*found, **how)
+            operands = (x if part is None else part for x, part in zip(arguments, parts, strict=True))
+            return _rosenbrock_stages.bind(*operands, **how)
 
         return jax.lax.map(one, moved), [0]
     behind = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
     shared = [dim is None for dim in dims]
+    # Where a step begins differs between runs as a rule; what the caller shares, its seeds, say, is read once for all.
     for i in range(_N_OF_STEP):
         behind[i] = jnp.broadcast_to(behind[i][..., None], (*behind[i].shape, n)) if shared[i] else behind[i]
         shared[i] = False
@@ -229,11 +220,11 @@ batching.primitive_batchers[_rosenbrock_stages] = _batched
 
 
 def _target(avals: Sequence, *, steps: RosenbrockSteps, n_runs: int | None, shared: tuple[bool, ...]) -> str:
-    given = _given(avals, steps, n_runs, shared)
-    key = "rosenbrock", given, n_runs, steps  # kept with the solver, whose factors belong to its step
+    operands = _operands(avals, steps, n_runs, shared)
+    key = "rosenbrock", operands, n_runs, steps  # kept with the solver, whose factors belong to its step
     # LLVM takes a third longer with its passes, and films run as fast without; bushings and dry runs do not.
     return machine_code.called_text(
-        key, steps.solve.line, lambda: _text(steps, given, n_runs), is_wide=n_runs is not None, is_optimised=False
+        key, steps.solve.line, lambda: _text(steps, operands, n_runs), is_wide=n_runs is not None, is_optimised=False
     )
 
 
@@ -245,23 +236,23 @@ machine_code.TARGETS["rosenbrock_stages"] = _target
 mlir.register_lowering(_rosenbrock_stages, _lowered, platform="cpu")
 
 
-def _given(
+def _operands(
     avals: Sequence, steps: RosenbrockSteps, n_runs: int | None, shared: tuple[bool, ...]
 ) -> tuple[Operand, ...]:
     """The arguments of the call."""
     rows, (size,) = steps.rows, steps.rate.line.outputs[0].shape
     below: Any = () if rows is None else (size, rows.n)
-    of_rows = {} if rows is None else dict(rows.given)
-    found = [Operand(1), Operand(1), Operand(size, *below), Operand(size, *below)]
+    of_rows = {} if rows is None else dict(rows.operands)
+    operands = [Operand(1), Operand(1), Operand(size, *below), Operand(size, *below)]
     for i, aval in enumerate(avals[_N_OF_STEP:], _N_OF_STEP):
         kind = "i8" if aval.dtype == BOOL else "double"
         if i in of_rows:
             assert rows is not None
-            found.append(Operand(0, of_rows[i], rows.n, kind, shared[i]))
+            operands.append(Operand(0, of_rows[i], rows.n, kind, shared[i]))
         else:
             n = aval.size // (1 if n_runs is None or shared[i] else n_runs)
-            found.append(Operand(n, kind=kind, is_shared=shared[i]))
-    return tuple(found)
+            operands.append(Operand(n, kind=kind, is_shared=shared[i]))
+    return tuple(operands)
 
 
 class _Written(NamedTuple):
@@ -290,11 +281,11 @@ def _part(part: LinePart, name: str, results: list[str], groups: RunGroups) -> _
         for output, over in zip(line.outputs, text.outputs_spread, strict=True)
     )
     room = [
-        room_for(f"%{result}", size, "i8" if line.dtype(output) == BOOL else "double")
+        vectors.room_for(f"%{result}", size, "i8" if line.dtype(output) == BOOL else "double")
         for result, output, size in zip(results, line.outputs, sizes, strict=True)
     ]
     pointers = [f"%a{source}" if isinstance(source, int) else f"%{source}" for source in part.sources]
-    return _Written(declared, function, room, call_of(name, [*pointers, *(f"%{result}" for result in results)]))
+    return _Written(declared, function, room, vectors.call_of(name, [*pointers, *(f"%{result}" for result in results)]))
 
 
 def _groups(steps: RosenbrockSteps, n_runs: int | None) -> RunGroups:
@@ -303,20 +294,23 @@ def _groups(steps: RosenbrockSteps, n_runs: int | None) -> RunGroups:
     n_rows = 0 if steps.rows is None else steps.rows.n
     if n_runs is None or size * (1 + n_rows) > LARGEST_STATE:
         return RunGroups(n_runs)
+    # Rows are counted for every output: which of them are over lanes is not looked at for an upper bound.
     made = sum(output.size for part in parts for output in part.line.outputs) * max(1, n_rows)
+    # Increments of all stages, and five more arrays of the size of a state (`%moved` to `%nothing`, and y).
     made += size * (1 + n_rows) * ((len(method.c) if method else 0) + 5)
     room = max(1, LARGEST_ROOM // (8 * made))
     return RunGroups.of(n_runs, min(room, widest_for(*(part.line for part in parts))))
 
 
-def _text(steps: RosenbrockSteps, given: Sequence[Operand], n_runs: int | None) -> str:
+def _text(steps: RosenbrockSteps, operands: Sequence[Operand], n_runs: int | None) -> str:
     """The function that XLA calls."""
     groups, (size,) = _groups(steps, n_runs), steps.rate.line.outputs[0].shape
     assert steps.method is not None
     below: Any = () if steps.rows is None else (size, steps.rows.n)
     result = Operand(size, *below, n=len(steps.method.c))
-    declared, inner = _step(steps, len(given), groups)
-    return "\n".join([*sorted(declared), inner, function_of(given, [result], groups, "step")])
+    declared, inner = _step(steps, len(operands), groups)
+    # Sorted: the name of the function is a digest of its text, which has to be the same in every process.
+    return "\n".join([*sorted(declared), inner, function_of(operands, [result], groups, "step")])
 
 
 def _step(steps: RosenbrockSteps, n_arguments: int, groups: RunGroups) -> tuple[set[str], str]:
@@ -342,45 +336,37 @@ def _step(steps: RosenbrockSteps, n_arguments: int, groups: RunGroups) -> tuple[
             for at, part in enumerate(rows.bends)
         ]
         every += [along, again, *behind]
-    room = [line for each in [*ahead, *behind] for line in each.room] + rate.room[1:]
-    step = groups.at_a_time
+    # Without the first results of f and S: `%change` stands in the text, and S writes into k, where increments belong.
+    room = [line for part in [*ahead, *behind] for line in part.room] + rate.room[1:]
     arguments = ", ".join(f"ptr noalias %a{i}" for i in range(n_arguments))
-    chunks = [(begin, min(step, total - begin)) for begin in range(0, total, step)]
-
-    def each(write: Any) -> str:
-        return "\n".join(write(i, begin, f"<{wide} x double>") for i, (begin, wide) in enumerate(chunks))
-
-    def of_each_run(name: str, number: str) -> str:
-        """A number that all runs share."""
-        return f"  {name} = fadd double {number}, 0x8000000000000000" if width == 1 else spread_out(name, number, one)
-
+    of_rows = "" if rows is None else _solved_rows(rows, behind, again, total - size, groups)
     new_line = "\n"
     text = f"""\
-@rows.A = private constant [{n * n} x double] [{listed(x for row in method.A for x in row)}]
-@rows.C = private constant [{n * n} x double] [{listed(x for row in method.C for x in row)}]
-@rows.c = private constant [{n} x double] [{listed(method.c)}]
-@rows.d = private constant [{n} x double] [{listed(method.d)}]
-@rows.gamma = private constant [1 x double] [{listed([method.gamma])}]
-{new_line.join(each.function for each in every)}
-{summing(total)}
+@rows.A = private constant [{n * n} x double] [{vectors.listed(x for row in method.A for x in row)}]
+@rows.C = private constant [{n * n} x double] [{vectors.listed(x for row in method.C for x in row)}]
+@rows.c = private constant [{n} x double] [{vectors.listed(method.c)}]
+@rows.d = private constant [{n} x double] [{vectors.listed(method.d)}]
+@rows.gamma = private constant [1 x double] [{vectors.listed([method.gamma])}]
+{new_line.join(part.function for part in every)}
+{vectors.summing(total)}
 define internal void @step({arguments}, ptr noalias %k) nounwind {{
 work:
-{room_for("%time", width)}
-{room_for("%moved", total)}
-{room_for("%change", total)}
-{room_for("%right", total)}
-{room_for("%nothing", total)}
+{vectors.room_for("%time", width)}
+{vectors.room_for("%moved", total)}
+{vectors.room_for("%change", total)}
+{vectors.room_for("%right", total)}
+{vectors.room_for("%nothing", total)}
   call void @llvm.memset.p0.i64(ptr align 8 %nothing, i8 0, i64 {8 * total}, i1 false)
 {new_line.join(room)}
-{new_line.join(entry_at(f"%{rows_of(i)}", f"%a{i}", 0) for i, _ in (rows.given if rows else ()))}
-{entry_at("%begin.rows", "%a2", size)}
-{entry_at("%moved.rows", "%moved", size)}
-{entry_at("%change.rows", "%change", size)}
-{entry_at("%right.rows", "%right", size)}
+{new_line.join(vectors.entry_at(f"%{rows_of(i)}", f"%a{i}", 0) for i, _ in (rows.operands if rows else ()))}
+{vectors.entry_at("%begin.rows", "%a2", size)}
+{vectors.entry_at("%moved.rows", "%moved", size)}
+{vectors.entry_at("%change.rows", "%change", size)}
+{vectors.entry_at("%right.rows", "%right", size)}
   %t = load {one}, ptr %a0, align 8
   %h = load {one}, ptr %a1, align 8
   %gamma = load double, ptr @rows.gamma
-{"".join(each.call for each in ahead)}  br label %stage
+{"".join(part.call for part in ahead)}  br label %stage
 stage:
   %i = phi i64 [0, %work], [%next, %stage]
   %row = mul nuw nsw i64 %i, {n}
@@ -390,7 +376,7 @@ stage:
   call void @sum(ptr %nothing, ptr %k, ptr %p.c, i64 %i, ptr %right)
   %p.instant = getelementptr inbounds double, ptr @rows.c, i64 %i
   %instant.of.all = load double, ptr %p.instant
-{of_each_run("%instant", "%instant.of.all")}
+{groups.for_all_runs("%instant", "%instant.of.all")}
   %after = fmul {one} %instant, %h
   %t.i = fadd {one} %t, %after
   store {one} %t.i, ptr %time, align 8
@@ -399,8 +385,8 @@ stage:
   %to = mul nuw nsw i64 %i, {total}
   %found = getelementptr inbounds double, ptr %k, i64 %to
   %found.rows = getelementptr inbounds double, ptr %found, i64 {size}
-{each(partial(_right_side, by_run=width > 1))}
-{solve.call}{"" if rows is None else _solved_rows(rows, behind, again, total - size, groups)}{each(_times_gamma)}
+{groups.in_vectors(total, partial(_right_side, by_run=width > 1))}
+{solve.call}{of_rows}{groups.in_vectors(total, _times_gamma)}
   %next = add nuw nsw i64 %i, 1
   %is.done = icmp sge i64 %next, {n}
   br i1 %is.done, label %end, label %stage
@@ -408,43 +394,41 @@ end:
   ret void
 }}
 """
-    return set().union(*(each.declared for each in every)), text
+    return set().union(*(part.declared for part in every)), text
 
 
 def _solved_rows(rows: Rows, behind: list[_Written], again: _Written, size: int, groups: RunGroups) -> str:
     """The tangents of what S has found; `size` numbers of them."""
-    lines = [each.call.rstrip("\n") for each in behind]
+    lines = [part.call.rstrip("\n") for part in behind]
     if behind:
-        step = groups.at_a_time
         lines.append(f"  %gamma.h = load {groups.one}, ptr %a{rows.gamma_h}, align 8")
-        for i, at in enumerate(range(0, size, step)):
-            kind = f"<{min(step, size - at)} x double>"
+        for i, at, kind in groups.vectors(size):
             lines += [
-                loaded(f"%rr{i}", "%right.rows", at, kind),
-                loaded(f"%rb{i}", f"%bend{len(behind) - 1}.0", at, kind),
-                add_scaled(f"%rw{i}", f"%rr{i}", "%gamma.h", f"%rb{i}", kind, groups.width > 1),
-                stored(f"%rw{i}", "%right.rows", at, kind),
+                vectors.loaded(f"%rr{i}", "%right.rows", at, kind),
+                vectors.loaded(f"%rb{i}", f"%bend{len(behind) - 1}.0", at, kind),
+                vectors.add_scaled(f"%rw{i}", f"%rr{i}", "%gamma.h", f"%rb{i}", kind, groups.width > 1),
+                vectors.stored(f"%rw{i}", "%right.rows", at, kind),
             ]
     return "\n".join([*lines, again.call])
 
 
 def _right_side(i: int, at: int, kind: str, by_run: bool) -> str:
     lines = [
-        loaded(f"%s{i}", "%right", at, kind),
-        loaded(f"%f{i}", "%change", at, kind),
-        loaded(f"%u{i}", "%a3", at, kind),
-        add_scaled(f"%b{i}", f"%s{i}", "%h", f"%f{i}", kind, by_run),
-        add_scaled(f"%w{i}", f"%b{i}", "%d", f"%u{i}", kind),
-        stored(f"%w{i}", "%right", at, kind),
+        vectors.loaded(f"%s{i}", "%right", at, kind),
+        vectors.loaded(f"%f{i}", "%change", at, kind),
+        vectors.loaded(f"%u{i}", "%a3", at, kind),
+        vectors.add_scaled(f"%b{i}", f"%s{i}", "%h", f"%f{i}", kind, by_run),
+        vectors.add_scaled(f"%w{i}", f"%b{i}", "%d", f"%u{i}", kind),
+        vectors.stored(f"%w{i}", "%right", at, kind),
     ]
     return "\n".join(lines)
 
 
 def _times_gamma(i: int, at: int, kind: str) -> str:
     lines = [
-        loaded(f"%x{i}", "%found", at, kind),
-        spread_out(f"%gamma{i}", "%gamma", kind),
+        vectors.loaded(f"%x{i}", "%found", at, kind),
+        vectors.spread_out(f"%gamma{i}", "%gamma", kind),
         f"  %g{i} = fmul {kind} %gamma{i}, %x{i}",
-        stored(f"%g{i}", "%found", at, kind),
+        vectors.stored(f"%g{i}", "%found", at, kind),
     ]
     return "\n".join(lines)

@@ -39,7 +39,7 @@ from spherejax.compiler.native.rosenbrock import (
     rosenbrock_stages,
     rows_of,
 )
-from spherejax.compiler.primitive import Moves, StraightLine
+from spherejax.compiler.primitive import ActiveInputs, StraightLine
 from spherejax.compiler.program import ScalarProgram
 
 T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6
@@ -48,29 +48,30 @@ what has an axis of rows."""
 
 
 class CalledStep(NamedTuple):
-    """What is called in a step, and what it is given besides the caller's numbers.
+    """What is called in a step, and its arguments besides the caller's numbers.
 
     Attributes:
         steps: what is called.
         rate: the right-hand side.
-        others: given.
+        others: arguments that are the same for all steps.
         moving: of a step with sensitivities, which entries of theta and of what is evaluated ahead have tangents.
     """
 
     steps: RosenbrockSteps
     rate: ScalarProgram
     others: tuple[Float[np.ndarray, " n"], ...]
-    moving: tuple[Moves, ...] = ()
+    moving: tuple[ActiveInputs, ...] = ()
 
     def __call__(self, tableau: Any, theta, ahead, gamma_h, start: tuple, slopes: Any = None) -> Array:
         """All stages, from (t, h, h, y, slope)."""
         t, h, _, y, slope = start
         scalar = self.rate
-        given = [theta, gamma_h, *map(jnp.asarray, self.others), *scalar.line_inside(ahead)[1]]
+        arguments = [theta, gamma_h, *map(jnp.asarray, self.others), *scalar.line_inside(ahead)[1]]
         if slopes is not None:
             along = slopes.theta, *scalar.slopes_inside(ahead, slopes.ahead)
-            given += [entries_at(x, some) for x, some in zip(along, self.moving, strict=True) if x is not None and some]
-        return rosenbrock_stages(self.steps._replace(method=RosenbrockMethod.of(tableau)), t, h, y, slope, *given)
+            active = zip(along, self.moving, strict=True)
+            arguments += [entries_at(x, some) for x, some in active if x is not None and some]
+        return rosenbrock_stages(self.steps._replace(method=RosenbrockMethod.of(tableau)), t, h, y, slope, *arguments)
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,9 @@ class RosenbrockSystems:
     Attributes:
         stage: what solves one of them.
         ahead: what is evaluated before it.
-        known: where what it reads of that is found.
-        others: what else is given.
-        product: what J k is the derivative of, and where its arguments are found; None for the right-hand side.
+        known: names of what it reads of that.
+        others: further arguments of the call, the same for all steps.
+        product: what J k is the derivative of, and places of its arguments; None for the right-hand side.
         place: of its argument that k is a tangent of.
     """
 
@@ -131,8 +132,8 @@ class RosenbrockSystems:
             return None
         assert rate is not None
         assert self.stage is not None
-        given = ahead
-        line, ahead = rate.line_inside(given)
+        evaluated_ahead = ahead
+        line, ahead = rate.line_inside(evaluated_ahead)
         parts = [
             LinePart(
                 program.line_called(),
@@ -146,6 +147,7 @@ class RosenbrockSystems:
         first, rest = self.stage.lines_ahead_and_inside()
         leading = THETA, T, Y, GAMMA_H, *self.known
         factors = []
+        # The factors of the matrix are evaluated ahead of the stages, in the same call: all stages have one matrix.
         if first is not None:
             factors = [made(len(parts), i) for i in range(len(first.outputs))]
             parts.append(LinePart(first, leading))
@@ -153,10 +155,10 @@ class RosenbrockSystems:
         of_rate = tuple(range(begin, begin + len(ahead)))
         solve = LinePart(rest, (*leading, RIGHT, *factors))
         steps = RosenbrockSteps(tuple(parts), LinePart(line, (THETA, TIME, MOVED, *of_rate)), solve)
-        moving: tuple[Moves, ...] = ()
+        moving: tuple[ActiveInputs, ...] = ()
         if slopes is not None:
             n, n_numbers = slopes.theta.shape
-            moving = rate.moving_inside(given, range(n_numbers) if by is None else by)
+            moving = rate.moving_inside(evaluated_ahead, range(n_numbers) if by is None else by)
             moves = {
                 place: some
                 for place, some in zip((THETA, *of_rate), moving, strict=True)
@@ -185,9 +187,9 @@ class _Tangents:
 
     def __init__(self, n: int, moves: dict[int, tuple[int, ...]], begin: int):
         self.n = n
-        self.moves: dict[int | str, Moves] = {**moves}
+        self.moves: dict[int | str, ActiveInputs] = {**moves}
         self.places = {argument: begin + i for i, argument in enumerate(moves)}
-        self.given = tuple((self.places[argument], len(some)) for argument, some in moves.items())
+        self.operands = tuple((self.places[argument], len(some)) for argument, some in moves.items())
 
     def beside(
         self, steps: RosenbrockSteps, product: StraightLine, sources: tuple[int, ...], place: int
@@ -202,13 +204,13 @@ class _Tangents:
         """
         moves = [source == MOVED or self.moves.get(source, False) for source in steps.rate.sources]
         rate = steps.rate.line.derivative(tuple(moves))
-        found = [made_by_rate(i) for i in range(1, len(rate.values.outputs))]
-        along = self._part(rate.slopes, compress(steps.rate.sources, moves), found)
+        coefficients = [made_by_rate(i) for i in range(1, len(rate.values.outputs))]
+        along = self._part(rate.slopes, compress(steps.rate.sources, moves), coefficients)
         ahead, bends = self._change_of_product(product, sources, place, len(steps.ahead))
         again = [f"{RIGHT}.rows" if source == RIGHT else source for source in steps.solve.sources]
         wide = [source == RIGHT for source in steps.solve.sources]
         solve = over_lanes(steps.solve.line, again, wide, self.n)
-        rows = Rows(self.n, self.given, along, bends, solve, GAMMA_H)
+        rows = Rows(self.n, self.operands, along, bends, solve, GAMMA_H)
         return RosenbrockSteps(
             (*steps.ahead, *ahead), LinePart(rate.values, steps.rate.sources), steps.solve, None, rows
         )
@@ -223,24 +225,26 @@ class _Tangents:
         moves = [i == state or self.moves.get(source, False) for i, source in enumerate(sources)]
         bent = linear.values.derivative(tuple(moves))
         n_own, n_values = len(line.outputs), len(linear.values.outputs)
-        found = [made(at, i) for i in range(n_values, len(bent.values.outputs))]
-        tangents = self._part(bent.slopes, compress(sources, moves), found)
+        coefficients = [made(at, i) for i in range(n_values, len(bent.values.outputs))]
+        tangents = self._part(bent.slopes, compress(sources, moves), coefficients)
         follow = bent.follows[n_own:]
-        if not any(follow):
+        if not any(follow):  # J depends on nothing that moves, as in a linear system
             return (), ()
-        # ... and it is linear in the coefficients too.
+        # ... and it is linear in the coefficients too. k is inactive here: its own tangent is solved for.
         product = linear.slopes.derivative((False, *follow))
         order = [*compress(range(n_values), bent.follows)]
-        given = [made(at + 1, order.index(i)) for i in range(n_own, n_values) if bent.follows[i]]
-        found = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
-        wide = [*(True for _ in given), *(False for _ in found)]
-        change = over_lanes(product.slopes, [*given, *found], wide, self.n)
+        changes = [made(at + 1, order.index(i)) for i in range(n_own, n_values) if bent.follows[i]]
+        coefficients = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
+        wide = [*(True for _ in changes), *(False for _ in coefficients)]
+        change = over_lanes(product.slopes, [*changes, *coefficients], wide, self.n)
         values = LinePart(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
         return (LinePart(bent.values, sources), tangents), (values, change)
 
-    def _part(self, line: StraightLine, moving: Iterable[int | str], found: Sequence[str]) -> LinePart:
-        """The tangents that a line makes of those of the arguments that move, with coefficients that were found."""
+    def _part(self, line: StraightLine, moving: Iterable[int | str], coefficients: Sequence[str]) -> LinePart:
+        """The tangents that a line makes of those of the arguments that move, with coefficients of its value."""
         names: dict[int | str, str] = {argument: rows_of(place) for argument, place in self.places.items()}
         names |= {Y: BEGIN_ROWS, MOVED: MOVED_ROWS}
-        given = [names[source] for source in moving]
-        return over_lanes(line, [*given, *found], [*(True for _ in given), *(False for _ in found)], self.n)
+        tangents = [names[source] for source in moving]
+        # Tangents are of each row; the coefficients are the same for all of them.
+        wide = [*(True for _ in tangents), *(False for _ in coefficients)]
+        return over_lanes(line, [*tangents, *coefficients], wide, self.n)
