@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.integration.audit import CHECKS, NOT_MADE, OUTSIDE, Limits, Vitals, cautions, findings, suspects
+from spherejax.motion.integration.audit import (
+    CHECKS,
+    NOT_MADE,
+    OUTSIDE,
+    Limits,
+    Vitals,
+    cautions,
+    findings,
+    parts_with_a_range,
+    suspects,
+)  # fmt: skip
 from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.many import simulate_many
 from spherejax.motion.start.assembly import described_state
@@ -226,6 +236,43 @@ def test_use_beyond_a_range_is_said_and_fails_nothing(vital, remedy):
     assert cautions(LIMITS.begun(SOUND).worst) == findings(watch.worst) == ""
     assert remedy in cautions(watch.worst)
     assert "(1.5 times that)" in cautions(np.stack([watch.worst, LIMITS.begun(SOUND).worst]))
+
+
+def test_what_goes_beyond_a_range_is_named_by_the_parts_that_have_one():
+    """Each text by its own parts; there was one list of parts before all texts."""
+    scene = dry_and_oiled()
+    system = sj.compile_scene(scene).system
+    state = described_state(system)
+    y = np.concatenate([state, np.zeros(system.layout.size - state.size)])
+    parts = parts_with_a_range(system, y)
+    assert parts == {
+        "conformity": ["joint 'dry'", "joint 'second'"],
+        "tilt": [],
+        "film": ["joint 'oiled'"],
+        "axes": ["force element 'torsion'"],
+    }
+    assert parts_with_a_range(system, np.full_like(y, np.nan)) == parts  # of a run that has failed
+    shares = np.full(len(CHECKS), 0.1)
+    shares[CHECKS.index("axes")] = 1.5
+    assert cautions(shares, parts).startswith("force element 'torsion': the axis")
+    shares[CHECKS.index("conformity")] = 2.0
+    first, second = cautions(shares, parts).split("; ")[0], cautions(shares, parts).split("; ")[-1]
+    assert first.startswith("one of joint 'dry', joint 'second': surfaces were pressed in")
+    assert second.startswith("force element 'torsion': the axis")
+
+
+def dry_and_oiled() -> sj.Scene:
+    """Two dry balls and one in oil on a body that a torsional spring holds."""
+    at = {"a": (0.1, 0.0, 0.0), "b": (0.0, 0.1, 0.0), "c": (0.0, 0.0, 0.1)}
+    body = sj.Body(1.0, (1e-3, 1e-3, 1e-3), points=at)
+    dry = sj.Dry(1e-4, normal=sj.LankaraniNikravesh(0.9))
+    joints = {
+        "dry": sj.Spherical("ground.a", "body.a", dry),
+        "second": sj.Spherical("ground.b", "body.b", dry),
+        "oiled": sj.Spherical("ground.c", "body.c", sj.Lubricated(1e-4, conformity=sj.SphericalProfile())),
+    }
+    spring = sj.TorsionalSpring(("ground", "body"), (0.0, 0.0, 1.0), 0.1)
+    return sj.Scene({"body": body}, joints, {"torsion": spring}, ground_points=at)
 
 
 def pressed(modulus=1e8, conformity=None):

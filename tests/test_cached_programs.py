@@ -114,6 +114,24 @@ def test_builders_that_close_over_traced_values_are_not_confused():
     assert float(height(9.0)) == pytest.approx(second, abs=1e-12)
 
 
+def falling(gravity):
+    """A ball that is let go: after 0.1 s it is gravity/200 below its start."""
+    return sj.Scene({"ball": sj.Body(1.0, (1e-3, 1e-3, 1e-3))}, {}, gravity=jnp.stack([0.0, 0.0, -1.0]) * gravity)
+
+
+def test_runs_within_jit_with_parameters_that_are_known():
+    """The builder closes over a traced value; its parameters were made tracers, and no method could be chosen."""
+
+    @jax.jit
+    def height(share):
+        parameters = {"gravity": np.array([1.0, 2.0])}
+        runs = simulate_many(lambda gravity: falling(share * gravity), parameters, np.array([0.0, 0.1]))
+        return runs.trajectories.ys[:, -1, 2]
+
+    for share in (1.0, 9.0):
+        np.testing.assert_allclose(height(share), [-share / 200, -share / 100], rtol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("is_kept", [False, True])
 def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_path, monkeypatch):

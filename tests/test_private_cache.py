@@ -98,9 +98,7 @@ def test_a_folder_that_others_may_write_is_done_without(cache, place):
     cache.chmod(0o755)
     assert configured(cache / "in") == ""
     disk_cache.save("key", 1)
-    folder = {"": cache / "in", "compiled": compiled(cache / "in"), "kept": cache / "in" / "kept", "above": cache}[
-        place
-    ]
+    folder = at(cache, place)
     folder.chmod(0o777)
     words = configured(cache / "in")
     assert f"others may write to {str(folder)!r}" in words
@@ -121,9 +119,7 @@ def test_a_sticky_folder_above_will_do(cache):
 def test_a_folder_of_somebody_else_is_done_without(cache, place):
     assert configured(cache / "in") == ""
     disk_cache.save("key", 1)
-    folder = {"": cache / "in", "compiled": compiled(cache / "in"), "kept": cache / "in" / "kept", "above": cache}[
-        place
-    ]
+    folder = at(cache, place)
     foreign(folder)
     assert f"{str(folder)!r} belongs to " in configured(cache / "in")
 

@@ -4,7 +4,15 @@ import os
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
 import pytest
+from jax.extend.core import Primitive
+from jax.interpreters import mlir
+from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
+
+from spherejax.compiler import private
+from spherejax.program_cache import several_devices
 
 PROGRAM = """
 import sys
@@ -47,6 +55,24 @@ def results_of(*calls):
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.split("\n")[:-1]
+
+
+def test_the_cache_and_the_compiler_see_over_how_many_devices_a_program_is_partitioned():
+    """JAX has no public name for it: with another name both would take every program for one on one device."""
+    seen = []
+    looked = Primitive("looked")
+    looked.def_abstract_eval(lambda x: x)
+
+    def lowering(context, x):
+        seen.append((several_devices.is_partitioned(context), private.n_devices(context)))
+        return [x]
+
+    mlir.register_lowering(looked, lowering)
+    over_devices = NamedSharding(AbstractMesh((2,), ("run",)), PartitionSpec("run"))
+    for sharding in (None, over_devices):
+        example = jax.ShapeDtypeStruct((4,), jnp.float64, sharding=sharding)
+        jax.jit(looked.bind).trace(example).lower(lowering_platforms=("cpu",))
+    assert seen == [(False, 1), (True, 2)]
 
 
 @pytest.mark.slow

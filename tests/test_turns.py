@@ -185,9 +185,10 @@ def test_a_tilt_by_half_a_turn_is_said():
     """A free body that tumbles across the axis that its spring is about."""
     body = sj.Body(1.0, (1e-3,) * 3, angular_velocity=(1.0, 0.0, 0.0))
     scene = sj.Scene({"w": body}, forces=coil(1e-6), gravity=(0, 0, 0))
-    with pytest.warns(sj.OutOfRangeWarning, match="tilted by more than 170 degrees"):
+    with pytest.warns(sj.OutOfRangeWarning, match="^force element 'coil': the axis .* tilted by more than 170 degrees"):
         run = sj.simulate(scene, [0.0, 3.1])
     assert run.status == sj.Status.SUCCEEDED
+    assert "force element 'coil': the axis" in run.audit
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sj.simulate(scene, [0.0, 2.5])

@@ -26,7 +26,7 @@ from jax.interpreters import ad, batching, mlir
 
 from spherejax.program_cache import disk_cache, settings
 from spherejax.program_cache.garbage import gc_paused
-from spherejax.program_cache.jaxprs import calls_python, make_lapack_known
+from spherejax.program_cache.jaxprs import calls_python, register_lapack
 from spherejax.program_cache.several_devices import is_partitioned, lowered_replicated
 
 
@@ -81,6 +81,7 @@ class CachedCall:
         self._lowered: _Lowered | None = None
         self._traced: Any = None  # by JAX, not lowered yet
         self._has_warned = False
+        # Threads may trace programs that contain the same function.
         self._lock = threading.RLock()
 
     def __call__(self, *leaves: Any) -> Sequence:
@@ -102,6 +103,7 @@ class CachedCall:
         with self._lock:
             if self._lowered is None and self._traced is None and not self._load():
                 self._trace()
+            # Not lowered for its shapes: a caller that asks for shapes alone (`jax.eval_shape`) never lowers it.
             if self._lowered is None:
                 traced: Any = self._traced
                 return jax.tree.leaves(traced.out_info)
@@ -124,9 +126,9 @@ class CachedCall:
             return self._read() if self._lower() else None
 
     def _load(self) -> bool:
-        found = disk_cache.load(self._key_within)
+        entry = disk_cache.load(self._key_within)
         try:
-            lowered, static = found
+            lowered, static = entry
             self._lowered, self.function.static = _Lowered(*lowered), static
         except Exception:  # nothing, or another thing under its name
             return False
@@ -152,14 +154,17 @@ class CachedCall:
         main: Any = ir.SymbolTable(module.operation)["main"]
         if len(main.type.inputs) != len(self.function.examples):  # JAX can be set to make arguments of constants
             return False
+        # Before it is written: whoever reads it takes it in as it is.
         with module.context:
             _rename(module, self.name)
         content = io.BytesIO()
         module.operation.write_bytecode(content)
+        # As bytes, not as a module: a module belongs to the MLIR context of the caller, and is used up there.
         self._lowered = _Lowered(content.getvalue(), blobs(), jax.tree.leaves(self._traced.out_info))
         if not (self._has_warned or has_warned()):
+            # A plain tuple: in a file, a class of this module would be looked up by its name when it is read.
             disk_cache.save(self._key_within, (tuple(self._lowered), self.function.static))
-        self._traced = None
+        self._traced = None  # it holds the whole trace, which nobody needs any more
         return True
 
     def _read(self) -> Any:
@@ -170,12 +175,13 @@ class CachedCall:
         # The program around it is lowered now, and has to be written with these blobs as well.
         settings.extra_blobs().note(blobs)
         if b"lapack_" in content:
-            make_lapack_known()
+            register_lapack()
         return module
 
     @property
     def name(self) -> str:
         """Of the function in a program that takes it in."""
+        # By the key, so that the module around it is the same text in each process, and JAX's cache finds that.
         return f"kept_{str(self._key_within or id(self))[:16]}"
 
 
@@ -201,8 +207,8 @@ def _batched(leaves: Sequence, dims: Sequence, *, operation: CachedCall) -> tupl
     n = next(leaf.shape[dim] for leaf, dim in zip(leaves, dims, strict=True) if dim is not None)
     front = [leaf if not dim else jnp.moveaxis(leaf, dim, 0) for leaf, dim in zip(leaves, dims, strict=True)]
     # None for what is the same for all: it is neither copied nor computed many times.
-    found = operation.function.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
-    return found, [0] * len(found)
+    results = operation.function.mapped(tuple(None if dim is None else 0 for dim in dims), n)(*front)
+    return results, [0] * len(results)
 
 
 def _differentiated(leaves: Sequence, tangents: Sequence, *, operation: CachedCall) -> tuple:
@@ -248,6 +254,6 @@ def _rename(module: Any, name: str) -> None:
         ir.SymbolTable.replace_all_symbol_uses(old, new, module.operation)
         ir.SymbolTable.set_symbol_name(operation, new)
         ir.SymbolTable.set_visibility(operation, "private")
-        for each in ("arg_attrs", "res_attrs"):  # of a program's arguments, which say nothing of a function's
-            if each in operation.attributes:
-                del operation.attributes[each]
+        for attribute in ("arg_attrs", "res_attrs"):  # of a program's arguments, which say nothing of a function's
+            if attribute in operation.attributes:
+                del operation.attributes[attribute]

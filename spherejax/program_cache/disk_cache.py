@@ -39,6 +39,7 @@ T = TypeVar("T")
 _MARK = b"spherejax kept 2\n"
 """The first bytes of a file; a new number for a new format, since older files are not looked into."""
 
+# Of each thread: a warning of one says nothing of what another one traces.
 _tracing = threading.local()
 
 
@@ -49,6 +50,7 @@ def key_for(*what: Any) -> str | None:
         *what: all that goes into it: functions of the package, values, parts of a `keys.CacheKey`. Constants of
             `Settings.constant_folders` are part of the key as they are now, others as they stand in the sources.
     """
+    # Before the fingerprint, which takes longest: without a folder nobody would ask for the key.
     if _folder() is None or is_debugging():
         return None
     values = known_fingerprint(what)
@@ -77,6 +79,7 @@ def load(key: str | None) -> Any:
         with open(folder / key, "rb") as file:
             # The file that is open is judged, not its name: that may stand for another file a moment later.
             content = file.read() if _is_own(os.fstat(file.fileno())) else b""
+        # The digest is checked before anything is unpickled: a pickle executes what it says while it is read.
         head = len(_MARK) + 64
         if content[: len(_MARK)] != _MARK or content[len(_MARK) : head] != _digest_of(key, content[head:]):
             return None
@@ -94,6 +97,7 @@ def save(key: str | None, value: Any) -> None:
         buffer = io.BytesIO()
         _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
         content = buffer.getvalue()
+        # The mode counts where the folder is made here; one that exists was judged by the package (`Settings.folder`).
         folder.mkdir(mode=0o700, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=folder, prefix=".new-")
         try:
@@ -102,6 +106,7 @@ def save(key: str | None, value: Any) -> None:
             # At once, for whoever reads meanwhile; of two processes that write the same entry the last one stays.
             os.replace(name, folder / key)
         except BaseException:
+            # Ctrl-C as well: nobody would ever look for the file again.
             os.unlink(name)
             raise
     except Exception:  # a full disk, no permission, a value that cannot be pickled: nothing is written
@@ -111,6 +116,7 @@ def save(key: str | None, value: Any) -> None:
 @contextmanager
 def record_warnings() -> Iterator[Callable[[], bool]]:
     """A function that says whether something has warned since the context was entered; see `note_warning`."""
+    # A count instead of a flag: contexts are nested, and the inner one must not take the warning from the outer one.
     before = getattr(_tracing, "n_warnings", 0)
     yield lambda: getattr(_tracing, "n_warnings", 0) > before
 
@@ -156,6 +162,7 @@ class _Pickler(pickle.Pickler):
 
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, Primitive):
+            # Only those that the other process finds under the same name: another one would compute something else.
             if getattr(jax.lax, f"{obj.name}_p", None) is not obj:
                 raise pickle.PicklingError(f"the operation {obj.name!r} is not one of jax.lax")
             return _primitive, (obj.name,)

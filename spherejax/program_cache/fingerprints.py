@@ -101,7 +101,7 @@ def program_fingerprint(function: Callable, *examples: Any) -> Traced:
         *examples: arrays or `jax.ShapeDtypeStruct`s, in any pytrees; only shapes and types matter.
     """
     # A function of its own each time: JAX would return an earlier trace, and what a module held then.
-    closed, shapes = jax.make_jaxpr(lambda *given: function(*given), return_shape=True)(*examples)
+    closed, shapes = jax.make_jaxpr(lambda *arguments: function(*arguments), return_shape=True)(*examples)
     reader = _Reader(_Mode.WHOLE)
     reader.program(closed.jaxpr, closed.consts)
     reader.value([(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(shapes)])
@@ -269,6 +269,7 @@ class _Reader:
             self.is_bound = self.is_traced = True
             self.word("traced", value.aval)
             return
+        # The type and the shape as well: the same bytes are other numbers to another type.
         if hasattr(value, "dtype") and jnp.issubdtype(value.dtype, jax.dtypes.extended):
             value = jax.random.key_data(value)  # NumPy has no arrays of keys
         array = np.asarray(value)
@@ -355,6 +356,7 @@ class _Reader:
         self.value(type(value))
         if self._reads_lookups and not dataclasses.is_dataclass(value) and is_installed(type(value).__module__, None):
             return  # a logger, a file, a table of another library: reading it would not come to an end
+        # Its fields alone: what else a dataclass holds, such as a cached property, was computed from them.
         if dataclasses.is_dataclass(value):
             fields = {field.name: getattr(value, field.name, None) for field in dataclasses.fields(value)}
         else:
@@ -395,6 +397,7 @@ class _Reader:
         if not self._reads_lookups:
             self.value(own)
             return
+        # Each by its name: an attribute that is a list or an object may change while the class is used.
         for name in sorted(own):
             self.word(name)
             self._used(own[name])
@@ -437,6 +440,7 @@ class _Reader:
 
     def _count(self) -> None:
         self._n_read += 1
+        # An error, not a shorter reading: a fingerprint of half of it would agree with that of another program.
         if self._n_read > MOST:
             raise RuntimeError(f"more than {MOST:,} functions and classes are looked up")
 
@@ -452,6 +456,7 @@ class _Reader:
 
     def _used(self, value: Any) -> None:
         """Something that code looks up."""
+        # Arrays of JAX cannot be written into; those of NumPy can, and count as state.
         if self._mode is not _Mode.CODE_ALONE or isinstance(value, (*_STATELESS, jax.Array)):
             self.value(value)
         else:
@@ -461,8 +466,10 @@ class _Reader:
         """Operations, constants and names of what is looked up; not the names of variables, lines, or the docstring."""
         self.word("code", code.co_code.hex(), code.co_argcount, code.co_kwonlyargcount, code.co_flags, code.co_names)
         for constant in code.co_consts:
+            # Functions within it: their names and lines are not read either, only what they do.
             if isinstance(constant, types.CodeType):
                 self._code(constant, None)
+            # The docstring is a constant of a function as well, and changes nothing that it computes.
             elif constant != doc or doc is None:
                 self.value(constant)
 

@@ -21,6 +21,7 @@ class _Pauses:
 
     def begin(self) -> None:
         with self.lock:
+            # Before the first pause alone: in an inner one it is off in any case.
             if self.n == 0:
                 self.was_on = gc.isenabled()
                 gc.disable()

@@ -21,8 +21,9 @@ def top_level(module: str | None) -> str:
 
 def is_versioned(module: str | None) -> bool:
     """Whether the key on disk has the version of a module: of the package, what it stands on, and Python's own."""
-    told, top = settings.current(), top_level(module)
-    return top == told.package or top in told.versioned or (top in sys.stdlib_module_names and top != "__main__")
+    current, top = settings.current(), top_level(module)
+    # `__main__` is among the names of the standard library, and is what a user has just typed.
+    return top == current.package or top in current.versioned or (top in sys.stdlib_module_names and top != "__main__")
 
 
 def is_installed(module: str | None, file: str | None) -> bool:
@@ -36,6 +37,7 @@ def is_installed(module: str | None, file: str | None) -> bool:
     if top == settings.current().package or top in sys.builtin_module_names or top in sys.stdlib_module_names:
         return top != "__main__"
     file = file or getattr(sys.modules.get(module or ""), "__file__", None)
+    # Frozen modules are in the interpreter itself. Code of which no file is known may be anything.
     if file is None or file.startswith(("<frozen", *_installed_folders())):
         return file is not None
     # `<string>`, `<ipython-input-...>`: somebody has typed it.
@@ -45,6 +47,7 @@ def is_installed(module: str | None, file: str | None) -> bool:
 def is_in_package(module: str | None, file: str | None) -> bool:
     """Whether the file of a function lies within its module's package: not where `functools.wraps` has lent a name."""
     folders = getattr(sys.modules.get(top_level(module)), "__path__", None)
+    # With a separator behind the folder: `jax_tools` is not in `jax`.
     return file is None or any(file.startswith(os.path.join(folder, "")) for folder in folders or ())
 
 
@@ -67,6 +70,8 @@ def _is_distributed(file: str, path: tuple[str, ...]) -> bool:
     for entry in path:
         folder = os.path.join(os.path.abspath(entry), "")
         if file.startswith(folder):
+            # By the name alone: a folder of this name that an interpreter does not know is one of another interpreter,
+            # or of a cluster's module, and is filled by installers.
             if os.path.basename(folder[:-1]) in ("site-packages", "dist-packages"):
                 return True
             if file[len(folder) :].split(os.sep)[0] in _distributed_in(folder):

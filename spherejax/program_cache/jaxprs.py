@@ -22,19 +22,22 @@ def _a_number() -> jax.Array:
 
 
 @cache
-def make_lapack_known() -> None:
-    """JAX looks LAPACK's functions up (in SciPy) when it lowers the first program that calls one.
+def register_lapack() -> None:
+    """Have JAX look up LAPACK's functions in SciPy, which it does when it lowers the first program that calls one.
 
-    A process that only loads such a program calls nothing at all: a segmentation fault (jaxlib 0.10.2).
+    A process that only loads such a program jumps to no function at all: a segmentation fault (jaxlib 0.10.2).
     """
+    # A small program that calls LAPACK. It need not be compiled: what is asked for happens when it is lowered.
     jax.jit(jax.numpy.linalg.inv).lower(jax.ShapeDtypeStruct((2, 2), jax.numpy.float64))
 
 
 def calls_python(jaxpr: Any) -> bool:
     """Whether a traced program calls Python when it runs, as no other process could."""
+    # By names and attributes: JAX has no public question for it, and a program that is written by mistake would call an
+    # address of another process.
     return any(
         "callback" in equation.primitive.name  # pure_callback, io_callback, debug_callback
-        or any(getattr(each, "calls_python", False) for each in equation.params.values())  # operations of our own
+        or any(getattr(value, "calls_python", False) for value in equation.params.values())  # operations of our own
         or any(map(calls_python, _programs_in(equation.params.values())))
         for equation in jaxpr.eqns
     )

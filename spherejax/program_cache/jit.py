@@ -66,9 +66,11 @@ class CachedJit:
     def compiled(self, *arguments: Any) -> Callable:
         """The program for arguments like these, compiled now: threads that share it do not compile it again."""
         entry, *_ = self._program_for(arguments, {})
+        # The context is around the compiler alone: whoever waits for a run is told by that run.
         with settings.current().compiling(self._what[0], entry.name):
             program = entry.compiled
 
+        # It holds the program itself: an eviction on another thread does not take it away.
         def run(*arguments: Any) -> Any:
             return entry.results(program(*filter(eqx.is_array, jax.tree.leaves(arguments))))
 
@@ -90,6 +92,7 @@ class CachedJit:
 
     def _program_for(self, arguments: tuple, named: dict) -> tuple[CompiledProgram, Callable, list]:
         """The program for these arguments, how it is made again, and the arrays that it takes."""
+        # The names of arguments are in the structure: `f(x)` and `f(x=x)` are two programs, as they are to JAX.
         key, static, arrays = call_key((arguments, named))
         # Made again after an eviction too, by whoever holds `make`.
         make = partial(CompiledProgram.of, self._function, key, static, self._what, self._options)
@@ -120,5 +123,6 @@ def cached_jit(
     """
     if function is None:
         return partial(cached_jit, n_programs=n_programs, what=what, many=many, options=options)
+    # More than one text means that the function may be one operation of other programs (`CompiledProgram.within`).
     said = what or getattr(function, "__name__", "a program")
     return CachedJit(function, n_programs, (said, many) if many else (said,), options)

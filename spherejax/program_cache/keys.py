@@ -8,7 +8,7 @@ A key has three parts, and there is no other notion of "the same as before" in t
   and type and everything else as in `value_key` (`call_key`).
 
 An object may say what stands for it in fingerprints by a method `__cache_key__`. Keys are compared within a process;
-`disk_cache.disk_key` makes of the same parts a digest that other processes find again.
+`disk_cache.key_for` makes of the same parts a digest that other processes find again.
 """
 
 import struct
@@ -44,7 +44,8 @@ class CacheKey:
             return True
         if not isinstance(other, CacheKey) or self._hash != other._hash:
             return False
-        # The structure last: comparing it may call `__eq__` of many objects.
+        # Equal hashes do not make equal keys: a collision would return another scene's motion. The structure last:
+        # comparing it may call `__eq__` of many objects.
         mine, others = (self.leaves, self.user_code, self.structure), (other.leaves, other.user_code, other.structure)
         return mine == others
 
@@ -52,23 +53,33 @@ class CacheKey:
 def value_key(tree: Any) -> CacheKey | None:
     """The key of a pytree by the values in it; None where a value is traced, or cannot be compared."""
     leaves, structure = jax.tree.flatten(tree)
-    told = []
+    parts = []
     for leaf in leaves:
-        part = _plain_key(leaf)
+        part = _plain_key(leaf) or _array_key(leaf)
         if part is None:
-            # Tracers are instances of `jax.Array`, too: their values are not known.
-            if isinstance(leaf, jax.core.Tracer) or not isinstance(leaf, np.ndarray | np.generic | jax.Array):
-                return None
-            array = np.asarray(leaf)
-            if array.dtype.hasobject:  # its bytes are addresses
-                return None
-            # The type as well: checks tell a number from an array of no dimension.
-            part = type(leaf), array.dtype.str, array.shape, array.tobytes()
-        told.append(part)
+            return None
+        parts.append(part)
     try:
-        return CacheKey(structure, user_code_fingerprint(structure), tuple(told))
+        return CacheKey(structure, user_code_fingerprint(structure), tuple(parts))
     except TypeError:  # something static is not hashable
         return None
+
+
+def _array_key(leaf: Any) -> tuple | None:
+    """An array by its type and content; None for anything else, and for an array whose content is not known."""
+    # Tracers are instances of `jax.Array`, too: their values are not known.
+    if isinstance(leaf, jax.core.Tracer) or not isinstance(leaf, np.ndarray | np.generic | jax.Array):
+        return None
+    try:
+        array = np.asarray(leaf)
+    except TypeError:  # keys of random numbers, which NumPy has no arrays of
+        return None
+    # The bytes of an array of objects are addresses: another object may have the same one a moment later.
+    if array.dtype.hasobject:
+        return None
+    # The class as well: checks tell a number from an array of no dimension. The bytes are compared, not their hash:
+    # a collision would be another scene's motion, and the arrays of a scene are small.
+    return type(leaf), array.dtype.str, array.shape, array.tobytes()
 
 
 class ArrayKind(tuple):
@@ -84,6 +95,7 @@ class ArrayKind(tuple):
     @property
     def example(self) -> jax.ShapeDtypeStruct:
         """An array of this kind, to JAX."""
+        # With the weak type: the program would be traced for other promotions than those that the caller gets.
         shape, dtype, weak_type = self
         return jax.ShapeDtypeStruct(shape, dtype, weak_type=weak_type)
 
@@ -104,16 +116,17 @@ def call_key(tree: Any) -> tuple[CacheKey, list, list]:
         TypeError: where something that is no array is not hashable.
     """
     leaves, structure = jax.tree.flatten(tree)
-    told, static, arrays = [], [], []
+    parts, static, arrays = [], [], []
     for leaf in leaves:
         if eqx.is_array(leaf):
-            told.append(ArrayKind.of(leaf))
+            parts.append(ArrayKind.of(leaf))
             static.append(None)
             arrays.append(leaf)
         else:
-            told.append(_plain_key(leaf) or leaf)
+            # The leaf itself, not its fingerprint: equality is up to its class, as it is for what JAX keeps static.
+            parts.append(_plain_key(leaf) or leaf)
             static.append(leaf)
-    return CacheKey(structure, user_code_fingerprint(structure), tuple(told)), static, arrays
+    return CacheKey(structure, user_code_fingerprint(structure), tuple(parts)), static, arrays
 
 
 def _plain_key(leaf: Any) -> tuple | None:
@@ -122,6 +135,7 @@ def _plain_key(leaf: Any) -> tuple | None:
     To Python `1`, `1.0` and `True` are equal, and so are `0.0` and `-0.0`; programs made from them are not. NaN is
     unequal to itself, and the program made from it is the same.
     """
+    # Not by `isinstance`: an enumeration of integers and NumPy's numbers derive from these, and are other values.
     kind = type(leaf)
     if kind is float:
         return kind, _DOUBLE.pack(leaf)
@@ -160,6 +174,8 @@ class LruCache:
             return made
         evicted = []
         with self._lock:
+            # The first one stays, and both threads return it: programs are compared by identity further on, and two
+            # would be compiled.
             made = self._entries.setdefault(key, made)
             self._entries.move_to_end(key)
             while len(self._entries) > self.size:
@@ -202,6 +218,7 @@ def lru_get(cache: LruCache, key: Hashable | None, make: Callable[[], Any]) -> A
         with gc_paused():
             return make()
 
+    # Asked after a miss alone: it takes 5 us, and what is in the table serves a trace as well.
     return cache.get(key, made, may_enter=lambda: not is_tracing())
 
 

@@ -14,6 +14,7 @@ def used_globals(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
     """What a function and those within it look up in their module, and in user modules that are named there."""
     names = _names_in(function.__code__)
     for name in names:
+        # Builtins, attributes and names that are not defined yet: bytecode has all of them in one list.
         if name not in function.__globals__:
             continue
         used = function.__globals__[name]
@@ -28,6 +29,7 @@ def used_of_modules(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
     names = _names_in(function.__code__)
     # A cell that has not been filled yet equals an empty one; to read it raises an error.
     inside = [cell.cell_contents for cell in function.__closure__ or () if cell != types.CellType()]
+    # `import helpers` within a function leaves no global name; the module is found by its own.
     modules = [*inside, *(sys.modules.get(name) for name in names if name not in function.__globals__)]
     own = (module for module in modules if isinstance(module, types.ModuleType) and not _is_installed_module(module))
     for module in own:
@@ -37,6 +39,7 @@ def used_of_modules(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
 @functools.lru_cache(maxsize=1024)
 def assigned_in(code: types.CodeType) -> frozenset[str]:
     """Names outside a function that it, or one within it, assigns to."""
+    # A name that is deleted is changed, too.
     operations = ("STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF")
     names = {str(step.argval) for step in dis.get_instructions(code) if step.opname in operations}
     inner = (assigned_in(constant) for constant in code.co_consts if isinstance(constant, types.CodeType))

@@ -29,37 +29,49 @@ def package_state() -> str | None:
 
     It takes 5 ms.
     """
+    # The cheapest question first: where the answer is no, as while a developer edits, nothing else is asked.
     constants = None if _has_changed() or not _are_versions_true() else _constants()
-    return None if constants is None else f"{_code()}\0{constants}"
+    return None if constants is None else f"{_code(settings.current())}\0{constants}"
 
 
-@lru_cache(maxsize=1)
 def sources() -> tuple[Path, ...]:
     """All Python files of the package."""
-    folder = settings.current().sources
+    return _files_in(settings.current().sources)
+
+
+# By the folder, not for ever: settings of before (there are none until the package is attached) would stay otherwise.
+@lru_cache(maxsize=4)
+def _files_in(folder: Path | None) -> tuple[Path, ...]:
+    # In an order of their own: that of a folder differs between file systems, and the key with it.
     return () if folder is None else tuple(sorted(folder.rglob("*.py")))
 
 
 def _has_changed() -> bool:
     """Whether what is on disk may be something else than what was imported."""
     # Equal times count as changed: file systems round them, and an edit in the same second would not be seen.
-    return any(file.stat().st_mtime >= settings.current().began for file in sources())
+    began = settings.current().began
+    try:
+        return any(file.stat().st_mtime >= began for file in sources())
+    except OSError:  # an installer that replaces the package deletes its files: this process goes on without the disk
+        return True
 
 
 def _are_versions_true() -> bool:
     """Whether packages that versions tell are installed: a checkout of JAX changes, and its version does not."""
+    # Only those that are loaded: what is not loaded has no part in a program.
     return all(is_installed(name, None) for name in settings.current().versioned if name in sys.modules)
 
 
-@lru_cache(maxsize=1)
-def _code() -> str:
+@lru_cache(maxsize=4)
+def _code(current: settings.Settings) -> str:
     """The sources of this package and the versions of the others."""
     # Once in a process: edits after that are seen by their times, in `_has_changed`.
     words = hashlib.sha256()
-    told = settings.current()
-    for file in sources():
-        words.update(str(file.relative_to(told.sources or "")).encode() + b"\0" + file.read_bytes() + b"\0")
-    names = sorted({told.package, *told.versioned})
+    for file in _files_in(current.sources):
+        # With its name below the folder: the package may be installed anywhere, and a renamed file is another module.
+        words.update(str(file.relative_to(current.sources or "")).encode() + b"\0" + file.read_bytes() + b"\0")
+    names = sorted({current.package, *current.versioned})
+    # Of Python the whole text: bytecode, and so fingerprints of functions, differ between builds of one version.
     words.update("\0".join([sys.version, *(f"{name} {_version(name)}" for name in names)]).encode())
     return words.hexdigest()
 
@@ -67,7 +79,7 @@ def _code() -> str:
 def _version(name: str) -> str:
     try:
         return version(name)
-    except PackageNotFoundError:
+    except PackageNotFoundError:  # a package that is optional, or one that is run from its sources
         return ""
 
 
@@ -79,20 +91,21 @@ def _constants() -> str | None:
     """Settings of JAX and constants of this package as they are; None where a function of it has been replaced."""
     words = hashlib.sha256(os.environ.get("XLA_FLAGS", "").encode())
     words.update(repr([getattr(jax.config, name) for name in _SETTINGS]).encode())
-    told = settings.current()
+    current = settings.current()
     # A list: another thread may be importing something.
-    for name in sorted(name for name in list(sys.modules) if name.startswith(f"{told.package}.")):
+    for name in sorted(name for name in list(sys.modules) if name.startswith(f"{current.package}.")):
         folder = name.split(".")[1]
-        if folder not in told.constant_folders and folder not in told.watched_folders:
+        # A folder of which nothing is said is not looked at: a command line, figures, which no program is made of.
+        if folder not in current.constant_folders and folder not in current.watched_folders:
             continue
-        module, found = sys.modules.get(name), _seen.get(name)
+        module, seen = sys.modules.get(name), _seen.get(name)
         if module is None:  # it was removed a moment ago
             continue
-        if found is None or not found.is_still_so(vars(module)):
-            found = _seen[name] = _SeenModule(name, vars(module), with_constants=folder in told.constant_folders)
-        if found.words is None:
+        if seen is None or not seen.is_still_so(vars(module)):
+            seen = _seen[name] = _SeenModule(name, vars(module), with_constants=folder in current.constant_folders)
+        if seen.words is None:
             return None
-        words.update(found.words)
+        words.update(seen.words)
     return words.hexdigest()
 
 
@@ -104,6 +117,7 @@ class _SeenModule:
     """
 
     def __init__(self, name: str, names: dict[str, Any], with_constants: bool):
+        # The objects, not their addresses: that of one that is freed is given to the next one.
         self._held = dict(names)
         # Methods are replaced in the class, not in the module.
         self._classes = [
@@ -142,7 +156,7 @@ def _is_original(value: Any, module: str) -> bool:
     if isinstance(value, types.FunctionType):
         return _is_known(value)
     if isinstance(value, type) and value.__module__ == module:
-        return all(_is_known(each) for each in vars(value).values() if isinstance(each, types.FunctionType))
+        return all(_is_known(method) for method in vars(value).values() if isinstance(method, types.FunctionType))
     return True
 
 

@@ -20,7 +20,7 @@ from jax.experimental import serialize_executable
 from spherejax.program_cache import disk_cache, settings
 from spherejax.program_cache.call import CachedCall
 from spherejax.program_cache.garbage import gc_paused
-from spherejax.program_cache.jaxprs import calls_python, make_lapack_known
+from spherejax.program_cache.jaxprs import calls_python, register_lapack
 from spherejax.program_cache.keys import ArrayKind, CacheKey, LruCache
 from spherejax.program_cache.several_devices import gathered
 
@@ -68,6 +68,7 @@ class CompiledProgram:
         self._program: Any = None
         self._shapes: list | None = None
         self._call: CachedCall | None = None
+        # By the axes and the number of runs: each is a program of its own, and they are evicted as others are.
         self._many = LruCache(N_PROGRAMS, evicted=CompiledProgram.clear)
         self._lock = threading.Lock()
 
@@ -92,9 +93,10 @@ class CompiledProgram:
             positional, named = jax.tree.unflatten(key.structure, leaves)
             with settings.current().tracing():
                 results, others = eqx.partition(function(*positional, **named), eqx.is_array)
-            found, tree = jax.tree.flatten(results)
+            computed, tree = jax.tree.flatten(results)
+            # Left here by a side effect of tracing: a compiled program returns arrays alone.
             returned.parts = (tree, others)
-            return tuple(found)
+            return tuple(computed)
 
         def chosen() -> Mapping[str, Any]:
             if not callable(options):
@@ -111,6 +113,7 @@ class CompiledProgram:
         numbers = gathered(leaves)
         if jax.config.values["jax_disable_jit"]:  # a compiled program raises an error then
             return self._run(*numbers)
+        # Nothing is compiled any more, so that nobody has to be told what takes so long.
         if self.has_been_called:
             return self.program(*numbers)
         with settings.current().compiling(self._what[0], self.name):
@@ -136,6 +139,7 @@ class CompiledProgram:
 
         def made() -> CompiledProgram:
             function, structure, leaves, maps = self.made_from
+            # Axes belong to arrays alone; other leaves are the same for all.
             left = iter(axes)
             stacked = tuple(leaf.stacked(n, next(left)) if isinstance(leaf, ArrayKind) else leaf for leaf in leaves)
             what = self._what[-1], self._what[-1]
@@ -147,6 +151,7 @@ class CompiledProgram:
         return entry._as_call(entry._key_now())
 
     def _as_call(self, key: str | None) -> CachedCall:
+        # A constant of the package that was changed by hand gives another key: the call of before is not used then.
         call = self._call
         if call is None or call.key != key:
             call = self._call = CachedCall(self, key)
@@ -175,6 +180,7 @@ class CompiledProgram:
     @property
     def shapes(self) -> list:
         """What is computed, as shapes and types."""
+        # A file holds the shapes, and to load it takes less than to trace.
         with self._lock:
             if self._program is None:
                 self._program = self._loaded()
@@ -199,13 +205,13 @@ class CompiledProgram:
 
     def _loaded(self) -> Any:
         """The program that another process has left; None where there is none."""
-        found = disk_cache.load(self._key)
-        if found is None:
+        entry = disk_cache.load(self._key)
+        if entry is None:
             return None
         try:
-            content, blobs, shapes, static = found
+            content, blobs, shapes, static = entry
             if b"lapack_" in content:  # names of functions are in it as text
-                make_lapack_known()
+                register_lapack()
             # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
             trees = jax.tree.structure((tuple(self.examples), {})), jax.tree.structure(tuple(shapes))
             settings.extra_blobs().load(blobs)
@@ -228,13 +234,14 @@ class CompiledProgram:
             with disk_cache.record_warnings() as has_warned, settings.extra_blobs().record() as lowered_blobs:
                 traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self.examples)
                 lowered = traced.lower()
-            with found_by_jax() as found:
+            with found_by_jax() as was_found:
                 program = _compiled(lowered, self._options())
             blobs = lowered_blobs()
             may_be_written = not has_warned() and not calls_python(traced.jaxpr.jaxpr)
-            if not may_be_written or not found():
+            if not may_be_written or not was_found():
                 break
-        if may_be_written and found() is False:
+        # Only where JAX says for certain that it was compiled here; None is no answer, and nothing is written then.
+        if may_be_written and was_found() is False:
             self._keep(program, blobs, traced.out_info)
         return program
 
@@ -257,6 +264,7 @@ class CompiledProgram:
 
     def clear(self) -> None:
         """Free what was compiled."""
+        # Of this function alone; `jax.clear_caches` would free the programs of the user as well.
         self.jitted.clear_cache()
         self._program = self._call = None
         self._many.clear()
@@ -300,6 +308,7 @@ class _Returned:
 def _jitted(run: Callable, name: str) -> Any:
     """A function, compiled under a name."""
 
+    # A function of its own each time: JAX finds traces by the function, and would keep them beyond the eviction.
     def named(*leaves: Any) -> Any:
         return run(*leaves)
 

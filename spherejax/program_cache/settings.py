@@ -56,12 +56,14 @@ class Settings:
     sources: Path | None = None
     folder: Callable[[], Path | None] = lambda: None
     processor: Callable[[], str] = lambda: ""
+    # What traced programs are made of in any case; a package adds what its own functions call.
     versioned: frozenset[str] = frozenset({"jax", "jaxlib", "equinox", "numpy"})
     constant_folders: frozenset[str] = frozenset()
     watched_folders: frozenset[str] = frozenset()
     compiling: Callable[[str, str], AbstractContextManager] = lambda what, name: nullcontext()
     tracing: Callable[[], AbstractContextManager] = nullcontext
     extra_blobs: Callable[[], ExtraBlobs] = ExtraBlobs
+    # Settings are made when the package is imported, before most of its modules are.
     began: float = field(default_factory=time.time)
 
 

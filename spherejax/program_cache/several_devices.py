@@ -19,6 +19,7 @@ from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
 
 @cache
 def _has_several_devices() -> bool:
+    # Once in a process: JAX starts its backends once, and every call of a compiled function asks.
     return jax.device_count() > 1
 
 
@@ -26,10 +27,7 @@ def gathered(leaves: Sequence) -> Sequence:
     """The arguments of a compiled function; arrays on several devices as NumPy arrays, which lie on none."""
     if not _has_several_devices():
         return leaves
-    return [
-        np.asarray(leaf) if isinstance(leaf, jax.Array) and len(leaf.sharding.device_set) > 1 else leaf
-        for leaf in leaves
-    ]
+    return [np.asarray(leaf) if _is_sharded(leaf) else leaf for leaf in leaves]
 
 
 def _is_sharded(leaf: Any) -> bool:
@@ -45,6 +43,8 @@ def is_partitioned(context: Any) -> bool:
 
 
 def _n_devices(context: Any) -> int:
+    # JAX says it by no public name. The compiler asks in the same way (`compiler/private.py`): neither of the two
+    # imports the other, so the line stands twice, and `tests/test_spread_arrays.py` holds both against JAX.
     return getattr(context.module_context.axis_context, "num_devices", 1)
 
 

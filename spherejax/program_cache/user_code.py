@@ -37,6 +37,7 @@ def user_code_fingerprint(tree: Any) -> str:
     if seen is None:
         return _current(parts)
     if parts not in seen:
+        # Both now: once tracing has begun, what the code assigns to or appends to may be something else.
         seen[parts] = _current(parts), _fingerprint(parts, with_state=False)
     return seen[parts][0]
 
@@ -48,16 +49,18 @@ def read_once() -> Iterator[None]:
     Reading once saves time (a call asks for several keys), and makes all keys of a call agree. Reading again shows
     whether tracing has changed what the code looks up.
     """
+    # The outermost context reads, and compares at its end: an inner one would take what tracing has changed so far for
+    # the state before.
     if getattr(_reading, "seen", None) is not None:
         yield
         return
-    seen, _reading.found = {}, {}
+    seen, _reading.answers = {}, {}
     _reading.seen = seen
     try:
         yield
     finally:
         # Before the code is read again: within the context the first reading would be returned.
-        _reading.seen = _reading.found = None
+        _reading.seen = _reading.answers = None
         for parts, (before, code) in seen.items():
             # If functions and numbers changed as well, the user has edited the code meanwhile, on another thread.
             if _current(parts) != before and _fingerprint(parts, with_state=False) == code:
@@ -73,12 +76,12 @@ def read_once() -> Iterator[None]:
 
 def once(name: str, find: Callable[[], Any]) -> Any:
     """What `find` returns: asked once within `read_once`, each time outside of it."""
-    found = getattr(_reading, "found", None)
-    if found is None:
+    answers = getattr(_reading, "answers", None)
+    if answers is None:
         return find()
-    if name not in found:
-        found[name] = find()
-    return found[name]
+    if name not in answers:
+        answers[name] = find()
+    return answers[name]
 
 
 def parts_that_reach_tracers(tree: Any) -> tuple:
@@ -100,6 +103,7 @@ fingerprint without what changes. It stays the fingerprint as long as functions,
 
 
 def _current(parts: tuple) -> str:
+    # Only such code is read without its state: for all other code a list that a user changes is another program.
     if any(parts == changing for changing, _ in _before_tracing):
         code = _fingerprint(parts, with_state=False)
         return _before_tracing.get((parts, code), code)
@@ -135,6 +139,7 @@ class _Same:
         self.value = value
 
     def __hash__(self) -> int:
+        # The address is not given to another object meanwhile: this one is held here.
         return id(self.value)
 
     def __eq__(self, other: object) -> bool:

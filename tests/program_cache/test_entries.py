@@ -84,6 +84,26 @@ def test_constants_that_hold_functions_are_the_same_in_each_process():
     assert words(2) != first
 
 
+def test_sources_are_those_of_the_package_that_is_attached_now(folder, monkeypatch):
+    """Before a package is attached there are none; that answer stayed, and edits were not seen afterwards."""
+    (folder / "one.py").write_text("")
+    for sources, names in ((None, []), (folder, ["one.py"]), (None, [])):
+        monkeypatch.setattr(settings, "_settings", settings.Settings(sources=sources))
+        assert [file.name for file in package_state.sources()] == names
+
+
+def test_sources_that_are_gone_switch_the_disk_off(folder, monkeypatch):
+    """An installer replaces the package while a process uses it: that was a FileNotFoundError."""
+    source = folder / "one.py"
+    source.write_text("")
+    os.utime(source, (0, 0))
+    monkeypatch.setattr(settings, "_settings", settings.Settings(sources=folder))
+    assert not package_state._has_changed()
+    source.unlink()
+    assert package_state._has_changed()
+    assert package_state.package_state() is None
+
+
 def test_a_warning_is_told_to_the_contexts_around_it():
     with disk_cache.record_warnings() as outer:
         with disk_cache.record_warnings() as inner:

@@ -45,6 +45,11 @@ def test_what_cannot_be_compared_has_no_key(leaf):
     assert value_key({"a": leaf}) is None
 
 
+def test_keys_of_random_numbers_have_no_key():
+    """NumPy has no arrays of them: they raised a TypeError."""
+    assert value_key({"a": jax.random.key(0)}) is None
+
+
 def test_a_traced_value_has_no_key():
     seen = []
     jax.jit(lambda x: seen.append(value_key({"a": x})) or x)(1.0)

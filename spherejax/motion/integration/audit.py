@@ -30,7 +30,7 @@ accuracy of the whole energy, which Rosenbrock methods do not give. A run withou
 The limits are those of a run that is wrong, far above what the tolerance of a run that is right explains.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -133,42 +133,49 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     return "; ".join(f"{texts[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
 
 
-def cautions(shares) -> str:
+def cautions(shares, parts: Mapping[str, Sequence[str]] = MappingProxyType({})) -> str:
     """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
 
     Args:
         shares: as for `findings`, of one run or of many, shape (..., n_checks).
+
+    Other args:
+        parts: for a check the parts that it may be about; see `parts_with_a_range`.
     """
     worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
-    found = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
-    return "; ".join(f"{FINDINGS[check]} ({share:.3g} times that)" for check, share in found)
+    exceeded = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
+    return "; ".join(
+        f"{_named(parts.get(check, ()))}{FINDINGS[check]} ({share:.3g} times that)" for check, share in exceeded
+    )
 
 
-def cautioned(system: System, shares, y: Float[Array, " n_flat"]) -> list[str]:
-    """The parts that the words of `cautions` may be about, by name.
+def _named(parts: Sequence[str]) -> str:
+    # A check keeps its worst share of the whole run, not the part where it was.
+    return f"{'one of ' if len(parts) > 1 else ''}{', '.join(parts)}: " if parts else ""
+
+
+def parts_with_a_range(system: System, y: Float[Array, " size"]) -> dict[str, list[str]]:
+    """For each of `WARNINGS` the parts whose equations have such a range, in words.
 
     Args:
-        system: the system, its numbers known.
-        shares: as for `findings`, of one run.
-        y: a flat state of the run.
+        system: the system.
+        y: a flat state of the run; its numbers do not matter.
     """
-    is_beyond: dict[str, bool] = dict(zip(CHECKS, np.asarray(shares) > 1, strict=True))
     state = unpack(system.layout, jnp.asarray(y))
     motions = body_motions(system, state)
-    parts = []
+    parts: dict[str, list[str]] = {check: [] for check in WARNINGS}
     for name in system.contact_joints:
         joint: Any = system.spherical(name)
         limits = {
             "conformity": joint.model.largest_ratio,
-            "film": joint.model.offset_ratio,
             "tilt": joint.share_of_tilt(joint.relative_motion(motions)),
+            "film": joint.model.offset_ratio,
         }
-        if any(is_beyond[check] and limit is not None for check, limit in limits.items()):
-            parts.append(f"joint {name!r}")
-    if is_beyond["axes"]:
-        forces: Any = system.forces_with(state.memory)
-        angles = [slot.joint for slot in system.force_slots if forces[slot.joint].tilts(motions)]
-        parts += [f"force element {name!r}" for name in angles]
+        for check, limit in limits.items():
+            parts[check] += [] if limit is None else [f"joint {name!r}"]
+    forces: Any = system.forces_with(state.memory)
+    for slot in system.force_slots:
+        parts["axes"] += [f"force element {slot.joint!r}"] if forces[slot.joint].tilts(motions) else []
     return parts
 
 

@@ -1,8 +1,8 @@
-"""What a scene comes to before it moves, remembered: a loop that runs the same numbers again prepares them once.
+"""A table of prepared scenes: a loop that simulates the same numbers again prepares them once.
 
-To check a scene, to place its joints, to choose a method, to find its tolerances and its start takes several times
-longer than the motion itself. Scenes are told by value, not by identity: whoever changes a number, in a dictionary or
-within an array, has another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
+Checking a scene, placing its joints, choosing a method, its tolerances and its start take several times longer than the
+motion itself. Scenes are compared by value, not by identity: a number that was changed, in a dictionary or within an
+array, makes another scene. Scenes with traced numbers, or under `jax.jit`, are prepared each time.
 """
 
 import itertools
@@ -26,23 +26,22 @@ from spherejax.motion.start.tolerances import Tolerances, component_tolerances, 
 from spherejax.program_cache.keys import LruCache, lru_get, own, own_arrays, value_key
 
 N_SCENES = 64
-"""Scenes that are remembered; those not used for longest are let go."""
+"""Prepared scenes in the table; the least recently used one is evicted."""
 
 N_CALLS = 64
-"""Calls of `sj.simulate` that are remembered, of all scenes."""
+"""Calls of `sj.simulate` in the table, of all scenes."""
 
 MOST_TIMES = 4096
-"""Sample times of a call that is remembered: 64 calls then hold a few megabytes."""
+"""Sample times of a call that enters the table: 64 calls then hold a few megabytes."""
 
 N_ANSWERS = 16
-"""Choices, tolerances and starts of a scene that are remembered."""
+"""Choices of methods, tolerances and starts that are kept for a scene."""
 
 
 class PreparedScene:
     """A scene, checked and taken apart.
 
-    What is handed out is handed out anew each time: whoever changes an array or a dictionary of a scene, or of a run,
-    changes no other run.
+    Systems and starts are copied for each caller: writing into an array or a dictionary of a run changes no other run.
 
     Attributes:
         structure: of the system that it calls for, with laws by their factors.
@@ -112,7 +111,7 @@ class PreparedScene:
 
 
 def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
-    """A scene, checked and taken apart; one that was met before as it was found then.
+    """A scene, checked and split into structure and numbers; from the table where one with equal values is in it.
 
     Raises:
         SceneError: for a scene that cannot be simulated.
@@ -122,10 +121,10 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
 
 
 def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], Any]) -> Any:
-    """What a call of `sj.simulate` came to when the same was asked before; else what `make` makes of it.
+    """The prepared call of `sj.simulate` with equal scene, times and options, from the table; else what `make` returns.
 
-    The same are equal numbers of the scene, times and options: what is traced, or cannot be compared, is made each
-    time, and so is what fails.
+    A call with traced values, or with values that cannot be compared, is made each time. One that raises an error is
+    not entered.
     """
     if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return make()

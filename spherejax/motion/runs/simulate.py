@@ -24,7 +24,7 @@ from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.audit import cautioned, cautions
+from spherejax.motion.integration.audit import cautions, parts_with_a_range
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.integration.one_run import bound_run, can_be_a_job
 from spherejax.motion.integration.status import REMEDIES, OutOfRangeWarning, SimulationError, SimulationWarning, Status
@@ -361,11 +361,10 @@ def _reported(run: Trajectory, throw: bool) -> Trajectory:
         if throw:
             raise SimulationError(seen.diagnosis)
         warnings.warn(seen.diagnosis, SimulationWarning, stacklevel=3)
-    said = cautions(seen.stats.audit)
-    if said:
-        parts = cautioned(seen.system, seen.stats.audit, seen.y_reached)
-        of = f"one of {', '.join(parts)}" if len(parts) > 1 else "".join(parts)
-        warnings.warn(f"{of or 'the run'}: {said}", OutOfRangeWarning, stacklevel=3)
+    shares = seen.stats.audit
+    if cautions(shares):  # seldom: which parts are meant takes milliseconds
+        said = cautions(shares, parts_with_a_range(seen.system, seen.y_reached))
+        warnings.warn(said, OutOfRangeWarning, stacklevel=3)
     return run
 
 

@@ -37,7 +37,7 @@ def built(build: Build, parameters: Any) -> Scene:
 
 
 def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = ()) -> TracedFunction:
-    """A builder with the fingerprint of what is simulated: its numbers, their conditions, and the equations of motion.
+    """A builder, compared by the fingerprint of its traced program: numbers, their conditions, equations of motion.
 
     Args:
         build: the builder.
@@ -56,7 +56,7 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
         compiled = compile_scene(scenes[0], track_work=track_work)
         structure, theta = flatten_system(compiled.system)
         structures.append(structure)
-        return jnp.asarray(theta), [jnp.asarray(each) for each in compiled.conditions]
+        return jnp.asarray(theta), [jnp.asarray(condition) for condition in compiled.conditions]
 
     with captures_explained(scenes):
         traced = [program_fingerprint(numbers, shapes)]
@@ -64,8 +64,8 @@ def known_build(build: Build, one: Any, track_work: bool, by: tuple[str, ...] = 
         traced.append(_equations(structure, bool(by)))
         if by:
             traced.append(program_fingerprint(_with_slopes(lambda p: numbers(p)[0]), shapes))
-    parts = [each.fingerprint for each in traced]
-    is_bound = any(each.is_bound for each in traced)
+    parts = [program.fingerprint for program in traced]
+    is_bound = any(program.is_bound for program in traced)
     return TracedFunction.of(build, Traced(combined(*parts), is_bound), is_all=known_fingerprint(structure) is not None)
 
 
@@ -82,7 +82,8 @@ def _equations(structure: Structure, with_slopes: bool) -> Traced:
     if with_slopes:
         traced.append(program_fingerprint(_with_slopes(lambda all: evaluated(*all)), (theta, time, y)))
     own = value_fingerprint((system, structure.special))
-    return Traced(combined(own, *(each.fingerprint for each in traced)), any(each.is_bound for each in traced))
+    fingerprints = (program.fingerprint for program in traced)
+    return Traced(combined(own, *fingerprints), any(program.is_bound for program in traced))
 
 
 def _evaluated(structure: Structure, theta, t, y) -> list:
