@@ -10,7 +10,7 @@ import pytest
 import spherejax as sj
 from spherejax import cli
 from spherejax.output.plot.curves import Curves, axis_of_motion
-from spherejax.output.plot.eccentricity import eccentricity_paths
+from spherejax.output.plot.eccentricity import eccentricity_paths, main_plane
 from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.style import MODEL_COLORS, model_colors
@@ -64,7 +64,10 @@ def subject(scene=plain, t1=0.1, **options):
         ({"joint": "pin", "body": "slide"}, "did you mean 'slider'"),
         ({"joint": "pin", "models": {"dry": 1e-4}}, "'dry' is 0.0001, which is no joint model"),
         ({"joint": "pin", "models": {"dry": sj.Dry(-1e-4)}}, "clearance = -0.0001 must be positive"),
+        ({"joint": "bearing", "models": {"dry": sj.Dry(1e-4)}}, "the length of its bearing"),
         ({"joint": "pin", "t1": -1.0}, "t1 = -1.0 must be a positive time"),
+        ({"joint": "pin", "samples": 1}, "samples = 1 must be at least 2"),
+        ({"joint": "pin", "axis": "w"}, "axis = 'w' is none of x, y, z"),
         ({"scene": 3}, "3 is no scene and no builder"),
         ({"scene": lambda: 3}, "the builder returned 3"),
     ],
@@ -98,6 +101,30 @@ def test_the_models_share_the_numbers_of_the_joint_s_own_model():
     oily = sj.Lubricated(1e-4, viscosity=0.1)
     assert sj.joint_models(oily)["lubricated"].viscosity == 0.1
     assert sj.joint_models(oily, viscosity=0.2, clearance=2e-4)["lubricated"].e_h0 == 2e-6
+
+
+def test_a_journal_keeps_its_film_and_has_one_length():
+    own = sj.Lubricated(
+        1e-4, viscosity=0.1, film=sj.LongBearing(0.05), conformity=sj.EsduCylinder(0.05), friction=sj.Threlfall(mu=0.2)
+    )
+    models = sj.joint_models(own)
+    assert isinstance(models["lubricated"].film, sj.LongBearing)
+    assert models["lubricated"].film.length == models["dry"].conformity.length == 0.05
+    longer = sj.joint_models(own, length=0.06)
+    assert isinstance(longer["lubricated"].film, sj.LongBearing)
+    assert isinstance(longer["dry"].conformity, sj.EsduCylinder)
+    assert longer["lubricated"].film.length == longer["dry"].conformity.length == 0.06
+    rubbing = sj.joint_models(sj.Ideal(friction=sj.Threlfall(mu=0.2), radius=0.01), length=0.02)
+    assert rubbing["friction"].friction.mu == 0.2
+    assert rubbing["ideal"].friction is None
+
+
+def test_the_length_of_a_bearing_is_asked_for_on_the_command_line(tmp_path, capsys):
+    path = tmp_path / "crank.toml"
+    sj.save_scene(plain(), path)
+    for words in ([], ["--clearance", "0.2 mm"], ["--mu", "0.1"]):
+        assert cli.main(["compare", str(path), "--of", "bearing", *words, "--out", str(tmp_path / "out")]) == 2
+        assert "on the command line --length 0.02" in capsys.readouterr().err
 
 
 def test_an_ideal_model_is_added_and_others_keep_their_names():
@@ -191,6 +218,17 @@ def test_paths_in_the_clearance_are_curves_and_not_polygons():
     lines = eccentricity_paths({"coarse": coarse}, "path").axes[0].lines
     assert [line.get_linestyle() for line in lines] == ["None"]
     assert lines[0].get_marker() == "."
+
+
+def test_paths_are_drawn_in_the_plane_in_which_they_are():
+    """That of a journal about z would be a straight line in the plane of x and z."""
+    one = curves("journal")
+    about_z = replace(one, eccentricity=one.eccentricity[:, [0, 2, 1]])
+    axes = eccentricity_paths({"about z": about_z}, "path").axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("along x [mm]", "along y [mm]")
+    assert main_plane([one]) == main_plane([replace(one, eccentricity=0 * one.eccentricity)]) == (0, 2)
+    stopped = replace(about_z, eccentricity=np.where(TS[:, None] < 0.5, about_z.eccentricity, np.nan))
+    assert main_plane([about_z, stopped]) == (0, 1)
 
 
 def test_energies_are_told_in_a_unit_that_fits():

@@ -144,7 +144,7 @@ def test_distance_is_true_where_the_path_leaves_the_plane():
     e = 1e-4 * np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 0.5]])
     two = np.zeros(2)
     one = Curves("dry", np.array([0.0, 1.0]), two, two, two, two, e, None, 1e-4)
-    path = eccentricity_paths({"dry": one}, "path", every=1).axes[0].lines[0].get_xydata()
+    path = eccentricity_paths({"dry": one}, "path", every=1, plane=(0, 2)).axes[0].lines[0].get_xydata()
     np.testing.assert_allclose(path, [[0.1, 0.0], [0.0, 0.05]], atol=1e-15)
 
 

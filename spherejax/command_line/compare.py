@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import spherejax as sj
 from spherejax.command_line.catalog import SUBJECTS
-from spherejax.command_line.models import MODEL_OPTIONS, add_joint_options, all_models_from
+from spherejax.command_line.models import USED_BY, add_joint_options, all_models_from
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
 from spherejax.command_line.printing import print_table, progress
 from spherejax.command_line.reports import add_report, check_report, write_report
@@ -20,7 +20,7 @@ from spherejax.command_line.scenes import add_scene, chosen, studying
 
 if TYPE_CHECKING:
     from spherejax.motion.results.trajectory import Trajectory
-    from spherejax.studies.subject import Comparison, ModelRow, Subject
+    from spherejax.studies.subject import Comparison, Subject
     from spherejax.studies.workers import Report
 
 SAVED_SAMPLES = 2000
@@ -125,14 +125,14 @@ def subject_from(options: argparse.Namespace) -> Subject:
     from spherejax.studies.cases import cases_of
     from spherejax.studies.subjects.own import own_mechanism, studied_joint
 
-    found = chosen(options, many=True)
+    mechanism = chosen(options, many=True)
     if options.samples is not None:
         number_of_samples(options.samples)
-    described = found.build(None)
-    joint = found.studied or studied_joint(described)
-    if found.studied is None:
-        found = studying(found, joint)
-    has_models = any(getattr(options, name) is not None for name in MODEL_OPTIONS)
+    described = mechanism.build(None)
+    joint = mechanism.studied or studied_joint(described)
+    if mechanism.studied is None:
+        mechanism = studying(mechanism, joint)
+    has_models = any(getattr(options, name, None) is not None for name in USED_BY)
     prepared = SUBJECTS.get(options.scene)
     if prepared is not None and joint == prepared.joint and not options.set:
         changes: dict[str, Any] = {name: getattr(options, name) for name in ("body", "axis", "rtol")}
@@ -150,17 +150,14 @@ def subject_from(options: argparse.Namespace) -> Subject:
             )
         return subject
     studied: Any = described.joints[joint]
-    if not has_models and isinstance(studied, sj.Revolute) and studied.model.is_ideal:
-        raise sj.SceneError(f"joint {joint!r} is revolute: its models need the length of its bearing, --length")
 
     def build(model: sj.AbstractSphericalModel) -> sj.Scene:
-        scene = found.build(model)
+        scene = mechanism.build(model)
         for text in options.set:
             scene = with_text(scene, text, joint)
         return scene
 
-    settings = found.settings
-    samples = options.samples
+    settings = mechanism.settings
     return own_mechanism(
         build,
         _first(options.t1, settings.t1, 2.0),
@@ -168,9 +165,9 @@ def subject_from(options: argparse.Namespace) -> Subject:
         models=all_models_from(options, studied.model),
         body=options.body,
         axis=options.axis,
-        samples=samples,
+        samples=options.samples,
         rtol=_first(options.rtol, settings.rtol, 1e-8),
-        name=found.title or found.name,
+        name=mechanism.title or mechanism.name,
     )
 
 
@@ -239,7 +236,7 @@ class _Writer:
         """All that has not been written yet; returns the names of all figures."""
         from spherejax.command_line.figures import figures_of
 
-        _write_table(comparison.rows, self.folder / "table.csv")  # first: it is not lost with a figure that fails
+        _write_table(comparison, self.folder / "table.csv")  # first: it is not lost with a figure that fails
         for _ in self.data_of(comparison.runs):
             pass
         figures = figures_of(comparison)
@@ -258,12 +255,14 @@ class _Writer:
         self.written.add(name)
 
 
-def _write_table(rows: list[ModelRow], path: Path) -> None:
+def _write_table(comparison: Comparison, path: Path) -> None:
     """Every number of every row, in SI units, whatever the mechanism."""
     from spherejax.output.tables import write_rows
 
+    rows = comparison.rows
+    peak = f"peak_acceleration [{'rad' if comparison.ideal.turns else 'm'}/s^2]"
     heads = {
-        "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": "peak_acceleration [m/s^2]",
+        "name": "model", "lost_energy": "lost_energy [J]", "peak_acceleration": peak,
         "eccentricity_ratio": "eccentricity_ratio [-]", "n_onsets": "n_onsets", "n_steps": "n_steps",
         "seconds": "seconds [s]", "time_ratio": "time_ratio [-]", "determined_until": "determined_until [s]",
         "method": "method",

@@ -192,13 +192,6 @@ def all_models_from(
     )
 
 
-MODEL_OPTIONS = (
-    "clearance", "socket_radius", "length", "youngs_modulus", "normal", "restitution", "friction", "mu", "mu_static",
-    "viscosity", "film", "boundary", "stiffness", "damping",
-)  # fmt: skip
-"""Options of the models by their places in the namespace."""
-
-
 USED_BY: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
         (

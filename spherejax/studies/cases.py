@@ -178,21 +178,25 @@ def joint_models(
         damping: of the bushing, proportional to its stiffness [s]; 1e-2 by default.
 
     Returns:
-        Models by the names ideal, dry, friction, lubricated and bushing.
+        Models by the names ideal, dry, friction, lubricated and bushing; the ideal one has no friction.
     """
     base: dict[str, Any] = {}
     if isinstance(like, Dry | Lubricated):
         names = ("clearance", "socket_radius", "normal", "friction", "socket_material", "ball_material", "conformity")
         base = {name: getattr(like, name) for name in names}
-    pressed = base.get("conformity")
-    if length is None and pressed is not None and pressed.is_line_contact:
-        length = pressed.length
-    given: dict[str, Any] = {"clearance": clearance, "socket_radius": socket_radius, "normal": normal}
-    given["friction"] = friction
-    given |= {"socket_material": material, "ball_material": material}
-    if length is not None and not (pressed is not None and pressed.is_line_contact):
-        given["conformity"] = JohnsonCylinder(length)
-    shared = {"clearance": CLEARANCE, **base, **{name: value for name, value in given.items() if value is not None}}
+    elif isinstance(like, Ideal):
+        base = {"friction": like.friction}
+    options: dict[str, Any] = {
+        "clearance": clearance, "socket_radius": socket_radius, "normal": normal, "friction": friction,
+        "socket_material": material, "ball_material": material,
+    }  # fmt: skip
+    has_length, own_cylinder = length is not None, base.get("conformity")
+    if own_cylinder is not None and own_cylinder.is_line_contact:
+        length = length if has_length else own_cylinder.length
+        options["conformity"] = _with(own_cylinder, "length", length)
+    elif has_length:
+        options["conformity"] = JohnsonCylinder(length)
+    shared = {"clearance": CLEARANCE, **base, **{name: value for name, value in options.items() if value is not None}}
     rubbing = shared.pop("friction", None)
     wet: dict[str, Any] = {"viscosity": VISCOSITY}
     if isinstance(like, Lubricated):
@@ -202,9 +206,14 @@ def joint_models(
     elif normal is None:
         # A film damps; a law with a restitution would damp the contact behind it twice.
         wet["normal"] = None
-    given = {"viscosity": viscosity, "film": film, "boundary": boundary}
-    given |= {"film": ShortBearing(length)} if film is None and length is not None else {}
-    wet |= {name: value for name, value in given.items() if value is not None}
+    if film is None and length is not None:
+        own_film = wet.get("film")
+        if own_film is None or not own_film.is_of_bearing:
+            film = ShortBearing(length)
+        elif has_length:
+            film = _with(own_film, "length", length)
+    options = {"viscosity": viscosity, "film": film, "boundary": boundary}
+    wet |= {name: value for name, value in options.items() if value is not None}
     if isinstance(film, RadialFilm) and normal is None:
         wet["normal"] = LankaraniNikravesh(restitution=RESTITUTION)  # with the paper's film the paper's contact
     bushing = like if isinstance(like, Bushing) and stiffness is None and damping is None else None
@@ -241,10 +250,10 @@ def cases_of(models: Mapping[str, AbstractSphericalModel]) -> dict[str, Case]:
             raise SceneError(
                 f"models: {name!r} is {model!r}, which is no joint model; give e.g. sj.Dry(clearance=1e-4)"
             )
-    found = {} if any(model.is_ideal for model in models.values()) else {"ideal": Ideal()}
+    ideal = {} if any(model.is_ideal for model in models.values()) else {"ideal": Ideal()}
     return {
         name: Case(LABELS.get(name, name) if kind_of_model(model) == name else name, kind_of_model(model), model)
-        for name, model in {**found, **models}.items()
+        for name, model in {**ideal, **models}.items()
     }
 
 
@@ -267,9 +276,9 @@ def parameter_studies(models: Mapping[str, Case]) -> list[Study]:
 
 def _dry_studies(name: str, case: Case) -> list[Study]:
     model: Any = case.model
-    rubbing, law, gap = model.friction, _told(model.normal), _gap(model.clearance)
+    rubbing, law, gap = model.friction, _normal_text(model.normal), _gap(model.clearance)
     what = "Dry joint without friction" if rubbing is None else "Dry joint with friction"
-    friction = "" if rubbing is None else f"; {_told_friction(rubbing)}"
+    friction = "" if rubbing is None else f"; {_friction_text(rubbing)}"
     between = " " if rubbing is None else "\n"
     restitution = getattr(model.normal, "restitution", RESTITUTION)
     laws = {_name(law): law(restitution=restitution) for law in (HuntCrossley, LankaraniNikravesh, Gonthier, Flores)}
@@ -278,7 +287,7 @@ def _dry_studies(name: str, case: Case) -> list[Study]:
         Study(f"{name}_clearance", f"{what}: clearance{between}({law}{friction})", name,
               _clearances(case), histories=True, ordered=True),
         Study(f"{name}_normal_law", f"{what}: normal law{between}({gap}, {factor}{friction})", name,
-              tuple(Case(told, case.kind, _with(model, "normal", one)) for told, one in laws.items())),
+              tuple(Case(label, case.kind, _with(model, "normal", one)) for label, one in laws.items())),
     ]  # fmt: skip
     if rubbing is not None:
         mu = getattr(rubbing, "mu", getattr(rubbing, "mu_kinetic", 0.1))
@@ -287,7 +296,7 @@ def _dry_studies(name: str, case: Case) -> list[Study]:
         laws = {_name(type(one)): rubbing if type(one) is type(rubbing) else one for one in others}
         studies.append(
             Study(f"{name}_law", f"{what}: friction law ({gap}; {law})", name,
-                  tuple(Case(told, case.kind, _with(model, "friction", one)) for told, one in laws.items()),
+                  tuple(Case(label, case.kind, _with(model, "friction", one)) for label, one in laws.items()),
                   close_up=True)
         )  # fmt: skip
     return studies
@@ -305,7 +314,7 @@ def _film_studies(name: str, case: Case) -> list[Study]:
         title = f"Lubricated joint: the paper's film against the full one ({_gap(model.clearance)}; {oil}"
         studies.append(
             Study(f"{name}_films", f"{title}, {_name(type(model.boundary))})", name,
-                  tuple(Case(told, case.kind, one) for told, one in films.items()), histories=True, of_films=True)
+                  tuple(Case(label, case.kind, one) for label, one in films.items()), histories=True, of_films=True)
         )  # fmt: skip
     return studies
 
@@ -319,10 +328,10 @@ def _bushing_studies(name: str, case: Case) -> list[Study]:
     damped = {f"b = {short(f * b)} s": _with_bushing(case.model, k, f * b) for f in DAMPING_FACTORS}
     return [
         Study(f"{name}_stiffness", f"Bushing: stiffness k (b = {short(b)} s)", name,
-              tuple(Case(told, "bushing", one) for told, one in stiff.items()),
+              tuple(Case(label, "bushing", one) for label, one in stiff.items()),
               histories=True, ordered=True),
         Study(f"{name}_damping", f"Bushing: damping b (k = {short(k)} N/m)", name,
-              tuple(Case(told, "bushing", one) for told, one in damped.items()),
+              tuple(Case(label, "bushing", one) for label, one in damped.items()),
               ordered=True),
     ]  # fmt: skip
 
@@ -411,23 +420,23 @@ def _with_film(model: Lubricated, film: AbstractFilm) -> Lubricated:
 
 def numbers_of(models: Mapping[str, Case]) -> str:
     """The numbers of the models in a line, for titles."""
-    told: dict[str, None] = {}
+    numbers: dict[str, None] = {}
     for case in models.values():
         model: Any = case.model
         if isinstance(model, Dry | Lubricated):
-            told[_gap(model.clearance)] = None
+            numbers[_gap(model.clearance)] = None
         if isinstance(model, Dry):
-            told[_told(model.normal).replace(", restitution", "")] = None
+            numbers[_normal_text(model.normal).replace(", restitution", "")] = None
             if model.friction is not None:
                 mu = getattr(model.friction, "mu", getattr(model.friction, "mu_kinetic", None))
-                told[_name(type(model.friction)) + ("" if mu is None else f" mu {mu:g}")] = None
+                numbers[_name(type(model.friction)) + ("" if mu is None else f" mu {mu:g}")] = None
         if isinstance(model, Lubricated):
             film = "" if isinstance(model.film, FullFilm) else f" ({film_name(model.film)})"
-            told[f"{model.viscosity:g} Pa s{film}"] = None
+            numbers[f"{model.viscosity:g} Pa s{film}"] = None
         law: Any = getattr(model, "law", None)
         if isinstance(law, RadialElastomer):
-            told[f"k = {short(law.stiffness)} N/m, b = {short(law.damping)} s"] = None
-    return ", ".join(told)
+            numbers[f"k = {short(law.stiffness)} N/m, b = {short(law.damping)} s"] = None
+    return ", ".join(numbers)
 
 
 def film_name(film: AbstractFilm | None) -> str:
@@ -437,12 +446,12 @@ def film_name(film: AbstractFilm | None) -> str:
     return "full film" if film is None or isinstance(film, FullFilm) else f"film of a {_name(type(film)).lower()}"
 
 
-def _told(law: AbstractNormalLaw) -> str:
+def _normal_text(law: AbstractNormalLaw) -> str:
     has = isinstance(law, AbstractHysteresisLaw)
     return f"{_name(type(law))}, restitution {law.restitution:g}" if has else _name(type(law))
 
 
-def _told_friction(law: Any) -> str:
+def _friction_text(law: Any) -> str:
     if isinstance(law, Threlfall):
         return f"Threlfall friction (mu = {law.mu:g}, v1 = {1e3 * law.v1:g} mm/s)"
     return f"{_name(type(law))} friction"

@@ -133,19 +133,19 @@ def compare_models(
     ahead, as_found = (None, lambda so_far: None) if meanwhile is None else meanwhile
     done = Progress(report, (2 + 2 * len(solvers)) * len(models) + len(others) + len(limits))
     with workers(done) as pool, warnings.catch_warnings():
-        # A run that fails is told in its row, and what a start has moved is the same for every run: told once.
+        # The row of a run that fails says so. What closing the start has moved is the same for all runs: one warning.
         warnings.simplefilter("ignore", SimulationWarning)
         warnings.simplefilter("once", StartWarning)
         # The slowest to compile first, so that no worker is left alone with one at the end.
         order = list(models)[::-1]
-        found = pool.each([_piece("simulated", _observed, subject, models[name], ts) for name in order], ahead)
-        runs = {name: found[order.index(name)] for name in models}
+        observed = pool.each([_piece("simulated", _observed, subject, models[name], ts) for name in order], ahead)
+        runs = {name: observed[order.index(name)] for name in models}
         subject = followed(subject, runs)
         curves = {name: _curves(subject, case, runs[name]) for name, case in models.items()}
         t_short = jnp.linspace(0.0, t_limits, ts.shape[0])
         known = {case: curves[name] for name, case in models.items()}
         determined: dict[str, float | None] = {}
-        limits_found: dict[LimitStudy, LimitResult] = {}
+        limit_by_study: dict[LimitStudy, LimitResult] = {}
         timed: dict[Any, Trajectory] = {}
         # All that is left at once, what compiles first; but for `determined`, which figures wait for.
         work: list[tuple[dict, Any, Piece]] = [
@@ -154,7 +154,7 @@ def compare_models(
                 (determined, name, Piece(f"error estimated: {case.label}", partial(determined_until, runs[name])))
                 for name, case in models.items()
             ),
-            *((limits_found, study, _piece("limit", _limit, subject, study, t_short)) for study in limits),
+            *((limit_by_study, study, _piece("limit", _limit, subject, study, t_short)) for study in limits),
             *(
                 (
                     timed,
@@ -166,7 +166,7 @@ def compare_models(
             ),
         ]
 
-        def heard(at: int, result: Any) -> None:
+        def keep_result(at: int, result: Any) -> None:
             place, name, _ = work[at]
             place[name] = result
 
@@ -177,8 +177,8 @@ def compare_models(
                 t_end, [], curves, runs, results, t_limits=t_limits, determined=determined, subject=subject
             )
 
-        pool.each([piece for *_, piece in work], as_found(so_far), heard)
-        limit_results = [limits_found[study] for study in limits]
+        pool.each([piece for *_, piece in work], as_found(so_far), keep_result)
+        limit_results = [limit_by_study[study] for study in limits]
         usual = _timed(subject, t_end, None, done)
         by_fixed = {} if fixed is None else _timed(subject, t_end, fixed, done)
     rows = [
@@ -278,12 +278,12 @@ def _run_few_samples(scene: Scene, t_end: float, solver: diffrax.AbstractSolver 
 
 def _timed(subject: Subject, t_end: float, solver, done: Progress) -> dict[str, Timed]:
     """What each model costs, alone on the machine."""
-    found: dict[str, tuple[int, float]] = {}
+    costs: dict[str, tuple[int, float]] = {}
     for name, case in subject.models.items():
-        found[name] = warm_run(subject.build(case.model), t_end, solver, rtol=subject.rtol)
+        costs[name] = warm_run(subject.build(case.model), t_end, solver, rtol=subject.rtol)
         done(f"timed: {case.label}")
-    ideal = found[subject.ideal][1]
-    return {name: Timed(n_steps, seconds, seconds / ideal) for name, (n_steps, seconds) in found.items()}
+    ideal = costs[subject.ideal][1]
+    return {name: Timed(n_steps, seconds, seconds / ideal) for name, (n_steps, seconds) in costs.items()}
 
 
 def warm_run(

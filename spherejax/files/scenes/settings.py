@@ -57,17 +57,17 @@ class AccuracyField(Field):
 
 def _flattened(table: Mapping[str, Any], place: FilePlace, before: str = "") -> dict[str, str | float]:
     """Limits by name. In TOML `position.rocker = 1e-6` without quotes is a table in a table: it is read alike."""
-    found: dict[str, str | float] = {}
+    limits: dict[str, str | float] = {}
     for key, value in table.items():
         name = f"{before}{key}"
         inside = _flattened(value, place / key, f"{name}.") if isinstance(value, dict) else None
-        for each, limit in ({name: _limit(value, place / key)} if inside is None else inside).items():
-            if each in found:
-                (place / key).fail(f"{each!r} is named twice; remove one of them")
-            found[each] = limit
-    if not found:
+        for quantity, limit in ({name: _limit(value, place / key)} if inside is None else inside).items():
+            if quantity in limits:
+                (place / key).fail(f"{quantity!r} is named twice; remove one of them")
+            limits[quantity] = limit
+    if not limits:
         place.fail(f"names no quantity; write {AccuracyField().what}")
-    return found
+    return limits
 
 
 def _limit(value: Any, place: FilePlace) -> str | float:

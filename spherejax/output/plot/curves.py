@@ -114,6 +114,12 @@ class Curves:
         return 180.0 / np.pi if self.turns else 1e3
 
 
+def check_axis(axis: str | None) -> None:
+    """Raise an error for an axis that is none of `AXES` and `ROTATIONS`; None stands for that of the motion."""
+    if axis not in (None, *AXES, *ROTATIONS):
+        raise SceneError(f"axis = {axis!r} is none of {', '.join((*AXES, *ROTATIONS))}")
+
+
 def kind_of_model(model: AbstractSphericalModel | None) -> str:
     """Ideal, dry, friction, lubricated or bushing; empty for a model that is none of these."""
     if model is None or isinstance(model, Ideal):
@@ -178,9 +184,8 @@ def curves_of(run: Trajectory, label: str, *, body: str, joint: str, axis: str |
     # The two points of an ideal revolute joint stay together, but the equations have no name for their distance.
     is_kept = isinstance(placed, PlacedPair) and placed.coincides
     eccentricity = np.zeros((len(run.ts), 3)) if is_kept else np.asarray(run.eccentricity(joint))
+    check_axis(axis)
     axis = axis_of_motion(run, body) if axis is None else axis
-    if axis not in (*AXES, *ROTATIONS):
-        raise SceneError(f"axis = {axis!r} is none of {', '.join((*AXES, *ROTATIONS))}")
     at = "xyz".index(axis[-1])
     if axis in ROTATIONS:
         position = _angle(run, body, at)

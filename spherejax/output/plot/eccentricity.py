@@ -1,13 +1,13 @@
 """The path of the ball's center inside the clearance, joint by joint (Figs 20 and 24).
 
 The path is spatial: on the four-bar no plane holds more than nine tenths of it. Each circle shows one plane of world
-axes, the same for all models, that holds gravity and most of the reaction: x-z for the four-bar, in which its rocker
-swings, y-z for the suspension, across the car. The angle is that of the projection, but the distance from the middle is
-the true |e|: a projected distance would draw contact beside the plane as if the ball were in flight, whereas here
-contact is on the circle or beyond it, and only there.
+axes: for a journal that across its bearing. The paper's figures have the plane that holds gravity and most of the
+reaction, x-z for the four-bar, in which its rocker swings, y-z for the suspension, across the car. The angle is that of
+the projection, but the distance from the middle is the true |e|: a projected distance would draw contact beside the
+plane as if the ball were in flight, whereas here contact is on the circle or beyond it, and only there.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ def eccentricity_paths(
     title: str,
     *,
     every: int | None = None,
-    plane: tuple[int, int] = (0, 2),
+    plane: tuple[int, int] | None = None,
     outer: bool = False,
 ) -> Figure:
     """For each joint model the path inside the clearance circle, and below it the distance over time.
@@ -48,7 +48,8 @@ def eccentricity_paths(
         title: what is shown, with the values of the parameters.
         every: every how many samples the path has a point; when None as many as a smooth curve needs. Points in
             contact are drawn in any case, and samples too far apart for a path as points.
-        plane: the world axes along which the paths are drawn: 0, 1, 2 for x, y, z.
+        plane: the world axes along which the paths are drawn: 0, 1, 2 for x, y, z; when None, for each path that of
+            `main_plane`.
         outer: whether a second circle shows the largest distance, where the ball is pressed in by much.
 
     Raises:
@@ -78,14 +79,27 @@ def eccentricity_paths(
     return figure
 
 
+def main_plane(curves: Sequence[Curves]) -> tuple[int, int]:
+    """The two world axes along which eccentricities are largest, by the sum of squares: of a journal those across it.
+
+    Args:
+        curves: of one joint, at least one.
+    """
+    squares = np.sum([np.nansum(one.eccentricity**2, axis=0) for one in curves], axis=0)
+    # Where none is the smallest (a joint that is not pressed) y is left out, for gravity is mostly along z.
+    smallest = 1 if squares[1] <= squares.min() else int(np.argmin(squares))
+    first, second = (axis for axis in range(3) if axis != smallest)
+    return first, second
+
+
 class _EccentricityLook(NamedTuple):
-    plane: tuple[int, int]
+    plane: tuple[int, int] | None
     every: int | None
     outer: bool
 
 
 def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _EccentricityLook) -> None:
-    first, second = look.plane
+    first, second = main_plane([one]) if look.plane is None else look.plane
     e = unit * one.eccentricity
     distance = unit * one.distance
     in_plane = np.hypot(e[:, first], e[:, second])

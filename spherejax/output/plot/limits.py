@@ -33,7 +33,7 @@ class LimitCurve:
 
 
 def limits_to_ideal(
-    limits: Sequence[LimitCurve], title: str, *, what: str = "rocker z [mm]", factor: float = 1e3
+    limits: Sequence[LimitCurve], title: str, *, what: str = "position [mm]", factor: float = 1e3
 ) -> Figure:
     """A panel for each parameter, with logarithmic axes; limits of the same parameter share a panel.
 

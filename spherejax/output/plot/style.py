@@ -245,12 +245,11 @@ def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 97.0,
         return
     low = min(np.percentile(values, (100 - keep) / 2) for values in finite)
     high = max(np.percentile(values, 100 - (100 - keep) / 2) for values in finite)
-    # A bulk of equal values (a body in free fall) has no range; limits that are equal are a warning of Matplotlib's.
-    room = margin * max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-300)
+    # A bulk of equal values (a body in free fall, or at rest) has no range, and Matplotlib warns of equal limits.
+    size = max(abs(low), abs(high))
+    room = margin * (high - low if high - low > 1e-6 * size else 0.1 * size or 1.0)
     lowest, highest = min(v.min() for v in finite), max(v.max() for v in finite)
     bottom, top = max(low - room, lowest - 0.05 * room), min(high + room, highest + 0.05 * room)
-    if not top - bottom > 1e-12 * max(abs(bottom), abs(top)):  # a constant: the axis is found by matplotlib
-        return
     ax.set_ylim(bottom, top)
     if lowest < bottom - 0.05 * room or highest > top + 0.05 * room:
         note(ax, f"axis clipped; peaks from {lowest:.3g} to {highest:.3g}")

@@ -11,9 +11,9 @@ from spherejax.output.plot.swept_axes import (
     beyond,
     has_failed,
     label,
+    list_of_outliers,
     logarithmic_where_even,
     outliers,
-    told_outliers,
     wide_parameters,
     with_unit,
 )
@@ -120,7 +120,7 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
             values[across], values[up], grid, cmap="viridis", shading="nearest", rasterized=True, vmin=low, vmax=high
         )
         figure.colorbar(drawn, ax=ax, extend=beyond(grid, low, high)).set_label(with_unit(name, values), fontsize=9)
-        told = told_outliers(grid, far, (up, np.asarray(values[up])), (across, np.asarray(values[across])))
+        listed = list_of_outliers(grid, far, (up, np.asarray(values[up])), (across, np.asarray(values[across])))
         ax.grid(False)
         label(ax, with_unit(across, values[across]), with_unit(up, values[up]))
         logarithmic_where_even(ax, values[across], "x")
@@ -133,7 +133,7 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
             ax.set_title(f"crosses: {n_failed} failed runs", loc="right", fontsize=8)
         if np.isnan(grid).sum() > n_failed:
             note(ax, f"{int(np.isnan(grid).sum())} runs without a value are left white")
-        if told:
+        if listed:
             # Below the axis: a remark in the panel would cover runs.
-            ax.text(0.0, -0.17, told, transform=ax.transAxes, va="top", fontsize=7, color="0.25")
+            ax.text(0.0, -0.17, listed, transform=ax.transAxes, va="top", fontsize=7, color="0.25")
     return figure

@@ -71,8 +71,8 @@ FENCE, FLATTENED = 5.0, 3.0
 """A value is an outlier beyond five interquartile ranges from the quartiles, where it makes the range of the colors
 three times as wide as the others need."""
 
-MOST_TOLD = 3
-"""Outliers that are told by name."""
+MOST_LISTED = 3
+"""How many outliers are listed below a map, with the parameters of their runs."""
 
 
 def outliers(values: np.ndarray) -> np.ndarray:
@@ -97,10 +97,10 @@ def beyond(values: np.ndarray, low: float | None, high: float | None) -> Literal
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def told_outliers(
+def list_of_outliers(
     values: np.ndarray, far: np.ndarray, rows: tuple[str, np.ndarray], columns: tuple[str, np.ndarray]
 ) -> str:
-    """Which runs have values beyond the colors, the farthest first; empty without such runs.
+    """A text that lists the runs whose values are beyond the colors, the farthest first; empty without such runs.
 
     Args:
         values: shape (rows, columns).
@@ -113,7 +113,7 @@ def told_outliers(
     places = sorted(places, key=lambda place: -abs(values[tuple(place)] - middle))
     lines = [
         f"{values[i, j]:.3g} at {rows[0]} = {rows[1][i]:.4g}, {columns[0]} = {columns[1][j]:.4g}"
-        for i, j in places[:MOST_TOLD]
+        for i, j in places[:MOST_LISTED]
     ]
-    more = [f"and {len(places) - MOST_TOLD} more"] if len(places) > MOST_TOLD else []
+    more = [f"and {len(places) - MOST_LISTED} more"] if len(places) > MOST_LISTED else []
     return "\n".join(["beyond the colors:", *lines, *more]) if lines else ""

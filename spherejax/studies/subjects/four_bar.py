@@ -1,6 +1,7 @@
 """The spatial four-bar: five models (Figs 18 to 21), parameter studies (Figs 10 to 17), limits to the ideal joint."""
 
 from collections.abc import Callable
+from functools import partial
 
 from spherejax.gallery import four_bar
 from spherejax.physics.joints.lubricated import Lubricated
@@ -66,7 +67,7 @@ FOUR_BAR = Subject(
     quick=Length(seconds=0.2, interval=1e-5, n_studies=1, limits=False),
     body="rocker",
     axis="z",
-    figures=figures,
+    figures=partial(figures, plane=(0, 2)),  # the plane in which the rocker swings
     figures_ahead=figures_ahead,
     numbers=NUMBERS,
     studies=parameter_studies,

@@ -15,12 +15,12 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.output.plot.curves import Curves
+from spherejax.output.plot.curves import Curves, check_axis
 from spherejax.physics.joints.axial import Revolute
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.joints.spherical import Spherical
-from spherejax.studies.cases import cases_of, joint_models, limit_studies, parameter_studies
+from spherejax.studies.cases import Case, cases_of, joint_models, limit_studies, parameter_studies
 from spherejax.studies.subject import RTOL, Comparison, Length, SceneOf, StudyResult, Subject
 
 INTERVAL = 1e-5
@@ -31,6 +31,9 @@ MOST_SAMPLES, FEWEST_SAMPLES = 200_001, 2001
 
 T_LIMITS = 0.25
 """How much of the motion the limits to the ideal joint make: dry motion is hardly chaotic until then."""
+
+BALL_PATH, JOURNAL_PATH = "Ball's center in the socket", "Journal's center in its bearing"
+"""What the figure of eccentricities shows."""
 
 AFTER_IMPACTS, HALF_WINDOW = 0.15, 0.01
 """The close-up of a study of friction laws looks from here on, and shows this much on either side; shares of the
@@ -66,9 +69,13 @@ def own_mechanism(
     """
     if not (np.ndim(t1) == 0 and np.isfinite(t1) and t1 > 0):
         raise SceneError(f"t1 = {t1!r} must be a positive time [s]")
+    if samples is not None and samples < 2:
+        raise SceneError(f"samples = {samples!r} must be at least 2: start and end")
+    check_axis(axis)
     build, joint, described = _built(scene, joint)
-    models = _usual_models(described.joints[joint], joint) if models is None else models
-    cases = cases_of(models)
+    studied: Any = described.joints[joint]
+    cases = cases_of(joint_models(studied.model) if models is None else models)
+    _check_length(studied, joint, cases)
     for case in cases.values():
         compile_scene(build(case.model))  # a model that the joint cannot take is refused here, by name
     if body is not None and body not in described.bodies:
@@ -86,7 +93,7 @@ def own_mechanism(
         quick=Length(t1, interval, n_studies=0, limits=False),
         body=body,
         axis=axis,
-        figures=figures,
+        figures=figures if isinstance(studied, Spherical) else partial(figures, path=JOURNAL_PATH),
         figures_ahead=partial(_figures_ahead, scene=described),
         measures=partial(measures, joint),
         studies=parameter_studies,
@@ -99,7 +106,7 @@ def own_mechanism(
 
 
 def able_joints(scene: Scene) -> list[str]:
-    """Names of the joints that can take all models: spherical ones, and journals in their bearings."""
+    """Names of the joints that can take all models: spherical ones, and revolute ones, journals in their bearings."""
     return [name for name, joint in scene.joints.items() if isinstance(joint, Spherical | Revolute)]
 
 
@@ -153,13 +160,13 @@ def _from_builder(build: Callable[..., Scene], joint: str | None) -> tuple[Scene
     described = build(marker)
     if not isinstance(described, Scene):
         raise SceneError(f"the builder returned {described!r}, which is no sj.Scene")
-    given = [name for name, one in described.joints.items() if getattr(one, "model", None) is marker]
-    if joint is None and len(given) == 1:
-        return build, given[0], described
-    if joint in given:
+    with_marker = [name for name, one in described.joints.items() if getattr(one, "model", None) is marker]
+    if joint is None and len(with_marker) == 1:
+        return build, with_marker[0], described
+    if joint in with_marker:
         return build, str(joint), described
-    if joint is None and given:
-        names = ", ".join(map(repr, given))
+    if joint is None and with_marker:
+        names = ", ".join(map(repr, with_marker))
         raise SceneError(f"the builder gives the model to joints {names}: name the one that is studied, joint=...")
     studied = studied_joint(described, joint)
     return partial(_with_model, described, studied), studied, described
@@ -169,15 +176,15 @@ def _with_model(scene: Scene, joint: str, model: AbstractSphericalModel) -> Scen
     return eqx.tree_at(lambda one: one.joints[joint].model, scene, model)
 
 
-def _usual_models(described: Any, joint: str) -> dict[str, AbstractSphericalModel]:
-    models = joint_models(described.model)
-    dry: Any = models["dry"]
-    if isinstance(described, Revolute) and dry.conformity is None:
+def _check_length(studied: Any, joint: str, cases: Mapping[str, Case]) -> None:
+    """Without the length of its bearing a revolute joint would be told which classes of conformity and film to give."""
+    surfaces = [case.model for case in cases.values() if case.model.has_surfaces]
+    wanted = [one for model in surfaces for one in model.requirements_of(is_bearing=True)]
+    if isinstance(studied, Revolute) and not all(one.satisfied for one in wanted):
         raise SceneError(
             f"joint {joint!r} is revolute, and its models need the length of its bearing: "
             "models=sj.joint_models(length=0.02), on the command line --length 0.02"
         )
-    return models
 
 
 # What is measured and drawn ------------------------------------------------------------------------------------------
@@ -188,43 +195,53 @@ def measures(joint: str, run: Trajectory, one: Curves) -> Mapping[str, float]:
     del one
     force = np.linalg.norm(np.asarray(run.reaction(joint)), axis=1)
     there = force[np.isfinite(force)]
-    found = {"peak joint force [N]": float(there.max(initial=0.0))}
+    numbers = {"peak joint force [N]": float(there.max(initial=0.0))}
     if joint in run.system.force_joints:
         lost = np.asarray(run.dissipated_energy(joint))
         lost = lost[np.isfinite(lost)]
-        found["joint dissipates [J]"] = float(lost[-1]) if lost.size else float("nan")
-    return found
+        numbers["joint dissipates [J]"] = float(lost[-1]) if lost.size else float("nan")
+    return numbers
 
 
-def figures(comparison: Comparison) -> dict[str, Callable]:
-    """Functions that draw the figures, by file name; of a comparison that is not done yet, those that can be drawn."""
+def figures(
+    comparison: Comparison, *, path: str = BALL_PATH, plane: tuple[int, int] | None = None
+) -> dict[str, Callable]:
+    """Functions that draw the figures, by file name; of a comparison that is not done yet, those that can be drawn.
+
+    Args:
+        comparison: the comparison.
+
+    Other args:
+        path: what the figure of eccentricities shows.
+        plane: the world axes of that figure; those of `main_plane`, the same for all models, when None.
+    """
     from spherejax.output.plot import histories, limits, phase, ratios
-    from spherejax.output.plot.eccentricity import eccentricity_paths
+    from spherejax.output.plot.eccentricity import eccentricity_paths, main_plane
 
     subject, models, ideal = comparison.subject, comparison.models, comparison.ideal
     parameters, determined = subject.parameters, comparison.determined_until
-    found = {subject.numbered(name): draw for name, draw in subject.figures_ahead(subject).items()}
+    drawings = {subject.numbered(name): draw for name, draw in subject.figures_ahead(subject).items()}
     for result in comparison.studies:
         if result.study.of in determined:
-            found[subject.numbered(result.study.name)] = partial(study_figure, result, comparison)
+            drawings[subject.numbered(result.study.name)] = partial(study_figure, result, comparison)
     others = [one for name, one in models.items() if name != subject.ideal]
     colors = model_colors_of(comparison)
-    found[subject.numbered("models")] = lambda: histories.four_histories(
+    drawings[subject.numbered("models")] = lambda: histories.four_histories(
         others, ideal, f"Joint models: {parameters}", colors=[colors[name] for name in models if name != subject.ideal]
     )
-    found[subject.numbered("phase_portraits")] = lambda: phase.phase_portraits(
+    drawings[subject.numbered("phase_portraits")] = lambda: phase.phase_portraits(
         models, f"Phase portraits; grey: ideal\n{parameters}"
     )
     if others:
-        found[subject.numbered("eccentricity")] = lambda: eccentricity_paths(
-            models, f"Ball's center in the socket; orange: in contact\n{parameters}"
+        drawings[subject.numbered("eccentricity")] = lambda: eccentricity_paths(
+            models, f"{path}; orange: in contact\n{parameters}", plane=plane or main_plane(others)
         )
     if not subject.numbers and others:
-        found["difference"] = partial(_difference, comparison)
+        drawings["difference"] = partial(_difference, comparison)
     if comparison.rows:
         timed = [row for row in comparison.rows if np.isfinite(row.time_ratio)]
         title = f"Computing time of {comparison.t_end:g} s of motion (one core, warm, rtol {subject.rtol:g})"
-        found[subject.numbered("time_ratio")] = lambda: ratios.time_ratios(
+        drawings[subject.numbered("time_ratio")] = lambda: ratios.time_ratios(
             {row.name: row.label for row in timed},
             [row.time_ratio for row in timed],
             [row.n_steps for row in timed],
@@ -233,7 +250,7 @@ def figures(comparison: Comparison) -> dict[str, Callable]:
         )
     if comparison.limits:
         what = f"{ideal.body} {'angle [deg]' if ideal.turns else f'{ideal.axis} [mm]'}"
-        found["limits"] = lambda: limits.limits_to_ideal(
+        drawings["limits"] = lambda: limits.limits_to_ideal(
             [
                 limits.LimitCurve(r.label, r.parameter, r.values, r.deviations, r.order, r.kind)
                 for r in comparison.limits
@@ -242,7 +259,7 @@ def figures(comparison: Comparison) -> dict[str, Callable]:
             what=what,
             factor=ideal.position_factor,
         )
-    return found
+    return drawings
 
 
 def model_colors_of(comparison: Comparison) -> dict[str, Any]:
