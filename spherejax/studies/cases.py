@@ -194,7 +194,7 @@ def joint_models(
     if own_cylinder is not None and own_cylinder.is_line_contact:
         length = length if has_length else own_cylinder.length
         options["conformity"] = _with(own_cylinder, "length", length)
-    elif has_length:
+    elif length is not None:
         options["conformity"] = JohnsonCylinder(length)
     shared = {"clearance": CLEARANCE, **base, **{name: value for name, value in options.items() if value is not None}}
     rubbing = shared.pop("friction", None)
