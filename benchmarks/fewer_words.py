@@ -1,4 +1,4 @@
-"""What it is worth that LLVM is not told which numbers of a film's program do not overlap (`compiling.FEWER_WORDS`).
+"""What it is worth that LLVM is not told which numbers of a film's program do not overlap (`LESS_ALIASING`).
 
     python benchmarks/fewer_words.py            # two minutes
 
@@ -22,10 +22,10 @@ def measured(with_all_words: bool) -> str:
     import numpy as np
 
     import spherejax as sj
-    from spherejax.motion.integration import compiling
+    from spherejax.compiler import hooks
 
     if with_all_words:
-        compiling.FEWER_WORDS.clear()
+        hooks.LESS_ALIASING = {}
     scene = sj.gallery.four_bar(sj.Lubricated(1e-4, viscosity=0.4))
 
     def seconds() -> float:

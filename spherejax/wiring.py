@@ -20,8 +20,6 @@ def connect() -> None:
         settings.Settings(
             package=__name__.split(".")[0],
             sources=Path(__file__).resolve().parent,
-            folder=_folder,
-            processor=runtime.kind_of_processor,
             versioned=frozenset({
                 "jax", "jaxlib", "equinox", "diffrax", "lineax", "optimistix", "optax", "jaxtyping", "numpy",
             }),
@@ -34,11 +32,6 @@ def connect() -> None:
             extra_blobs=_object_code,
         )
     )  # fmt: skip
-
-
-def _folder() -> Path | None:
-    folder = runtime.cache_folder()
-    return None if folder is None else folder / runtime.KEPT
 
 
 def _compiling(what: str, name: str) -> AbstractContextManager:

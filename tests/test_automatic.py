@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax import runtime
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.automatic import choose_solver, explicit_rate_limit
@@ -20,6 +19,7 @@ from spherejax.motion.solvers.joint_rates import (
 )
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.tolerances import component_tolerances
+from spherejax.program_cache import folders
 
 
 def system_of(model, **options):
@@ -168,7 +168,7 @@ def test_the_rate_at_the_start_of_a_traced_run_is_that_of_a_known_one(k, b):
 
 
 def test_both_methods_are_in_a_run_that_chooses_at_its_start(monkeypatch):
-    monkeypatch.setattr(runtime, "_kept", [None])  # a run that is kept is one operation
+    monkeypatch.setattr(folders, "_in_use", [])  # a run that is kept is one operation
 
     def simulated(stiffness, solver=None):
         scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax import runtime
 from spherejax.motion.integration import one_run
-from spherejax.program_cache import cached_jit, disk_cache
+from spherejax.program_cache import cached_jit, disk_cache, folders
 from spherejax.program_cache.fingerprints import program_fingerprint
 
 TS = jnp.linspace(0.0, 0.01, 4)
@@ -63,7 +62,7 @@ def test_the_next_process_lowers_no_run_and_computes_the_same_bits(tmp_path):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty folder of this process, which has no runs yet."""
-    monkeypatch.setattr(runtime, "_kept", [tmp_path])
+    monkeypatch.setattr(folders, "_in_use", [tmp_path])
     forget()
     return tmp_path
 
@@ -175,7 +174,7 @@ def pulled(stiffness):
 def test_without_a_folder_and_with_code_of_a_users_own_all_is_lowered_as_before(folder, n_lowered, monkeypatch):
     assert float(jax.jit(lambda stiffness: pulled(stiffness))(3.0)) == pytest.approx(float(pulled(3.0)), rel=1e-12)
     with monkeypatch.context() as patched:
-        patched.setattr(runtime, "_kept", [None])
+        patched.setattr(folders, "_in_use", [])
         jax.jit(lambda length: place(length))(2.0)
     assert keys_of_lowered(folder) == []
 

@@ -13,12 +13,11 @@ import pytest
 from sweeping import pendulum
 
 import spherejax as sj
-from spherejax import runtime
 from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.one_run import gone_on_with, integrated, started
 from spherejax.motion.runs.many import many, simulate_many
-from spherejax.program_cache import cached_jit
+from spherejax.program_cache import cached_jit, folders
 from spherejax.program_cache.fingerprints import program_fingerprint, value_fingerprint
 from spherejax.studies.sweep.chunks import _program
 
@@ -136,7 +135,7 @@ def test_runs_within_jit_with_parameters_that_are_known():
 @pytest.mark.parametrize("is_kept", [False, True])
 def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_path, monkeypatch):
     """diffrax keeps a trace of its own of each integration, which held the functions of ours for ever."""
-    monkeypatch.setattr(runtime, "_kept", [tmp_path] if is_kept else [])
+    monkeypatch.setattr(folders, "_in_use", [tmp_path] if is_kept else [])
     scene = pendulum(9.81, 1.0)
     of_diffrax = diffrax.Kvaerno5()
     for programs, name, solver, lengths, n_programs in (

@@ -25,9 +25,9 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration import jobs, one_run
 from spherejax.motion.integration.lanes import landing
-from spherejax.program_cache import cached_jit, disk_cache, settings
+from spherejax.program_cache import cached_jit, disk_cache, folders, settings
 from spherejax.program_cache.fingerprints import known_fingerprint, value_fingerprint
-from spherejax.program_cache.program import found_by_jax
+from spherejax.program_cache.private import found_by_jax
 
 RUN = """
 import sys, jax
@@ -73,7 +73,7 @@ def in_a_process(cache, force="None", **environment):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty folder of this process."""
-    monkeypatch.setattr(runtime, "_kept", [tmp_path])
+    monkeypatch.setattr(folders, "_in_use", [tmp_path])
     return tmp_path
 
 
@@ -207,7 +207,7 @@ def test_nothing_is_kept_where_something_cannot_be_told(folder, monkeypatch, pen
         patched.setattr(settings, "_settings", replace(settings.current(), began=0.0))
         assert disk_cache.key_for(state_rate, structure) is None
     with monkeypatch.context() as patched:
-        patched.setattr(runtime, "_kept", [])
+        patched.setattr(folders, "_in_use", [])
         assert disk_cache.key_for(state_rate, structure) is None
     assert disk_cache.key_for(state_rate, structure) is not None
 
@@ -285,18 +285,18 @@ def test_nobodys_home_is_done_without(monkeypatch):
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "expanduser", nobody)
-    monkeypatch.setattr(runtime, "_kept", [])
+    monkeypatch.setattr(folders, "_in_use", [])
     monkeypatch.setenv("SPHEREJAX_CACHE", "")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     runtime.configure()
-    assert runtime.cache_folder() is None
+    assert folders.current() is None
 
 
 def test_processors_are_told_by_the_first_of_a_machine(monkeypatch):
     def kind_with(text):
         monkeypatch.setattr("builtins.open", lambda *_, **__: io.StringIO(text))
         try:
-            return runtime.kind_of_processor.__wrapped__()
+            return folders.kind_of_processor.__wrapped__()
         finally:
             monkeypatch.undo()
 
@@ -382,7 +382,7 @@ def test_what_calls_python_is_not_kept(monkeypatch):
 
 
 def test_the_folder_stays_small(tmp_path, monkeypatch):
-    monkeypatch.setattr(runtime, "LARGEST_CACHE", 3000)
+    monkeypatch.setattr(folders, "MOST_BYTES", 3000)
     for part in ("kept", "compiled-1"):
         (tmp_path / part).mkdir()
         for age in range(4):
@@ -391,16 +391,16 @@ def test_the_folder_stays_small(tmp_path, monkeypatch):
             then = time.time() - 1000.0 * age - (part == "kept")
             os.utime(file, (then, then))
     (tmp_path / "mine").write_bytes(bytes(10_000))
-    runtime._make_room(tmp_path)
+    folders._make_room(tmp_path)
     left = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*") if file.is_file()}
     assert left == {"looked-at", "mine", "kept/0", "compiled-1/0", "compiled-1/1"}
     (tmp_path / "kept" / "large").write_bytes(bytes(10_000))
-    runtime._make_room(tmp_path)  # looked at a moment ago
+    folders._make_room(tmp_path)  # looked at a moment ago
     assert (tmp_path / "kept" / "large").exists()
 
 
 def test_a_folder_that_was_asked_for_must_be_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(runtime, "_kept", [])
+    monkeypatch.setattr(folders, "_in_use", [])
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(OSError, match="file"):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.compiler import hooks
 from spherejax.motion.integration.lanes.inside import extension, trees_of
 from spherejax.motion.integration.lanes.stages import ExplicitStages
-from spherejax.runtime import _with_flags
 
 
 def stages_of(solver):
@@ -95,15 +95,15 @@ def test_a_run_of_one_instant_and_a_run_that_may_not_be_made():
 
 
 def test_flags_of_the_user_are_kept():
-    assert "--xla_cpu_prefer_vector_width=512" in _with_flags("")
-    assert "vector_width=512" not in _with_flags("--xla_cpu_prefer_vector_width=256")
+    assert "--xla_cpu_prefer_vector_width=512" in hooks.with_xla_flags("")
+    assert "vector_width=512" not in hooks.with_xla_flags("--xla_cpu_prefer_vector_width=256")
     mine = "--xla_backend_extra_options=my_option"
-    assert _with_flags(mine).startswith(mine + ",xla_cpu_small_while_loop_byte_threshold=")
-    assert _with_flags(_with_flags(mine)) == _with_flags(mine)
+    assert hooks.with_xla_flags(mine).startswith(mine + ",xla_cpu_small_while_loop_byte_threshold=")
+    assert hooks.with_xla_flags(hooks.with_xla_flags(mine)) == hooks.with_xla_flags(mine)
     # XLA ends the process over a flag that it does not know.
     known = (0, 10) <= tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 12)
-    assert ("ynn_fusion_type=" in _with_flags(mine)) == known
-    assert _with_flags("--xla_cpu_experimental_ynn_fusion_type=reduce").count("ynn") == 1
+    assert ("ynn_fusion_type=" in hooks.with_xla_flags(mine)) == known
+    assert hooks.with_xla_flags("--xla_cpu_experimental_ynn_fusion_type=reduce").count("ynn") == 1
 
 
 def test_a_block_of_which_few_may_run_looks_before_it_narrows():

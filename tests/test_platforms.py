@@ -14,6 +14,7 @@ import pytest
 
 import spherejax as sj
 from spherejax import cli, runtime
+from spherejax.program_cache import folders
 from spherejax.studies import workers
 from spherejax.studies.sweep import lock
 
@@ -142,7 +143,7 @@ def kind(monkeypatch, text=None, system="Linux", brand=""):
         patch.setattr("platform.processor", lambda: "arm")
         if brand:
             patch.setattr("subprocess.run", lambda *_, **__: SimpleNamespace(stdout=brand))
-        return runtime.kind_of_processor.__wrapped__()
+        return folders.kind_of_processor.__wrapped__()
 
 
 def test_processors_are_told_apart_on_every_system(monkeypatch):

@@ -10,7 +10,7 @@ import warnings
 import pytest
 
 from spherejax import runtime
-from spherejax.program_cache import disk_cache
+from spherejax.program_cache import disk_cache, folders
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners here")
 NOBODY = 65534
@@ -41,7 +41,7 @@ def cache(tmp_path, monkeypatch):
     """A folder that may be chosen; the process has its own again afterwards."""
     import jax
 
-    monkeypatch.setattr(runtime, "_kept", list(runtime._kept))
+    monkeypatch.setattr(folders, "_in_use", list(folders._in_use))
     before = {name: jax.config.values[name] for name in ("jax_compilation_cache_dir",)}
     yield tmp_path / "cache"
     for name, value in before.items():
@@ -54,12 +54,12 @@ def configured(folder):
         warnings.simplefilter("always")
         runtime.configure(cache=folder)
     words = [str(each.message) for each in said if each.category is runtime.ConfigurationWarning]
-    assert (runtime.cache_folder() is None) == bool(words)
+    assert (folders.current() is None) == bool(words)
     return "".join(words)
 
 
 def compiled(cache):
-    return cache / f"compiled-{runtime.kind_of_processor()}"
+    return cache / f"compiled-{folders.kind_of_processor()}"
 
 
 def at(cache, place):
@@ -135,7 +135,7 @@ def test_a_folder_of_a_group_of_several_is_done_without_and_one_of_the_user_alon
     gid = cache.stat().st_gid
 
     def group(name, members):
-        runtime._is_private.cache_clear()
+        folders._is_private.cache_clear()
         user = pwd.struct_passwd(("me", "x", os.getuid(), gid, "", "", ""))
         monkeypatch.setattr(pwd, "getpwuid", lambda _: user)
         monkeypatch.setattr(grp, "getgrgid", lambda _: grp.struct_group((name, "x", gid, members)))
@@ -149,7 +149,7 @@ def test_a_folder_of_a_group_of_several_is_done_without_and_one_of_the_user_alon
             assert "others may write" in group("users", [])
     finally:
         monkeypatch.undo()
-        runtime._is_private.cache_clear()
+        folders._is_private.cache_clear()
 
 
 def test_a_container_that_does_not_know_its_user_trusts_no_group(monkeypatch):
@@ -160,7 +160,7 @@ def test_a_container_that_does_not_know_its_user_trusts_no_group(monkeypatch):
 
     monkeypatch.setattr(pwd, "getpwuid", unknown)
     try:
-        assert not runtime._is_private.__wrapped__(os.getgid())
+        assert not folders._is_private.__wrapped__(os.getgid())
     finally:
         monkeypatch.undo()
 
@@ -170,7 +170,7 @@ def test_links_are_followed_before_anybody_is_trusted(cache):
     assert configured(real) == ""
     cache.symlink_to(real)
     assert configured(cache) == ""
-    assert runtime.cache_folder() == real
+    assert folders.current() == real
     real.chmod(0o777)
     assert "others may write" in configured(cache)
 

@@ -23,6 +23,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "spherejax"
 ORDER = (
     "compiler",
     "program_cache",
+    "runtime",
     "foundations",
     "physics",
     "model",
@@ -36,17 +37,17 @@ ORDER = (
 )
 """From below upwards; `top` are the files beside the folders. A test holds the imports to it."""
 
-CELLAR = "runtime.py"
-"""It sets up the process and imports nothing of the package, so that every floor may stand on it."""
+RUNTIME = "runtime.py"
+"""It sets up the process. A file, and not a folder: it joins the two lowest floors, and all others may stand on it."""
 
-SHOWN = {"top": "spherejax", "cellar": "runtime.py"}
+SHOWN = {"top": "spherejax", "runtime": "runtime.py"}
 
 
 class House(NamedTuple):
     """What is drawn.
 
     Attributes:
-        floors: names from above to below, the cellar last.
+        floors: names from above to below.
         sizes: files and lines of each floor.
         imports: import statements from one floor to another.
     """
@@ -62,7 +63,7 @@ def house(package: Path = PACKAGE, order: tuple[str, ...] = ORDER) -> House:
     Raises:
         SphinxError: for an import that goes up, and for a folder without a floor.
     """
-    floors = (*reversed(order), "cellar")
+    floors = tuple(reversed(order))
     files = {module_of(path, package): path for path in sorted(package.rglob("*.py"))}
     floor = {module: floor_of(path, package) for module, path in files.items()}
     unknown = sorted(set(floor.values()) - set(floors))
@@ -96,7 +97,7 @@ def module_of(path: Path, package: Path) -> str:
 def floor_of(path: Path, package: Path) -> str:
     """The floor that a file stands on."""
     parts = path.relative_to(package).parts
-    return parts[0] if len(parts) > 1 else "cellar" if parts[0] == CELLAR else "top"
+    return parts[0] if len(parts) > 1 else "runtime" if parts[0] == RUNTIME else "top"
 
 
 def imported(text: str, modules: set[str]) -> Iterator[str]:

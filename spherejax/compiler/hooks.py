@@ -1,14 +1,21 @@
-"""What a host package gives the compiler: a store of object code, a class of warnings, a context around tracing.
+"""What joins the compiler to a host package and its process: a store of object code, warnings, tracing, flags of XLA.
 
 The compiler imports nothing of the package that it is part of, and keeps nothing on disk itself. A host that has a disk
 cache attaches it here, once, before anything is compiled. Without a host every process compiles for itself, warnings
-are plain `UserWarning`s, and functions are traced as they are. This file imports no JAX.
+are plain `UserWarning`s, and functions are traced as they are. The flags of XLA with which programs are fast have to be
+set before JAX's backend starts; only the host can do so. This file imports no JAX.
 """
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
+
+from spherejax.compiler.private import LESS_ALIASING, QUICK_COMPILATION, has_backend_started, with_xla_flags
+
+__all__ = [
+    "LESS_ALIASING", "QUICK_COMPILATION", "Hooks", "attach", "attached", "has_backend_started", "with_xla_flags",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from jax.extend.mlir import ir, passmanager
 from jax.extend.mlir.dialects import func
 from jax.interpreters import ad, batching, mlir
 
-from spherejax.program_cache import disk_cache, settings
+from spherejax.program_cache import disk_cache, private, settings
 from spherejax.program_cache.garbage import gc_paused
-from spherejax.program_cache.jaxprs import calls_python, register_lapack
+from spherejax.program_cache.jaxprs import calls_python
 from spherejax.program_cache.several_devices import is_partitioned, lowered_replicated
 
 
@@ -175,7 +175,7 @@ class CachedCall:
         # The program around it is lowered now, and has to be written with these blobs as well.
         settings.extra_blobs().note(blobs)
         if b"lapack_" in content:
-            register_lapack()
+            private.register_lapack()
         return module
 
     @property

@@ -23,13 +23,12 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 from jax.extend.core import Primitive
 
-from spherejax.program_cache import settings
+from spherejax.program_cache import folders
 from spherejax.program_cache.fingerprints import known_fingerprint
 from spherejax.program_cache.package_state import package_state
 from spherejax.program_cache.user_code import once
@@ -51,7 +50,7 @@ def key_for(*what: Any) -> str | None:
             `Settings.constant_folders` are part of the key as they are now, others as they stand in the sources.
     """
     # Before the fingerprint, which takes longest: without a folder nobody would ask for the key.
-    if _folder() is None or is_debugging():
+    if folders.entries() is None or is_debugging():
         return None
     values = known_fingerprint(what)
     # One reading serves all keys of a call; see `user_code.read_once`.
@@ -72,7 +71,7 @@ def load_or_make(key: str | None, make: Callable[[], T], kind: type[T]) -> T:
 
 def load(key: str | None) -> Any:
     """The entry of a key; None where there is none, or none that is whole and the user's own."""
-    folder = _folder()
+    folder = folders.entries()
     if key is None or folder is None:
         return None
     try:
@@ -90,14 +89,14 @@ def load(key: str | None) -> Any:
 
 def save(key: str | None, value: Any) -> None:
     """Write an entry, where that is possible."""
-    folder = _folder()
+    folder = folders.entries()
     if key is None or folder is None:
         return
     try:
         buffer = io.BytesIO()
         _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
         content = buffer.getvalue()
-        # The mode counts where the folder is made here; one that exists was judged by the package (`Settings.folder`).
+        # The mode counts where the folder is made here; one that exists was judged when it was chosen (`folders.use`).
         folder.mkdir(mode=0o700, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=folder, prefix=".new-")
         try:
@@ -139,10 +138,6 @@ def is_debugging() -> bool:
 
 
 # Files ----------------------------------------------------------------------------------------------------------------
-
-
-def _folder() -> Path | None:
-    return settings.current().folder()
 
 
 def _is_own(file: os.stat_result) -> bool:

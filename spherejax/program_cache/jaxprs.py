@@ -1,4 +1,4 @@
-"""What JAX does not say of programs: whether one is traced now, whether it calls Python, what loading it needs."""
+"""What JAX does not say of programs: whether one is traced now, and whether it calls Python."""
 
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -19,16 +19,6 @@ def is_tracing() -> bool:
 def _a_number() -> jax.Array:
     with jax.ensure_compile_time_eval():
         return jax.numpy.zeros(())
-
-
-@cache
-def register_lapack() -> None:
-    """Have JAX look up LAPACK's functions in SciPy, which it does when it lowers the first program that calls one.
-
-    A process that only loads such a program jumps to no function at all: a segmentation fault (jaxlib 0.10.2).
-    """
-    # A small program that calls LAPACK. It need not be compiled: what is asked for happens when it is lowered.
-    jax.jit(jax.numpy.linalg.inv).lower(jax.ShapeDtypeStruct((2, 2), jax.numpy.float64))
 
 
 def calls_python(jaxpr: Any) -> bool:

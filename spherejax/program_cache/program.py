@@ -6,21 +6,20 @@ program calls (`settings.ExtraBlobs`), the shapes of its results, and what it re
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from functools import cache, cached_property
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from functools import cached_property
 from typing import Any
 from uuid import uuid4
 
 import equinox as eqx
 import jax
-import jax.monitoring
 from jax.experimental import serialize_executable
 
-from spherejax.program_cache import disk_cache, settings
+from spherejax.program_cache import disk_cache, folders, private, settings
 from spherejax.program_cache.call import CachedCall
 from spherejax.program_cache.garbage import gc_paused
-from spherejax.program_cache.jaxprs import calls_python, register_lapack
+from spherejax.program_cache.jaxprs import calls_python
 from spherejax.program_cache.keys import ArrayKind, CacheKey, LruCache
 from spherejax.program_cache.several_devices import gathered
 
@@ -111,7 +110,7 @@ class CompiledProgram:
     def now(self, *leaves: Any) -> Sequence:
         """The results' leaves, from numbers; whoever waits for the compiler is told."""
         numbers = gathered(leaves)
-        if jax.config.values["jax_disable_jit"]:  # a compiled program raises an error then
+        if private.is_jit_disabled():  # a compiled program raises an error then
             return self._run(*numbers)
         # Nothing is compiled any more, so that nobody has to be told what takes so long.
         if self.has_been_called:
@@ -193,9 +192,7 @@ class CompiledProgram:
         return self._key_now()
 
     def _key_now(self) -> str | None:
-        return disk_cache.key_for(
-            *self.made_from, settings.current().processor(), settings.extra_blobs().is_available()
-        )
+        return disk_cache.key_for(*self.made_from, folders.kind_of_processor(), settings.extra_blobs().is_available())
 
     @property
     def examples(self) -> list:
@@ -211,7 +208,7 @@ class CompiledProgram:
         try:
             content, blobs, shapes, static = entry
             if b"lapack_" in content:  # names of functions are in it as text
-                register_lapack()
+                private.register_lapack()
             # Of JAX's own: the arguments in a tuple, none by name, and the results in a tuple.
             trees = jax.tree.structure((tuple(self.examples), {})), jax.tree.structure(tuple(shapes))
             settings.extra_blobs().load(blobs)
@@ -234,7 +231,7 @@ class CompiledProgram:
             with disk_cache.record_warnings() as has_warned, settings.extra_blobs().record() as lowered_blobs:
                 traced = _jitted(self._run, f"{self.name}_{part[:12]}").trace(*self.examples)
                 lowered = traced.lower()
-            with found_by_jax() as was_found:
+            with private.found_by_jax() as was_found:
                 program = _compiled(lowered, self._options())
             blobs = lowered_blobs()
             may_be_written = not has_warned() and not calls_python(traced.jaxpr.jaxpr)
@@ -323,26 +320,3 @@ def _compiled(lowered: Any, options: Mapping[str, Any]) -> Any:
         if not options:
             raise
         return lowered.compile()  # a version of XLA that does not know them; what else is wrong is raised again
-
-
-@contextmanager
-def found_by_jax() -> Iterator[Callable[[], bool | None]]:
-    """A function that says whether what is compiled in the context was loaded from JAX's cache; None where JAX does not
-    say, for it has been told not to keep it, or uses other words."""
-    _listen()
-    # JAX does not return it; its events say it, on the thread that compiles.
-    _compiling.was_found = None if jax.config.values["jax_compilation_cache_dir"] else False
-    yield lambda: _compiling.was_found
-
-
-_compiling = threading.local()
-
-
-@cache
-def _listen() -> None:
-    jax.monitoring.register_event_listener(_heard)
-
-
-def _heard(event: str, **_: Any) -> None:
-    if event in ("/jax/compilation_cache/cache_hits", "/jax/compilation_cache/cache_misses"):
-        _compiling.was_found = event.endswith("hits")

@@ -1,4 +1,4 @@
-"""What the program cache is told of the package that uses it: its name, its folders, and what else it is joined to.
+"""What the program cache is told of the package that uses it: its name, its sources, and what else it is joined to.
 
 The cache imports nothing of that package. The package calls `configure` once, before any program is compiled. Until
 then programs are kept in memory alone.
@@ -39,8 +39,6 @@ class Settings:
         package: top-level name of the package whose functions may be kept on disk. Code outside it, and outside the
             packages of `versioned`, is a user's own and is never written.
         sources: the folder of that package. All its Python files are a part of every key on disk.
-        folder: the folder of the cache on disk, now; None where nothing is kept on disk.
-        processor: says for what kind of processor programs are compiled; a part of the key of a compiled program.
         versioned: other packages whose versions tell their code. A key holds these versions.
         constant_folders: folders within `sources` whose modules are loaded whenever a key is made. The values of their
             constants (names in capitals) are a part of the key, so that a constant changed by hand is seen.
@@ -54,8 +52,6 @@ class Settings:
 
     package: str = ""
     sources: Path | None = None
-    folder: Callable[[], Path | None] = lambda: None
-    processor: Callable[[], str] = lambda: ""
     # What traced programs are made of in any case; a package adds what its own functions call.
     versioned: frozenset[str] = frozenset({"jax", "jaxlib", "equinox", "numpy"})
     constant_folders: frozenset[str] = frozenset()

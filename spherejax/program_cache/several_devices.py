@@ -16,6 +16,8 @@ import numpy as np
 from jax.interpreters import mlir
 from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
 
+from spherejax.program_cache import private
+
 
 @cache
 def _has_several_devices() -> bool:
@@ -39,13 +41,7 @@ def is_partitioned(context: Any) -> bool:
 
     Under `jax.shard_map` it does not: there each device has a program of its own.
     """
-    return _n_devices(context) > 1
-
-
-def _n_devices(context: Any) -> int:
-    # JAX says it by no public name. The compiler asks in the same way (`compiler/private.py`): neither of the two
-    # imports the other, so the line stands twice, and `tests/test_spread_arrays.py` holds both against JAX.
-    return getattr(context.module_context.axis_context, "num_devices", 1)
+    return private.n_devices(context) > 1
 
 
 def lowered_replicated(function: Callable) -> Callable:
@@ -58,7 +54,7 @@ def lowered_replicated(function: Callable) -> Callable:
         if not is_partitioned(context):
             return mlir.lower_fun(whole, multiple_results=True)(context, *values)
         # JAX does not say which devices, and which they are does not matter to arrays that are on all of them.
-        mesh = AbstractMesh((_n_devices(context),), ("device",))
+        mesh = AbstractMesh((private.n_devices(context),), ("device",))
         everywhere = NamedSharding(mesh, PartitionSpec())
 
         def replicated(arrays: Sequence) -> list:

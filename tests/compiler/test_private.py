@@ -1,15 +1,18 @@
 """What is private of JAX and XLA: it is as we say, and where a part is missing the results stay right."""
 
+import os
 import re
 import shutil
 import subprocess
+import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spherejax.compiler import native_code, private, scalarize
+from spherejax.compiler import hooks, native_code, private, scalarize
 from spherejax.compiler.native import compile as native
 from spherejax.compiler.native import ffi_abi, loop_fusion
 
@@ -102,3 +105,52 @@ def test_an_attribute_that_means_nothing_to_xla_makes_ordinary_calls(monkeypatch
     for i in range(3):
         expected = 0.1 * (np.sin(expected) * expected + 1.0) + np.cos(expected) * i
     np.testing.assert_allclose(jax.jit(native_code()(three_times))(y), expected, rtol=1e-13)
+
+
+def test_without_the_setting_jit_counts_as_on(monkeypatch):
+    with jax.disable_jit():
+        assert private.is_jit_disabled()
+        monkeypatch.setattr(jax, "config", SimpleNamespace(values={}))
+        assert not private.is_jit_disabled()
+    assert "the setting jax_disable_jit" in {part.name for part in private.missing()}
+
+
+def test_where_jax_does_not_say_there_is_one_device():
+    class Context:
+        class module_context:  # noqa: N801 - as it is called there
+            axis_context = object()
+
+    assert private.n_devices(Context) == 1
+
+
+def test_where_jax_does_not_say_its_backend_has_not_started(monkeypatch):
+    from jax._src import xla_bridge
+
+    jax.devices()
+    assert hooks.has_backend_started()
+    monkeypatch.delattr(xla_bridge, "backends_are_initialized")
+    assert not hooks.has_backend_started()
+    assert "jax._src.xla_bridge.backends_are_initialized" in {part.name for part in private.missing()}
+
+
+def test_options_that_xla_does_not_take_are_named(monkeypatch):
+    monkeypatch.setattr(private, "QUICK_COMPILATION", {"xla_no_such_option": 0})
+    assert any(part.name.startswith("options of one program") for part in private.missing())
+
+
+FLAGS = """
+import os, sys
+from spherejax.compiler import hooks, private
+private.LOOP_OPTIONS = *private.LOOP_OPTIONS, "xla_cpu_no_such_option=1"
+os.environ["XLA_FLAGS"] = hooks.with_xla_flags("")
+assert "jax" not in sys.modules
+import jax
+print(jax.jit(lambda x: x + 1.0)(1.0))
+"""
+
+
+def test_a_loop_option_that_xla_does_not_know_is_passed_over():
+    """Other flags that it does not know end the process."""
+    environment = {**os.environ, "SPHEREJAX_CONFIGURE": "0", "XLA_FLAGS": ""}
+    done = subprocess.run([sys.executable, "-c", FLAGS], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "2.0"

@@ -28,7 +28,7 @@ import contextlib, sys
 from pathlib import Path
 import jax, jax.numpy as jnp
 import toy
-from alone import cached_jit, settings
+from alone import cached_jit, folders, settings
 loaded = []
 
 def load(blobs):
@@ -44,10 +44,10 @@ blobs = settings.ExtraBlobs(
 settings.configure(settings.Settings(
     package="toy",
     sources=Path(toy.__file__).parent,
-    folder=lambda: Path("cache"),
     constant_folders=frozenset({"toy"}),
     extra_blobs=lambda: blobs,
 ))
+assert folders.use(Path("cache")).why_not == ""
 if sys.argv[1] == "users":
     function = cached_jit(lambda x: toy.scaled(x))
 else:
@@ -97,5 +97,5 @@ def test_it_serves_another_package_across_processes(alone, tmp_path):
 
 def test_user_code_is_not_written(alone, tmp_path):
     assert alone("users") == "1 []"
-    assert not (tmp_path / "cache").exists()
+    assert not (tmp_path / "cache" / "kept").exists()
     assert alone("users") == "1 []"

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from spherejax.program_cache import cached_jit, disk_cache, package_state, settings
+from spherejax.program_cache import cached_jit, disk_cache, folders, package_state, settings
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    told = settings.Settings(folder=lambda: tmp_path)
-    monkeypatch.setattr(settings, "_settings", told)
+    monkeypatch.setattr(settings, "_settings", settings.Settings())
+    monkeypatch.setattr(folders, "entries", lambda: tmp_path)
     return tmp_path
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from spherejax.compiler import native_code
+from spherejax.compiler import hooks, native_code
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
@@ -15,14 +15,12 @@ A four-bar has 2,000 of them, a robot arm of nine joints (Panda) 15,000. Where X
 more than half of the time that it needs for so many; not asked to optimise, it saves a quarter to a third of Panda's
 first call. Where they are machine code it has little to do, and this saves a tenth (`benchmarks/robot_start.py`)."""
 
-FEWER_WORDS = {"xla_llvm_enable_noalias_metadata": False}
-"""A stiff method's program is thousands of scalars, and LLVM is told of each pair that they do not overlap.
+# A stiff method's program is thousands of scalars. With `LESS_ALIASING` its first call takes a sixth to a quarter less
+# processor time, and it runs the same within the noise, with the same bits (`benchmarks/fewer_words.py`). So it is with
+# large programs of all methods.
 
-Without that the first call of the film's takes a sixth to a quarter less processor time, and runs the same within the
-noise, with the same bits (`benchmarks/fewer_words.py`). So it is with large programs of all methods."""
-
-SOON = {**FEWER_WORDS, "xla_backend_optimization_level": 0}
-"""Options for large programs, and for the start of a run, which is called once and takes a fifth less to compile."""
+OF_START = hooks.QUICK_COMPILATION
+"""Options for the start of a run, which is called once and takes a fifth less to compile with them."""
 
 
 def options_for(plan: Any, *_: Any) -> Mapping[str, Any]:
@@ -31,12 +29,12 @@ def options_for(plan: Any, *_: Any) -> Mapping[str, Any]:
     Args:
         plan: what the run is compiled for.
     """
-    return SOON if is_large(plan) else {}
+    return hooks.QUICK_COMPILATION if is_large(plan) else {}
 
 
 def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
     """As `options_for`, for a run of diffrax's loop."""
-    return SOON if is_large(plan) else FEWER_WORDS
+    return hooks.QUICK_COMPILATION if is_large(plan) else hooks.LESS_ALIASING
 
 
 def in_machine_code(plan: Any, solver: Any) -> bool:

@@ -24,7 +24,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Limits
-from spherejax.motion.integration.compiling import SOON, options_for
+from spherejax.motion.integration.compiling import OF_START, options_for
 from spherejax.motion.integration.implicit_rows import slack_of
 from spherejax.motion.integration.integrate import (
     Options,
@@ -291,7 +291,7 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
     return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
 
 
-@cached_jit(what="the start of a run", options=SOON)
+@cached_jit(what="the start of a run", options=OF_START)
 def started(plan: Plan, request: _Request, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
     """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
     job = request.job(plan, values, known, ends, start, values_are_legal)
