@@ -17,6 +17,7 @@ def widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
 
     A vector of coefficients has all lanes of its entries.
     """
+    # No operation at all: most arguments have the lanes that are wanted.
     if axes == wanted:
         return x
     n_inner = x.ndim - axes.bit_count()
@@ -25,6 +26,7 @@ def widened(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
     for at, axis in reversed([*enumerate(own)]):
         if not wanted >> axis & 1:
             x = jax.lax.index_in_dim(x, 0, n_inner + at, keepdims=False)
+    # From here on only axes are left that are wanted, and those that are missing are added.
     axes &= wanted
     among = [axis for axis in range(len(lanes)) if wanted >> axis & 1]
     dims = [*range(n_inner), *(n_inner + at for at, axis in enumerate(among) if axes >> axis & 1)]
@@ -39,6 +41,7 @@ def in_first_lanes(x: Array, axes: int, wanted: int, lanes: Shape) -> Array:
     among = [(axis, n) for axis, n in enumerate(lanes) if wanted >> axis & 1]
     new = [n_inner + at for at, (axis, _) in enumerate(among) if not axes >> axis & 1]
     padding = [(0, 0, 0)] * n_inner + [(0, 0 if axes >> axis & 1 else n - 1, 0) for axis, n in among]
+    # A pad is one operation, and its transpose takes the first lane again.
     return jax.lax.pad(jnp.expand_dims(x, new), jnp.zeros((), x.dtype), padding)
 
 
@@ -56,11 +59,14 @@ def by_a_loop(call: Callable[..., Sequence[Array]], arguments: Sequence, dims: S
         call: what is called, on the axes of lanes that are there.
         arguments, dims: those of the batching rule.
     """
+    # None has no entries to map over: `jax.lax.map` leaves it as it is, and what is shared is not copied.
     moved = [None if dim is None else jnp.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
 
     def one(parts: Sequence) -> list[Array]:
         return [*call(*(x if part is None else part for x, part in zip(arguments, parts, strict=True)))]
 
+    # A loop of XLA's and not a longer vector: the call has one axis of lanes, and its text is the same for every
+    # length.
     results = jax.lax.map(one, moved)
     return results, [0] * len(results)
 

@@ -58,6 +58,7 @@ class StraightLine:
         self.flat_residuals = tuple(int(node) for group in self.residuals for node in group.ravel())
         self.in_machine_code = in_machine_code
         self.called: dict[tuple, str] = {}  # names of its machine code, which go when it goes
+        # Made at the first use and kept with the line: JAX asks for shapes, lanes and derivatives again and again.
         self._spread: dict = {}
         self._jitted: dict = {}
         self._derivatives: dict[tuple[ActiveInputs, ...], Derivative] = {}
@@ -74,6 +75,7 @@ class StraightLine:
 
     def __cache_key__(self) -> tuple:
         """What it computes, for fingerprints of programs."""
+        # Places instead of names of nodes: names depend on what else the graph has been used for.
         graph, nodes = self.graph, self._with_slopes
         place = {node: at for at, node in enumerate(nodes)}
         residuals = {node: at for at, node in enumerate(self.flat_residuals)}
@@ -133,6 +135,7 @@ class StraightLine:
         of_residuals = {int(node): over for group, over in groups for node in group.ravel()}
         spread: dict[int, int] = {}
         for node in self.nodes:
+            # First: a node that comes from outside has the lanes of its argument, whatever it was computed from there.
             if node in of_residuals:
                 spread[node] = of_residuals[node]
             elif graph.operations[node] == "input":
@@ -166,6 +169,7 @@ class StraightLine:
             node: (i, place) for i, nodes in enumerate(moving) for place, node in enumerate(nodes) if node is not None
         }
         forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_residuals))
+        # An output of which some entries move is returned whole, with zeros for the others.
         zero = forward.slopes.constant(0, FLOAT)
         derivatives = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
         follows = tuple(any(slope is not None for slope in of_output) for of_output in derivatives)
@@ -180,6 +184,7 @@ class StraightLine:
         coefficients = grouped([*residuals], forward.values, self.in_machine_code)
         names = [np.array([residuals[int(node)] for node in c.ravel()]).reshape(c.shape) for c in coefficients]
         values = [*self.outputs, *coefficients]
+        # Of an argument of which some entries move, the tangent is the vector of these alone.
         shapes = [
             shape if some is True else (len(some),) for shape, some in zip(self._all_shapes, moves, strict=True) if some
         ]
@@ -222,6 +227,7 @@ class StraightLine:
         for i, output in enumerate(followed):
             for entry, node in enumerate(output.ravel()):
                 along.setdefault(int(node), []).append((i, entry))
+        # Entries that nothing reads have no node, and the number along them is 0.
         leaves = {node for entries in moving for node in entries if node is not None}
         made = Transposed(graph, self.nodes, leaves, frozenset(self.flat_residuals), along)
         outputs = [
@@ -258,6 +264,7 @@ class StraightLine:
         """The same as operations of JAX, one by one: what other programs take in, and what runs without a compiler."""
 
         def evaluated(*arguments: Array) -> list[Array]:
+            # The order of arguments is the same everywhere: arrays, then residuals in their groups.
             arrays, residuals = arguments[: len(self.shapes)], arguments[len(self.shapes) :]
             known_values = {}
             for group, x in zip(self.residuals, residuals, strict=True):
@@ -266,6 +273,7 @@ class StraightLine:
             values = self.graph.emit(self._flat, _reader(arrays), known_values)
             return [self._assembled(output, values) for output in self.outputs]
 
+        # Traced once for all its uses: within another program JAX takes it in as one call, and evaluated it is compiled.
         return jax.jit(evaluated)
 
     def _assembled(self, output: np.ndarray, values: dict) -> Array:
@@ -279,6 +287,7 @@ def grouped(nodes: Sequence[int], graph: Graph, in_vectors: bool) -> list[np.nda
     """Nodes as they are passed between lines: each alone, or in one vector for each type of numbers."""
     if not in_vectors:
         return [np.array(node) for node in nodes]
+    # A dictionary for its order, by which the caller finds the groups again.
     kinds = dict.fromkeys(graph.dtypes[node] for node in nodes)
     return [np.array([node for node in nodes if graph.dtypes[node] == kind]) for kind in kinds]
 
@@ -327,6 +336,7 @@ def _joined(sets: Iterable[int]) -> int:
 
 
 def _shaped(*avals: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]) -> list[ShapedArray]:
+    # The shapes follow from the line; those of the arguments were checked by whoever made the call.
     del avals
     _, spread = line.spread(axes)
     return [
@@ -354,6 +364,7 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
         return inside_a_loop(
             partial(_straight_line.bind, line=line, lanes=(n,), axes=now), arguments, dims, axes, was, new
         )
+    # The new axis goes last: arguments that were mapped before keep theirs where they are.
     last = 1 << len(lanes)
     turned = [x if dim is None else jnp.moveaxis(x, dim, -1) for x, dim in zip(arguments, dims, strict=True)]
     now = tuple(over if dim is None else over | last for over, dim in zip(axes, dims, strict=True))
@@ -364,6 +375,7 @@ def _batched(arguments: Sequence, dims: Sequence, *, line: StraightLine, lanes: 
 
 def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine, lanes: Shape, axes: tuple[int, ...]):
     """The values with the coefficients of the derivative, and what is linear in the tangents."""
+    # Numbers without a derivative (truths, whole numbers) may come with a tangent of type float0.
     moves = tuple(
         type(t) is not ad.Zero and jax.typeof(x).dtype == FLOAT for x, t in zip(primals, tangents, strict=True)
     )
@@ -371,11 +383,13 @@ def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine
     results = _straight_line.bind(*primals, line=derivative.values, lanes=lanes, axes=axes)
     values, coefficients = results[: len(line.outputs)], results[len(line.outputs) :]
     _, spread = derivative.values.spread(axes)
+    # A coefficient has the lanes of what it was computed from, a tangent those of its argument.
     over = *itertools.compress(axes, moves), *spread[len(line.outputs) :]
     along = [*itertools.compress(tangents, moves)]
     slopes = _straight_line.bind(*along, *coefficients, line=derivative.slopes, lanes=lanes, axes=over)
     _, narrow = derivative.slopes.spread(over)
     wide = itertools.compress(spread, derivative.follows)
+    # JAX wants a tangent of the shape of its value, also where it is the same in all lanes.
     moved = iter(widened(*slope, lanes) for slope in zip(slopes, narrow, wide, strict=True))
     return values, [
         next(moved) if follows else ad.Zero(jax.typeof(value).to_tangent_aval())
@@ -414,6 +428,7 @@ def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, ax
 def _lowered_for_processor(
     context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]
 ) -> Sequence:
+    # Small lines are faster within what XLA compiles around them than behind a call.
     if not is_called(line, lanes):
         return _lowered(context, *arguments, line=line, lanes=lanes, axes=axes)
     name = machine_code.called(line, lanes, axes)
@@ -437,6 +452,7 @@ def is_called(line: StraightLine, lanes: Shape) -> bool:
 def _now(*arguments: Any, line: StraightLine, **how: Any) -> list[Array]:
     if private.is_jit_disabled():  # then there is nobody to write for
         return line.one_by_one(**how)(*arguments)
+    # One `jax.jit` for each set of lanes: a new one each time would trace and compile each time.
     key = tuple(how.items())
     if key not in line._jitted:
         line._jitted[key] = jax.jit(partial(_straight_line.bind, line=line, **how))

@@ -52,6 +52,7 @@ class ScalarProgram:
         self.operations: Counter = graph.count(self._flat_outputs)
         self.n_operations: int = self.operations.total()
         self._n_leading = n_ahead
+        # What depends on the first arguments alone (the numbers of a scene) is evaluated once, ahead of a loop.
         self._ahead = graph.invariants(self._flat_outputs, range(n_ahead))
         self.n_operations_inside: int = graph.count(self._flat_outputs, self._ahead).total()
         self._lines: dict[tuple, StraightLine] = {}
@@ -77,6 +78,7 @@ class ScalarProgram:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is made of it at its first use; a tree of results stands for its structure."""
+        # On disk a program is its graph. Lines hold machine code and derivatives, which are made again when they are asked for.
         state = {name: value for name, value in vars(self).items() if name not in ("_lines", "_eager")}
         return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
 
@@ -96,12 +98,14 @@ class ScalarProgram:
         """Whether the outputs depend on an argument (counted in leaves)."""
         graph = self._graph
         needed = graph.needed(self._flat_outputs)
+        # By what is needed, not by all inputs of the graph: an argument may have folded away.
         return any(graph.operations[i] == "input" and graph.parameters[i][0] == argument for i in needed)
 
     def dependence(self, argument: int) -> np.ndarray:
         """Which outputs (rows, flat) depend on which entries (columns, flat) of an argument (counted in leaves)."""
         graph = self._graph
         size = int(np.prod(self._shapes[argument]))
+        # An integer as a set: joining two is one operation, whatever their size.
         sources: dict[int, int] = {}  # for each node the set of entries behind it, as the bits of an integer
         for index in graph.needed(self._flat_outputs):
             if graph.operations[index] == "input":
@@ -121,6 +125,7 @@ class ScalarProgram:
         """
         flat = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(arguments)]
         entries = [array.ravel().tolist() for array in flat]
+        # As compiled code, which gives NaN and infinity without a word.
         with np.errstate(all="ignore"):
             values = iter(self._eager(entries))
         outputs = [np.array([next(values) for _ in range(o.size)]).reshape(o.shape) for o in self._outputs]
@@ -168,6 +173,7 @@ class ScalarProgram:
         line, _ = self.line_inside(ahead)
         graph, moves = self._graph, {}
         for node in graph.needed(line.flat_residuals):
+            # Followed through what goes ahead, once, in Python: a derivative then carries no tangents that are zero.
             if graph.operations[node] == "input":
                 leaf, entry = graph.parameters[node]
                 moves[node] = leaf == 0 and entry in moving
@@ -248,9 +254,11 @@ def scalarize(
     Raises:
         NotScalarizable: for an operation without a scalar rule (the message names it), or beyond the size.
     """
+    # The host's context around foreign code, which may end the process or warn while it is traced.
     with attached().tracing():
         closed, output_shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
     graph = Graph()
+    # Known entries are constants from the start, so that all that follows from them folds while the function is traced.
     fixed = fixed or {}
     shapes = [tuple(variable.aval.shape) for variable in closed.jaxpr.invars]
     inputs = []

@@ -67,6 +67,7 @@ def c_functions(graph: Graph, outputs: Sequence[int], ahead: Sequence[int], n_ar
     arguments = "".join(f"const double *a{i}, " for i in range(n_arguments))
     unused = "".join(f" (void)a{i};" for i in range(n_arguments))
     place = {node: i for i, node in enumerate(ahead)}
+    # Two functions, as in a loop of ours: what depends on parameters alone is evaluated when they are set.
     first = _statements(graph, ahead, {})
     rest = _statements(graph, outputs, {node: _read_ahead(graph, node, i) for node, i in place.items()})
     return "\n".join(
@@ -109,6 +110,7 @@ def _statements(graph: Graph, outputs: Sequence[int], known_texts: dict[int, str
 
 def _written(graph: Graph, node: int, operation: str) -> str:
     kinds = tuple(KINDS[graph.dtypes[a]] for a in graph.arguments[node])
+    # By the types of its arguments: `and` of truths and of whole numbers are two operators in C.
     call = Call(kinds, KINDS[graph.dtypes[node]], dict(graph.parameters_of(node) or ()))
     text = OPERATIONS[operation].in_c(call, *(_name(graph, a) for a in graph.arguments[node]))
     if text is None:

@@ -70,6 +70,7 @@ def kind_of(dtype: Any) -> str:
     dtype = np.dtype(dtype)
     if dtype == np.float64:
         return "double"
+    # Counters of loops: JAX makes some of 32 bits. All are computed with 64, which gives the same numbers below 2^31.
     if dtype in (np.int64, np.int32):
         return "i64"
     if dtype == np.bool_:
@@ -88,6 +89,7 @@ class ArrayText:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.room: list[str] = []
+        # A dictionary for its order: the text, whose digest is its name, has to be the same in every process.
         self.declared: dict[str, None] = {}
         self.outside: list[str] = []
         self._n, self._bytes = 0, 0
@@ -126,6 +128,7 @@ class ArrayText:
         kind = kind_of(array.dtype)
         if array.size == 1:  # stands in the instructions themselves, where LLVM folds it
             return Value(array.shape, kind, constant(array.ravel()[0], kind))
+        # By its bytes: 0.0 and -0.0, and NaN, are told apart.
         key = kind, array.shape, array.tobytes()
         if key not in self._constants and array.size:
             name, stored = self.new("@known"), stored_as(kind)
@@ -154,6 +157,7 @@ class ArrayText:
         memory = self.checked(value).memory
         if memory is None or not memory.is_own:
             raise NotWrittenError("a large array that is not to be changed")
+        # Whoever still holds the value of before has the old version, and is refused when it reads.
         memory.version += 1
         return value._replace(version=memory.version)
 
@@ -169,6 +173,7 @@ class ArrayText:
         if value.size == 1:
             return value.name if width == 1 else self.spread(value.name, kind, width)
         self.checked(value)
+        # Alignment of one entry, since a chunk may begin at any of them; processors load that as fast.
         typed, kept = (vector(of_kind, width) for of_kind in (kind, stored_as(kind)))
         loaded = self.made(f"load {kept}, ptr {self.pointer(value, at)}, align {1 if kind == 'i1' else 8}")
         return self.made(f"trunc {kept} {loaded} to {typed}") if kind == "i1" else loaded
@@ -222,6 +227,7 @@ class ArrayText:
         size = int(np.prod(shape, dtype=int))
         if size == 0:
             return Value(tuple(shape), kind, "")
+        # Before the loop over chunks: then all arrays have the same entries at the same places.
         values = [self.broadcast(value, shape) for value in values]
         if size == 1:
             return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
@@ -278,6 +284,7 @@ class ArrayText:
         at = source._replace(name=self.pointer(source, begin)) if source.size > 1 else source
         if flat.size == 1 or source.size == 1:
             return Value(offsets.shape, source.kind, self.read(at, int(flat[0])))
+        # In one piece, as a slice of rows: nothing is copied, the result is a place in the source.
         if np.array_equal(flat, np.arange(flat.size)):
             return at.as_shape(offsets.shape)
         target = self.array(offsets.shape, source.kind)

@@ -20,6 +20,7 @@ def call_of(name: str, pointers: Sequence[str]) -> str:
 
 def listed(values: Any) -> str:
     """Numbers, exactly."""
+    # By bits: decimal digits of LLVM's language must be exact, or the text is refused.
     return ", ".join(f"double 0x{int(np.float64(x).view(np.uint64)):016X}" for x in values)
 
 
@@ -73,6 +74,8 @@ def summing(size: int) -> str:
     # The outer loop is over blocks of entries and the inner one over stages: sums stay in registers, and y is written
     # once. The other way round, y would be loaded and stored for each stage.
     block = AT_ONCE * LANES_AT_A_TIME
+    # A loop over blocks of whole vectors, and one block for the rest: written out, a state of 500 entries would be
+    # thousands of instructions.
     whole, rest = divmod(size, block)
     lines = [
         "define internal void @sum(ptr %x, ptr %k, ptr %weights, i64 %n, ptr noalias %y) nounwind {",

@@ -32,6 +32,7 @@ class Writer:
         self.elements = {
             FLOAT: ir.F64Type.get(), BOOL: ir.IntegerType.get_signless(1), INT: ir.IntegerType.get_signless(64),
         }  # fmt: skip
+        # Kept, since each call into MLIR takes microseconds, and a program has thousands of nodes of a few types.
         self.types: dict[tuple[np.dtype, int], Any] = {}
         # Flat once: an entry is then one slice, whatever the shape of its argument.
         self.flat = [self._flat(i, x) for i, x in enumerate(arguments[: len(line.shapes)])]
@@ -54,6 +55,7 @@ class Writer:
 
     def _node(self, node: int) -> Any:
         graph, operation = self.graph, self.graph.operations[node]
+        # Without lanes: where it meets a node that has them it is spread, and XLA folds that.
         if operation == "constant":
             return mlir.ir_constant(np.asarray(graph.value(node), graph.dtypes[node]))
         if operation == "input":
@@ -65,6 +67,7 @@ class Writer:
     def _by_jax(self, node: int, operation: str, arguments: list) -> Any:
         """An operation as JAX writes it."""
         graph, shape = self.graph, sizes(self.lanes, self.spread[node])
+        # For operations that StableHLO has no word for, as erf: JAX's own rule writes several of them.
         function = by_jax(operation, graph.parameters[node])
         avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
         context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])

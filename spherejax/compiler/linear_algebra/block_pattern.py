@@ -22,6 +22,7 @@ class BlockPattern:
     n_blocks: int
     pairs: tuple[tuple[int, int], ...]
 
+    # A static argument of every call of the solve, whose pairs would be hashed each time.
     @cached_property
     def _hash(self) -> int:
         return hash((self.n_blocks, self.pairs))
@@ -95,9 +96,11 @@ def minimum_degree_order(neighbors: Mapping[int, Iterable[int]], without_pivot: 
         entry = heapq.heappop(queue)
         row = entry[-1]
         if row not in remaining or entry != rank(row):
+            # A heap cannot change an entry: a row whose rank has changed has several, of which the last one counts.
             continue  # an earlier rank of a row that has changed, or is gone
         joined = remaining.pop(row)
         for i in joined:
+            # Eliminating a row joins all of its neighbors with each other: this is the fill-in.
             remaining[i] = (remaining[i] | joined) - {i, row}
             if i in awaited:
                 awaited[i].discard(row)
@@ -113,8 +116,10 @@ def _elimination(pattern: BlockPattern) -> Elimination:
         joined[j].add(i)
     order = minimum_degree_order(joined)
     place = {row: position for position, row in enumerate(order)}
+    # The elimination is played through once on the pattern, so that every block that fills in has its slot before.
     later: list[list[int]] = []
     for row in order:
+        # In the order of elimination: of a pair of neighbors the block stands below the diagonal then.
         coming = sorted((i for i in joined[row] if place[i] > place[row]), key=lambda i: place[i])
         for i in coming:
             joined[i].update(k for k in coming if k != i)
@@ -133,6 +138,9 @@ def _elimination(pattern: BlockPattern) -> Elimination:
 
 def _segments(n_blocks: int, order, later, slot, n_below: int) -> tuple[Segment, ...]:
     empty = n_blocks + n_below
+    # Loops need the same number of neighbors in each turn. Room grows by factors of two and never shrinks, so that
+    # there
+    # are few loops, one behind the other, and at most half of the work is on empty blocks.
     room, rooms = 0, []
     for coming in later:
         while room < len(coming):

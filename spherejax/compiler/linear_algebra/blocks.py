@@ -52,6 +52,7 @@ def block_solve(
 def block_times(pattern: BlockPattern, diagonal: Blocks, pairs: Blocks, columns: Columns) -> Columns:
     """S times columns."""
     i, j = pattern.rows, pattern.columns
+    # One sum over all products instead of two sums over parts: `sums_by_index` gathers, and gathers once.
     batch = columns.shape[:-3]
     products = jnp.concatenate(
         [
@@ -76,6 +77,7 @@ def _product(a, b):
 
 def _solve(diagonal, pairs, right, *, pattern: BlockPattern, smallest_pivot: float):
     function = partial(_solve_one, pattern, smallest_pivot)
+    # Batch axes stand in front (`_batch`); each is one mapping of the elimination for one system.
     for _ in range(right.ndim - 3):
         function = jax.vmap(function)
     return function(diagonal, pairs, right)
@@ -84,10 +86,13 @@ def _solve(diagonal, pairs, right, *, pattern: BlockPattern, smallest_pivot: flo
 def _solve_one(pattern: BlockPattern, smallest_pivot: float, diagonal, pairs, right):
     """Segment after segment forward, then back."""
     m = diagonal.shape[-1]
+    # Slots: the diagonal, what is below it, and one of zeros, which steps with fewer neighbors than room read and
+    # write.
     zero = jnp.zeros((1, m, m))
     sources = jnp.concatenate([pairs, jnp.swapaxes(pairs, -1, -2), zero])
     blocks = jnp.concatenate([diagonal, sources[pattern.elimination.sources]])
     entries = jnp.diagonal(diagonal, axis1=-2, axis2=-1)
+    # Of the matrix as it came: what elimination has left of an entry says nothing of its scale.
     smallest = smallest_pivot * entries
     x = jnp.concatenate([right, jnp.zeros((1, *right.shape[1:]))])
     kept = []
@@ -96,6 +101,7 @@ def _solve_one(pattern: BlockPattern, smallest_pivot: float, diagonal, pairs, ri
         kept.append(ratios)
     for segment, ratios in zip(reversed(pattern.elimination.segments), reversed(kept), strict=True):
         x = _backward(segment, ratios, x)
+    # Not positive semi-definite: pivots would count as redundant, and a wrong solution would look like one.
     return jnp.where(jnp.any(entries < 0), jnp.nan, x[:-1])
 
 
@@ -108,6 +114,7 @@ def _forward(segment: Segment, blocks, smallest, x):
     def eliminate(s, carry):
         blocks, x, kept = carry
         pivot, slots, updated, near = steps.pivot[s], steps.blocks[s], steps.updates[s], steps.neighbors[s]
+        # The blocks are read before anything is written: XLA then changes the arrays of the loop in place.
         below, row = blocks[slots], x[pivot]
         solved, ratios, changes, moved = _eliminated(blocks[pivot], smallest[pivot], below, row)
         x = x.at[pivot].set(solved)
@@ -145,6 +152,7 @@ def _eliminated(pivot, smallest, below, row):
     """
     d, m = below.shape[0], pivot.shape[0]
     c = row.shape[1]
+    # The right-hand side and all neighbors at once: the small block is factored once.
     columns = jnp.concatenate([row, *(below[a].T for a in range(d))], 1)
     solved = _by_elimination(pivot, smallest, columns)
     own = solved[:, :c]
@@ -167,6 +175,7 @@ def _by_elimination(matrix, smallest, columns):
     for j in range(m):
         pivot = matrix[0, 0]
         is_redundant = pivot <= smallest[j]
+        # The divisor of a redundant row is 1: the branch that is not taken must be finite as well, or derivatives are NaN.
         inverse = jnp.where(is_redundant, 0.0, 1.0 / jnp.where(is_redundant, 1.0, pivot))
         below = matrix[1:, 0] * inverse
         matrix = matrix[1:, 1:] - below[:, None] * matrix[1:, 0][None, :]
@@ -189,6 +198,7 @@ def _backward(segment: Segment, ratios, x):
     def substitute(i, x):
         s = n_steps - 1 - i
         pivot = steps.pivot[s]
+        # Empty neighbors name the last row of x, which is zero.
         reached = jnp.sum(_product(ratios[s], x[steps.neighbors[s]]), 0)
         return x.at[pivot].add(-reached)
 
@@ -205,6 +215,7 @@ def _jvp(primals, tangents, *, pattern, **static):
         jnp.zeros_like(primal) if isinstance(tangent, ad.Zero) else tangent
         for primal, tangent in zip(primals, tangents, strict=True)
     )
+    # S dx = db - dS x: one more solve with the same matrix, and never a derivative of the factorization.
     if not (isinstance(tangents[0], ad.Zero) and isinstance(tangents[1], ad.Zero)):
         residual = residual - block_times(pattern, diagonal_tangent, pairs_tangent, solution)
     return solution, block_solve_p.bind(diagonal, pairs, residual, pattern=pattern, **static)

@@ -13,9 +13,11 @@ def rows_at(array: Float[Array, "n ..."], index: Sequence[int] | Int[np.ndarray,
     numbers = np.asarray(index, np.int32)
     if numbers.size == 0:
         return array[:0]
+    # XLA fuses a slice with what reads it; a gather is computed for itself.
     if np.array_equal(numbers, np.arange(numbers[0], numbers[0] + numbers.size)):
         return array[numbers[0] : numbers[0] + numbers.size]
     dimensions = jax.lax.GatherDimensionNumbers(tuple(range(1, array.ndim)), (0,), (0,))
+    # The numbers are known and were never negative: other modes clip or compare each of them.
     mode = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
     return jax.lax.gather(array, numbers[:, None], dimensions, (1, *array.shape[1:]), mode=mode)
 
@@ -39,8 +41,10 @@ def sums_by_index(values: Float[Array, "k ..."], index: Int[np.ndarray, " k"], s
         chunks, of_chunk = _chunked(index)
         values = sums_by_index(values, chunks, len(of_chunk))
         return sums_by_index(values, of_chunk, size)
+    # Values without a target come first in this order, and are cut off.
     order = np.argsort(index, kind="stable")[np.sum(index < 0) :]
     starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
+    # A target that has no value left in a turn reads the row of zeros behind the last one.
     padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]), values.dtype)])
     nothing = len(index)
     order = np.append(order, nothing)
@@ -63,6 +67,7 @@ def _chunked(index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if target < 0:
             chunks[position] = -1
             continue
+        # A target that was not met yet counts as one with a full chunk.
         chunk, filled = seen.get(target, (-1, LARGEST_FAN_IN))
         if filled == LARGEST_FAN_IN:
             chunk, filled = len(of_chunk), 0

@@ -32,6 +32,7 @@ def block_solve(
 ) -> np.ndarray:  # fmt: skip
     """As `symmetric_solve`, of a matrix of blocks; arguments and parameters as of the primitive `block_solve`."""
     n, m, columns = right.shape[-3:]
+    # Batches become systems one after the other: a straight line has no other way to have many.
     size = int(np.prod(right.shape[:-3]))
     batches = zip(
         diagonal.reshape(size, n, m, m),
@@ -80,20 +81,24 @@ def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray, smallest_pivot
     place = {row: position for position, row in enumerate(order)}
     zero = graph.constant(0, FLOAT)
     # Columns of the reordered matrix from the diagonal down.
+    # Dictionaries: what is not in one is a structural zero, for which no operation is ever made.
     columns: Rows = [{} for _ in range(size)]
     for i, entries in enumerate(lower):
         for j, node in entries.items():
             columns[min(place[i], place[j])][max(place[i], place[j])] = node
     x = [right_side[i].tolist() for i in order]
+    # Before elimination: the scale of each pivot.
     diagonal = [columns[j].get(j, zero) for j in range(size)]
     inverse_pivots = []
     factors: list[dict[int, int]] = []
     for j in range(size):
         column = columns[j]
         inverse_pivot = _inverse_pivot(graph, column.pop(j, zero), diagonal[j], smallest_pivot)
+        # Sorted, so that the same function gives the same program in every process: its text is its name on disk.
         below = {i: graph.mul(column[i], inverse_pivot) for i in sorted(column) if not graph.is_value(column[i], 0)}
         for i in below:
             for k in below:
+                # The lower half is enough, since the matrix is symmetric.
                 if k <= i:
                     product = graph.mul(below[i], column[k])
                     columns[k][i] = graph.sub(columns[k].get(i, zero), product)
@@ -113,6 +118,7 @@ def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray, smallest_pivot
 
 def _inverse_pivot(graph: Graph, pivot: int, diagonal: int, smallest_pivot: float) -> int:
     """1 / pivot, or 0 for a redundant row."""
+    # Nothing was taken from it: it cannot be small by cancellation, and needs no guard.
     if pivot == diagonal:
         return graph.div(graph.constant(1, FLOAT), pivot)
     return _inverse_unless_small(graph, pivot, pivot, diagonal, smallest_pivot)
@@ -123,6 +129,7 @@ def _inverse_unless_small(
 ) -> int:
     """1 / pivot, or 0 where its magnitude is rounding of `scale`; the guarded divisor keeps derivatives finite."""
     one, zero = graph.constant(1, FLOAT), graph.constant(0, FLOAT)
+    # Relative to what the pivot was made of: rows of all units are alike then.
     smallest = graph.mul(scale, graph.constant(smallest_pivot, FLOAT))
     is_redundant = graph.apply("le", (magnitude, smallest), BOOL, ())
     return graph.select(is_redundant, graph.div(one, graph.select(is_redundant, pivot, one)), zero)
@@ -146,10 +153,12 @@ def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray)
     a = [[int(matrix[i, j]) for j in order] for i in order]
     x = [int(right_side[i]) for i in order]
     zero = graph.constant(0, FLOAT)
+    # A row of multipliers has no diagonal entry to compare its pivot with: the sum of what was taken away is its scale.
     contributed = {i: zero for i in range(size) if graph.is_value(a[i][i], 0)}
     inverse_pivots = []
     for j in range(size):
         inverse_pivots.append(_inverse_of_contributions(graph, a[j][j], contributed.get(j)))
+        # Asked once for a pivot, and not for each row below it: most entries are structural zeros.
         right_of_pivot = [k for k in range(j + 1, size) if not graph.is_value(a[j][k], 0)]
         for i in range(j + 1, size):
             if graph.is_value(a[i][j], 0):
