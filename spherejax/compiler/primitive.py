@@ -273,7 +273,8 @@ class StraightLine:
             values = self.graph.emit(self._flat, _reader(arrays), known_values)
             return [self._assembled(output, values) for output in self.outputs]
 
-        # Traced once for all its uses: within another program JAX takes it in as one call, and evaluated it is compiled.
+        # Traced once for all its uses: within another program JAX takes it in as one call, and evaluated it is
+        # compiled.
         return jax.jit(evaluated)
 
     def _assembled(self, output: np.ndarray, values: dict) -> Array:

@@ -78,7 +78,8 @@ class ScalarProgram:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is made of it at its first use; a tree of results stands for its structure."""
-        # On disk a program is its graph. Lines hold machine code and derivatives, which are made again when they are asked for.
+        # On disk a program is its graph. Lines hold machine code and derivatives, which are made again when they are
+        # asked for.
         state = {name: value for name, value in vars(self).items() if name not in ("_lines", "_eager")}
         return {**state, "_tree": jax.tree.unflatten(self._tree, range(self._tree.num_leaves))}
 

@@ -139,8 +139,7 @@ def _elimination(pattern: BlockPattern) -> Elimination:
 def _segments(n_blocks: int, order, later, slot, n_below: int) -> tuple[Segment, ...]:
     empty = n_blocks + n_below
     # Loops need the same number of neighbors in each turn. Room grows by factors of two and never shrinks, so that
-    # there
-    # are few loops, one behind the other, and at most half of the work is on empty blocks.
+    # there are few loops, one behind the other, and at most half of the work is on empty blocks.
     room, rooms = 0, []
     for coming in later:
         while room < len(coming):

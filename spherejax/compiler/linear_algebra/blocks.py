@@ -175,7 +175,8 @@ def _by_elimination(matrix, smallest, columns):
     for j in range(m):
         pivot = matrix[0, 0]
         is_redundant = pivot <= smallest[j]
-        # The divisor of a redundant row is 1: the branch that is not taken must be finite as well, or derivatives are NaN.
+        # The divisor of a redundant row is 1: the branch that is not taken must be finite as well, or derivatives are
+        # NaN.
         inverse = jnp.where(is_redundant, 0.0, 1.0 / jnp.where(is_redundant, 1.0, pivot))
         below = matrix[1:, 0] * inverse
         matrix = matrix[1:, 1:] - below[:, None] * matrix[1:, 0][None, :]
