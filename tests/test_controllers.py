@@ -21,6 +21,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.solvers.automatic import choose_solver
+from spherejax.physics.kinematics import BodyMotion
 
 TS = np.linspace(0.0, 1.0, 41)
 """Among them instants of samples, and others."""
@@ -362,6 +363,81 @@ def test_fast_filters_are_found():
     )
     assert fast.reason.startswith("Rodas5P: what force elements remember changes at about 1.0e+09 per second")
     assert slow.reason.startswith("Dopri8")
+
+
+# A controller that remembers nothing ------------------------------------------------------------------------------------
+
+PLAIN = {
+    "extension": sj.Extension(("ground.anchor", "rotor")),
+    "travel": sj.Travel(("ground", "rotor"), (1.0, 0.0, 0.0)),
+    "turn": sj.Turn(("ground", "rotor"), (1.0, 0.0, 0.0)),
+}
+
+
+def _on_a_rail(coordinate: str, proportional: Any = 8.0) -> sj.Scene:
+    """A body that slides along x and turns about it, held at 0.2 m or rad: of mass and moment of inertia 2."""
+    rotor = sj.Body(2.0, (2.0, 2.0, 2.0), position=(0.5, 0.0, 0.0))
+    rail = sj.Cylindrical(("ground", "rotor"), point=(0.0, 0.0, 0.0), axis=(1.0, 0.0, 0.0))
+    control = sj.PID(PLAIN[coordinate], 0.2, proportional, derivative=2.0)
+    anchor = {"anchor": (0.0, 0.0, 0.0)}
+    return sj.Scene({"rotor": rotor}, {"rail": rail}, {"motor": control}, gravity=(0, 0, 0), ground_points=anchor)
+
+
+def _held(ts, proportional: float = 8.0) -> np.ndarray:
+    """2 x'' = k (0.2 - x) - 2 x' from rest, in closed form."""
+    w = np.sqrt(proportional / 2.0 - 0.25)
+    return 0.2 - 0.2 * np.exp(-0.5 * ts) * (np.cos(w * ts) + 0.5 / w * np.sin(w * ts))
+
+
+def test_a_controller_of_a_turn_without_integral_has_a_rest():
+    rest = sj.equilibrium(_on_a_rail("turn")).scene.bodies["rotor"]
+    np.testing.assert_allclose(rest.quaternion, [np.cos(0.1), np.sin(0.1), 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coordinate", sorted(PLAIN))
+def test_a_controller_without_integral_and_filter_is_a_law(coordinate, tmp_path):
+    """It runs, is written and read, comes to rest, and is linearized, along every coordinate."""
+    scene, ts = _on_a_rail(coordinate), np.linspace(0.0, 1.0, 5)
+    path = tmp_path / "rail.toml"
+    sj.save_scene(scene, path)
+    again = sj.load_scene(path)
+    assert eqx.tree_equal(again, scene)
+    run = sj.simulate(again, ts, rtol=1e-10)
+    np.testing.assert_allclose(run.force("motor")["position"], _held(ts), atol=1e-9)
+    rest = sj.simulate(sj.equilibrium(scene).scene, [0.0, 0.1], rtol=1e-10)
+    np.testing.assert_allclose(rest.force("motor")["effort"], 0.0, atol=1e-9)
+    poles = np.linalg.eigvals(sj.linearize(scene).A)
+    wanted = np.roots([2.0, 2.0, 8.0])
+    assert min(abs(poles - wanted[0])) < 1e-9
+    assert min(abs(poles - wanted[1])) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_controller_without_memory_in_lanes_and_derivatives():
+    ts, gains = np.array([0.0, 0.6]), jnp.array([6.0, 8.0])
+
+    @jax.jit
+    def end(gain):
+        return sj.simulate(_on_a_rail("extension", gain), ts, rtol=1e-10).force("motor")["position"][-1]
+
+    np.testing.assert_allclose(jax.vmap(end)(gains), [_held(0.6, 6.0), _held(0.6)], atol=1e-9)
+    slope = (_held(0.6, 8.0 + 1e-4) - _held(0.6, 8.0 - 1e-4)) / 2e-4
+    np.testing.assert_allclose(jax.grad(end)(8.0), slope, rtol=1e-6)
+
+
+def test_an_element_that_remembers_says_so_when_it_is_asked_for_wrenches():
+    placed = compile_scene(_on_a_rail("extension")).system.forces["motor"]
+    motions: Any = {name: body_motions_at_start(name) for name in ("ground", "rotor")}
+    np.testing.assert_allclose(placed.wrenches(jnp.zeros(()), motions)["rotor"].force, [1.6, 0.0, 0.0], atol=1e-12)
+    with pytest.raises(TypeError, match="remembers"):
+        sj.PID(PLAIN["travel"], 0.2, integral=1.0).wrenches(jnp.zeros(()), motions)
+
+
+def body_motions_at_start(name: str) -> BodyMotion:
+    """At rest, the rotor at 0.5 m."""
+    place = jnp.array([0.5 if name == "rotor" else 0.0, 0.0, 0.0])
+    return BodyMotion(place, jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.eye(3), jnp.zeros(3), jnp.zeros(3))
 
 
 class NeuralForce(sj.AbstractForce):

@@ -181,8 +181,25 @@ class AbstractForceWithMemory(AbstractForce):
         raise TypeError(f"{type(self).__name__} says when it samples, but not what: write the method sampled")
 
     def wrenches(self, t, motions):
-        """Not without the memory: see `action`."""
-        raise TypeError(f"{type(self).__name__} remembers; ask for its action")
+        """Those of `action`, of an element whose `memory` is empty, as of a PID without integral and filter.
+
+        Raises:
+            TypeError: for an element with a memory, whose wrenches follow from it.
+        """
+        return self._action_without_memory(t, motions).wrenches
+
+    def potential_energy(self, t, motions):
+        """That of `action`, of an element whose `memory` is empty [J]."""
+        return jnp.asarray(self._action_without_memory(t, motions).potential_energy, jnp.float64)
+
+    def parts(self, t, motions):
+        """Those of `action`, of an element whose `memory` is empty."""
+        return dict(self._action_without_memory(t, motions).parts)
+
+    def _action_without_memory(self, t: Scalar, motions: Motions) -> ForceAction:
+        if self.memory or self.sampling is not None:
+            raise TypeError(f"{type(self).__name__} remembers; ask for its action")
+        return self.action(t, motions, jnp.zeros(0))
 
 
 class Recalling(eqx.Module):

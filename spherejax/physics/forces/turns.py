@@ -159,7 +159,13 @@ def turn_entries(part: Any) -> tuple[MemoryEntry, ...]:
 
 
 def with_turns(part: Any, turned: Float[Array, " n"]) -> Any:
-    """The element with its integrated angles [rad], in the order of `attachments_of`."""
+    """The element with its integrated angles [rad], in the order of `attachments_of`.
+
+    Without any it is the element itself, whose angles are within a turn of the start: a position of rest, which has no
+    states of elements, knows of no others.
+    """
+    if not turned.shape[0]:
+        return part
     numbers = iter(range(turned.shape[0]))
 
     def counted(leaf):
