@@ -365,7 +365,7 @@ def test_fast_filters_are_found():
     assert slow.reason.startswith("Dopri8")
 
 
-# A controller that remembers nothing ------------------------------------------------------------------------------------
+# A controller that remembers nothing ---------------------------------------------------------------------------------
 
 PLAIN = {
     "extension": sj.Extension(("ground.anchor", "rotor")),

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
@@ -24,6 +25,16 @@ SHAPES = {
         lambda: sj.Body.cylinder(0.03, 0.2, density=1000.0),
         lambda x, y, z: (y**2 + z**2 < 0.03**2).astype(float),
         (0.2, 0.06, 0.06),
+    ),
+    "cylinder along y": (
+        lambda: sj.Body.cylinder(0.03, 0.2, axis="y", density=1000.0),
+        lambda x, y, z: (x**2 + z**2 < 0.03**2).astype(float),
+        (0.06, 0.2, 0.06),
+    ),
+    "cylinder along z": (
+        lambda: sj.Body.cylinder(0.03, 0.2, axis="z", density=1000.0),
+        lambda x, y, z: (x**2 + y**2 < 0.03**2).astype(float),
+        (0.06, 0.06, 0.2),
     ),
     "sphere": (
         lambda: sj.Body.sphere(0.05, density=1000.0),
@@ -66,6 +77,18 @@ def test_a_rod_lies_between_its_ends(direction):
     assert list(rod.points) == ["pin", "tip", "middle"]
     same = sj.Body.cylinder(4e-3, 0.25, density=7850.0)
     np.testing.assert_allclose(rod.inertia, same.inertia, rtol=1e-14)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 2), (1.0, -2.0, 2.0), np.array([0.3, 0.1, -0.7])])
+def test_a_cylinder_about_any_axis_is_one_along_x_that_is_turned(axis):
+    """By the rotation of SciPy that takes x to the axis; the axis is symmetric, so any such rotation will do."""
+    straight, found = (sj.Body.cylinder(0.05, 0.3, axis=a, mass=2.0) for a in ("x", axis))
+    n = np.asarray(axis) / np.linalg.norm(axis)
+    turn, _ = Rotation.align_vectors([n], [[1.0, 0.0, 0.0]])
+    R = turn.as_matrix()
+    np.testing.assert_allclose(found.inertia, R @ np.diag(straight.inertia) @ R.T, atol=1e-15)
+    traced = jax.jit(lambda a: sj.Body.cylinder(0.05, 0.3, axis=a, mass=2.0).inertia)(jnp.asarray(axis, float))
+    np.testing.assert_allclose(traced, found.inertia, atol=1e-15)
 
 
 def linkage(length, radius):
@@ -117,6 +140,9 @@ ENDS = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)}
         (lambda: sj.Body.box(1.0, mass=1.0), "size must be three numbers"),
         (lambda: sj.Body.box((1.0, -1.0, 1.0), mass=1.0), "size"),
         (lambda: sj.Body.cylinder(0.0, 1.0, mass=1.0), "radius"),
+        (lambda: sj.Body.cylinder(0.1, 1.0, axis="w", mass=1.0), "axis = 'w' must be 'x', 'y', 'z'"),
+        (lambda: sj.Body.cylinder(0.1, 1.0, axis=(1, 0), mass=1.0), "axis = (1, 0) must be"),
+        (lambda: sj.Body.cylinder(0.1, 1.0, axis=(0, 0, 0), mass=1.0), "has no direction"),
         (lambda: sj.Body.sphere("0.1 m", mass=1.0), "radius must be one number"),
         (lambda: sj.Body.sphere(0.1, mass="1 kg"), "mass must be one number"),
         (lambda: sj.Body.rod({"a": (0, 0, 0)}, radius=0.1, mass=1.0), "ends must be two places by name"),

@@ -100,21 +100,32 @@ class Body(eqx.Module):
 
     @classmethod
     def cylinder(
-        cls, radius: Number, length: Number, *, mass: Number | None = None, density: Number | None = None, **motion
+        cls,
+        radius: Number,
+        length: Number,
+        *,
+        axis: str | Triple = "x",
+        mass: Number | None = None,
+        density: Number | None = None,
+        **motion,
     ) -> "Body":
-        """A homogeneous cylinder along the body's x axis: a shaft, a disc.
+        """A homogeneous cylinder: a shaft, a disc.
+
+            wheel = sj.Body.cylinder(0.3, 0.05, axis="y", mass=8.0)
 
         Args:
             radius: [m].
             length: [m].
+            axis: along which the cylinder lies, body axes: "x", "y", "z", or a vector of any length, shape (3,). About
+                a vector the inertia is a matrix.
             mass: [kg], or else
             density: [kg/m^3].
             **motion: as in `box`.
 
         Raises:
-            SceneError: as in `box`.
+            SceneError: as in `box`; for an axis that is no direction.
         """
-        return cls(*solids.cylinder(radius, length, mass, density), **motion)
+        return cls(*solids.cylinder(radius, length, mass, density, axis), **motion)
 
     @classmethod
     def sphere(cls, radius: Number, *, mass: Number | None = None, density: Number | None = None, **motion) -> "Body":

@@ -16,10 +16,14 @@ from spherejax.foundations.checks import Requirement, concretely, enforce, is_co
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import shape_of
 from spherejax.foundations.rotation import normalized, quaternion_product
-from spherejax.foundations.types import Number, Quaternion, Triple, Vector3
+from spherejax.foundations.types import Number, Numeric, Quaternion, Triple, Vector3
 
 HALF_TURN = (0.0, 0.0, 0.0, 1.0)
 """About z, as a quaternion: it takes x to -x."""
+
+
+LETTERS = "xyz"
+"""Names of the body's axes."""
 
 
 class Solid(NamedTuple):
@@ -27,11 +31,11 @@ class Solid(NamedTuple):
 
     Attributes:
         mass: [kg].
-        inertia: principal moments about the center of mass, body axes [kg m^2], shape (3,).
+        inertia: about the center of mass, body axes [kg m^2]: principal moments, shape (3,), or a matrix (3, 3).
     """
 
     mass: Number
-    inertia: Vector3
+    inertia: Numeric
 
 
 def box(size: Triple, mass: Number | None, density: Number | None) -> Solid:
@@ -41,13 +45,26 @@ def box(size: Triple, mass: Number | None, density: Number | None) -> Solid:
     return _solid(mass, (a, b, c), mass / 12 * _row(b**2 + c**2, c**2 + a**2, a**2 + b**2))
 
 
-def cylinder(radius: Number, length: Number, mass: Number | None, density: Number | None) -> Solid:
-    """Along the x axis: I_x = m r^2 / 2, I_y = I_z = m (3 r^2 + l^2) / 12."""
+def cylinder(
+    radius: Number, length: Number, mass: Number | None, density: Number | None, axis: str | Triple = "x"
+) -> Solid:
+    """Along the x axis: I_x = m r^2 / 2, I_y = I_z = m (3 r^2 + l^2) / 12; along y and z with the moments exchanged.
+
+    Along a unit vector n the inertia is the matrix I_y (1 - n n^T) + I_x n n^T.
+
+    Raises:
+        SceneError: for an axis that is no direction, and for sizes and masses that no cylinder has.
+    """
     found = _sizes("Body.cylinder", radius=radius, length=length)
     r, l = found["radius"], found["length"]  # noqa: E741
     mass = mass_of("Body.cylinder", mass, density, math.pi * r**2 * l)
     across = (3 * r**2 + l**2) / 12
-    return _solid(mass, (r, l), mass * _row(r**2 / 2, across, across))
+    along = r**2 / 2
+    if isinstance(axis, str):
+        if axis not in LETTERS:
+            raise SceneError(f"Body.cylinder: axis = {axis!r} must be 'x', 'y', 'z', or a vector in body axes")
+        return _solid(mass, (r, l), mass * _row(*(along if letter == axis else across for letter in LETTERS)))
+    return _solid(mass, (r, l), mass * _about(_direction(axis), along, across))
 
 
 def sphere(radius: Number, mass: Number | None, density: Number | None) -> Solid:
@@ -139,6 +156,23 @@ def mass_of(what: str, mass: Number | None, density: Number | None, volume) -> N
         if value is not None and shape_of(value) != ():
             raise SceneError(f"{what}: {name} must be one number")
     return volume * density if mass is None else mass
+
+
+def _direction(axis: Triple):
+    """A unit vector, of NumPy where it is concrete; a traced one is not judged."""
+    if shape_of(axis) != (3,):
+        raise SceneError(f"Body.cylinder: axis = {axis!r} must be 'x', 'y', 'z', or three numbers in body axes")
+    vector = concretely(lambda given: jnp.asarray(given, jnp.float64), axis)
+    square = vector @ vector
+    if is_concrete(square) and not 0 < square < np.inf:
+        raise SceneError(f"Body.cylinder: axis = {axis!r} has no direction; give a finite vector other than zero")
+    return vector / square**0.5
+
+
+def _about(direction, along, across):
+    """The inertia by unit mass of a body of revolution about a direction [m^2]."""
+    projector = direction[:, None] * direction
+    return across * (np.eye(3) - projector) + along * projector
 
 
 def _row(*moments):
