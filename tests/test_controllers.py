@@ -383,7 +383,7 @@ def _on_a_rail(coordinate: str, proportional: Any = 8.0) -> sj.Scene:
     return sj.Scene({"rotor": rotor}, {"rail": rail}, {"motor": control}, gravity=(0, 0, 0), ground_points=anchor)
 
 
-def _held(ts, proportional: float = 8.0) -> np.ndarray:
+def _held_at(ts, proportional: float = 8.0) -> np.ndarray:
     """2 x'' = k (0.2 - x) - 2 x' from rest, in closed form."""
     w = np.sqrt(proportional / 2.0 - 0.25)
     return 0.2 - 0.2 * np.exp(-0.5 * ts) * (np.cos(w * ts) + 0.5 / w * np.sin(w * ts))
@@ -404,7 +404,7 @@ def test_a_controller_without_integral_and_filter_is_a_law(coordinate, tmp_path)
     again = sj.load_scene(path)
     assert eqx.tree_equal(again, scene)
     run = sj.simulate(again, ts, rtol=1e-10)
-    np.testing.assert_allclose(run.force("motor")["position"], _held(ts), atol=1e-9)
+    np.testing.assert_allclose(run.force("motor")["position"], _held_at(ts), atol=1e-9)
     rest = sj.simulate(sj.equilibrium(scene).scene, [0.0, 0.1], rtol=1e-10)
     np.testing.assert_allclose(rest.force("motor")["effort"], 0.0, atol=1e-9)
     poles = np.linalg.eigvals(sj.linearize(scene).A)
@@ -421,8 +421,8 @@ def test_a_controller_without_memory_in_lanes_and_derivatives():
     def end(gain):
         return sj.simulate(_on_a_rail("extension", gain), ts, rtol=1e-10).force("motor")["position"][-1]
 
-    np.testing.assert_allclose(jax.vmap(end)(gains), [_held(0.6, 6.0), _held(0.6)], atol=1e-9)
-    slope = (_held(0.6, 8.0 + 1e-4) - _held(0.6, 8.0 - 1e-4)) / 2e-4
+    np.testing.assert_allclose(jax.vmap(end)(gains), [_held_at(0.6, 6.0), _held_at(0.6)], atol=1e-9)
+    slope = (_held_at(0.6, 8.0 + 1e-4) - _held_at(0.6, 8.0 - 1e-4)) / 2e-4
     np.testing.assert_allclose(jax.grad(end)(8.0), slope, rtol=1e-6)
 
 

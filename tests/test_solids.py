@@ -84,7 +84,7 @@ def test_a_cylinder_about_any_axis_is_one_along_x_that_is_turned(axis):
     """By the rotation of SciPy that takes x to the axis; the axis is symmetric, so any such rotation will do."""
     straight, found = (sj.Body.cylinder(0.05, 0.3, axis=a, mass=2.0) for a in ("x", axis))
     n = np.asarray(axis) / np.linalg.norm(axis)
-    turn, _ = Rotation.align_vectors([n], [[1.0, 0.0, 0.0]])
+    turn = Rotation.align_vectors([n], [[1.0, 0.0, 0.0]])[0]
     R = turn.as_matrix()
     np.testing.assert_allclose(found.inertia, R @ np.diag(straight.inertia) @ R.T, atol=1e-15)
     traced = jax.jit(lambda a: sj.Body.cylinder(0.05, 0.3, axis=a, mass=2.0).inertia)(jnp.asarray(axis, float))
