@@ -24,7 +24,7 @@ extensions = [
     "public_names",
     "notebooks",
 ]
-exclude_patterns = ["_build", "extensions"]
+exclude_patterns = ["_build", "extensions", "paper"]
 source_suffix = {".md": "markdown"}
 nitpicky = True
 NOT_PUBLIC = "physics|motion|model|compiler|foundations|studies|output|files"

@@ -120,7 +120,7 @@ JAXLIB_WITH_LIBRARY = (0, 10), (0, 12)
 LESS_ALIASING: Mapping[str, Any] = MappingProxyType({"xla_llvm_enable_noalias_metadata": False})
 """An option for a program of thousands of scalars: LLVM is not told of each pair of them that they do not overlap."""
 
-QUICK_COMPILATION: Mapping[str, Any] = MappingProxyType({**LESS_ALIASING, "xla_backend_optimization_level": 0})
+FAST_COMPILE: Mapping[str, Any] = MappingProxyType({**LESS_ALIASING, "xla_backend_optimization_level": 0})
 """Options for a program that is compiled soon rather than well. XLA raises an error for an option that it does not
 know: whoever compiles with these compiles without them then."""
 
@@ -267,9 +267,9 @@ PARTS: Sequence[PrivatePart] = (
         _has_bridge,
     ),
     PrivatePart(
-        "options of one program, " + " and ".join(QUICK_COMPILATION),
+        "options of one program, " + " and ".join(FAST_COMPILE),
         "programs are compiled without them, which takes a quarter longer for large ones",
-        lambda: _takes(QUICK_COMPILATION),
+        lambda: _takes(FAST_COMPILE),
     ),
     PrivatePart(
         "a jaxlib of which it is known whether it has " + LIBRARY,

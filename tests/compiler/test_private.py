@@ -134,7 +134,7 @@ def test_where_jax_does_not_say_its_backend_has_not_started(monkeypatch):
 
 
 def test_options_that_xla_does_not_take_are_named(monkeypatch):
-    monkeypatch.setattr(private, "QUICK_COMPILATION", {"xla_no_such_option": 0})
+    monkeypatch.setattr(private, "FAST_COMPILE", {"xla_no_such_option": 0})
     assert any(part.name.startswith("options of one program") for part in private.missing())
 
 

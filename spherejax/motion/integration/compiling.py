@@ -19,7 +19,7 @@ first call. Where they are machine code it has little to do, and this saves a te
 # processor time, and it runs the same within the noise, with the same bits (`benchmarks/fewer_words.py`). So it is with
 # large programs of all methods.
 
-OF_START = hooks.QUICK_COMPILATION
+OF_START = hooks.FAST_COMPILE
 """Options for the start of a run, which is called once and takes a fifth less to compile with them."""
 
 
@@ -29,12 +29,12 @@ def options_for(plan: Any, *_: Any) -> Mapping[str, Any]:
     Args:
         plan: what the run is compiled for.
     """
-    return hooks.QUICK_COMPILATION if is_large(plan) else {}
+    return hooks.FAST_COMPILE if is_large(plan) else {}
 
 
 def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
     """As `options_for`, for a run of diffrax's loop."""
-    return hooks.QUICK_COMPILATION if is_large(plan) else hooks.LESS_ALIASING
+    return hooks.FAST_COMPILE if is_large(plan) else hooks.LESS_ALIASING
 
 
 def in_machine_code(plan: Any, solver: Any) -> bool:
