@@ -11,10 +11,16 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
-from spherejax.compiler.private import LESS_ALIASING, FAST_COMPILE, has_backend_started, with_xla_flags
+from spherejax.compiler.private import FAST_COMPILE, LESS_ALIASING, has_backend_started, with_xla_flags
 
 __all__ = [
-    "LESS_ALIASING", "FAST_COMPILE", "Hooks", "attach", "attached", "has_backend_started", "with_xla_flags",
+    "FAST_COMPILE",
+    "LESS_ALIASING",
+    "Hooks",
+    "attach",
+    "attached",
+    "has_backend_started",
+    "with_xla_flags",
 ]  # fmt: skip
 
 
