@@ -66,7 +66,7 @@ def test_ranges_give_the_numbers_that_they_always_gave():
         (lambda: sj.random_samples({"a": stats.norm([1, 2], 1)}, 4), "of one number"),
         (lambda: sj.random_samples({"a": sj.Tolerance(1.0, 0.1)}, 4, logarithmic=["a"]), "is for ranges"),
         (lambda: sj.sobol_indices(up, {"speed": (0, 1), "gravity": (9, 10)}, TS, record=[], n=24), "power of two"),
-        (lambda: sj.sobol_indices(up, {}, TS, record=["final position.ball"]), "needs numbers that scatter"),
+        (lambda: sj.sobol_indices(up, {}, TS, record=["final position.ball"]), "needs uncertain numbers by name"),
         (lambda: sj.monte_carlo(up, {"speed": (0, 1)}, TS, record=["final position.ball"], n=1), "n = 1"),
         (lambda: sj.monte_carlo(up, {"speed": "fast"}, TS, record=["final position.ball"]), "needs a range"),
         (lambda: sj.tolerance_budget(up, {"speed": (0, 1), "gravity": (9, 10)}, TS), "observables="),

@@ -269,7 +269,7 @@ def _noise(options: argparse.Namespace, scene: sj.Scene, measured: list[sj.Measu
 
 
 def _deviation(text: str, sigma: str, name: str, scene: sj.Scene) -> float:
-    """One of them; a name that means nothing is told by the fit, which knows all that was measured."""
+    """One of them; the fit itself refuses an unknown name, because it knows all that was measured."""
     from spherejax.motion.equations.quantities import quantity
 
     try:

@@ -176,7 +176,7 @@ def _in_units(result: Any, asked: Sequence[WantedQuantity]) -> Any:
 
 
 def _numbers(options: argparse.Namespace, found: Chosen, scene: sj.Scene) -> dict[str, Number]:
-    """The numbers that scatter, by names that are identifiers."""
+    """The uncertain numbers, by names that are identifiers."""
     from spherejax.model.numbers import full_path, number_at
 
     numbers: dict[str, Number] = {}

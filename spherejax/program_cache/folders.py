@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 MOST_BYTES = 2 * 2**30
-"""Bytes that are kept; what was not used for longest goes first."""
+"""Size above which the least recently used files are deleted [bytes]."""
 
 LOOKED_AT_AGAIN_AFTER = 3600.0
 """How often the size of the folder is looked at [s], at the start of a process."""

@@ -1,4 +1,4 @@
-"""Every run audits itself: what cannot be, at the end of any step, ends it with a status of its own.
+"""The audit: invariants are checked after every step; a violation ends the run with its own status.
 
     energy      never rises by more than drivers, forces and other parts that may add some have put in
     loss        never falls where no part dissipates; constraint forces do no work where some do

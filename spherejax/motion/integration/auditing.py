@@ -10,7 +10,7 @@ from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 
 
 class AuditingSolver(AbstractForwardingSolver):
-    """A solver that looks at the end of each step, and ends the run where it finds what cannot be.
+    """A solver that checks invariants at the end of each step, and ends the run where one is violated.
 
     Attributes:
         solver: the solver that makes the steps.

@@ -67,9 +67,9 @@ REMEDIES = {
         "that names the joint"
     ),
     Status.AUDIT_FAILED: (
-        "the audit found what cannot be (`run.audit` says what); the motion is wrong there, and may be from shortly "
-        "before. Tighten rtol, choose another solver or drift control (sj.PostStabilization() where the mechanism "
-        "passes singular positions), and check the laws and forces of your own"
+        "the audit found a violated invariant (`run.audit` says which); the motion is wrong there, and may be from "
+        "shortly before. Tighten rtol, choose another solver or drift control (sj.PostStabilization() where the "
+        "mechanism passes singular positions), and check the laws and forces of your own"
     ),
     Status.INACCURATE: (
         "no tolerance gives the accuracy that was asked for (`run.accuracy` has the estimated errors). Shorten the "

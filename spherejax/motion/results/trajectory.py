@@ -158,13 +158,16 @@ class Trajectory(eqx.Module, Reported):
 
     @property
     def audit(self) -> str:
-        """What the run's audit of itself has looked at and found, in words. For one run; `stats.audit` for many."""
+        """The invariants that were checked after every step, with the largest violation of each relative to its limit.
+
+        In words, with a diagnosis where a limit was exceeded. For one run; `stats.audit` for many.
+        """
         if np.ndim(self.ended):
             raise SceneError("audit reports on a single run; take one lane of the batch first")
         shares = np.asarray(self.stats.audit)
         made = {check: share for check, share in zip(CHECKS, shares, strict=True) if share != NOT_MADE}
         worst = ", ".join(f"{check} {share:.1e}" for check, share in made.items())
-        text = f"at every step, as shares of what is allowed: {worst}"
+        text = f"largest violation of any step / its limit: {worst}"
         if self.system.friction_passes:
             text += " (that friction agrees with reactions counts among the constraints)"
         if "energy" not in made:

@@ -158,7 +158,7 @@ def _choice_by_joints(system: System, known_rtol: float) -> SolverChoice:
         return _choice_by_models(resistance, known_rtol, may_have_both=_is_small(structure))
     fastest = _fastest(system, structure, theta, known_rtol)
     if fastest.per_second == 0:
-        return SolverChoice(diffrax.Dopri8(), "Dopri8: no friction acts faster than its contact vibrates under load")
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: no joint's friction is stiffer than its contact")
     limit = fastest.limit(known_rtol)
     what = f"joint {fastest.joint!r} {fastest.how} at about {fastest.per_second:.1e} per second"
     if fastest.per_second > limit:

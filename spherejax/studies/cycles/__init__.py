@@ -1,4 +1,4 @@
-"""Cycles: motions that repeat themselves, their stability, and how they change with a number."""
+"""Periodic motions: their computation, stability, and continuation in a parameter."""
 
 from spherejax.studies.cycles.branch_result import Branch
 from spherejax.studies.cycles.continuation import continuation

@@ -57,7 +57,7 @@ def steady_cycle(
         what: a scene; or a run, whose last state is where the search begins and whose last instant the cycle.
 
     Other args:
-        period: of what drives the mechanism [s], or a multiple of it for motions that repeat themselves after several.
+        period: of what drives the mechanism [s], or a multiple of it for subharmonic motions.
         near: instead of `period`, where nothing depends on time: about how long the cycle takes [s]; its length is
             found with it. Of a conservative mechanism, which has a cycle for each energy, the nearest one.
         at: of a scene, where the search begins: "start", as assembled, or "rest", its rest position.
