@@ -19,6 +19,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
+from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -65,7 +66,9 @@ from spherejax.motion.start.assembly import Assembly
 from spherejax.program_cache import cached_jit
 
 
-def integrate_with_sensitivities(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
+def integrate_with_sensitivities(
+    plan: Plan, options: Options, values, known, ts, start, values_are_legal, abrupt: tuple[str, ...] = ()
+) -> Outcome:
     """As `integrate`, differentiable in forward and in reverse mode: by the traced numbers and by the sample times.
 
     The derivative rule computes all sensitivities by the traced numbers and applies them: that is linear in the
@@ -74,6 +77,10 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
 
     The derivative by the sample times is exact where time does not enter the equations by itself, and needs no
     integration; elsewhere the first time has a row of sensitivities of its own. See `sensitivity_rows`.
+
+    Args:
+        plan, options, values, known, ts, start, values_are_legal: as of `integrate`.
+        abrupt: names of contacts that Rosenbrock methods do not differentiate well; see `through_touches`.
     """
     in_lanes = can_be_a_job(plan.structure, options)
     if not plan.unknown and is_concrete(ts):
@@ -137,11 +144,17 @@ def integrate_with_sensitivities(plan, options, values, known, ts, start, values
         if moves_times:
             _refuse_by_time(plan)
         if _is_moved(tangents[0]) or by_start:
+            has_touches = bool(example_of(plan.structure).touching_forces)
+            jumps = any_jump(plan.structure.system(plan.theta(values, known))) if has_touches else None
+            warn_of_rosenbrock(abrupt, options.solver)
             outcome, jacobian = slopes_by(by_start)(*primals)
             along = _instantiated(tangents[0], values)
             if by_start:
                 along = jnp.append(along, tangents[3][0])
             ys_dot, assembly = _along(jacobian, along)
+            if jumps is not None:  # of a function whose numbers `jax.jit` hides, an error can say nothing
+                # A factor: `jnp.where` transposed would be a gradient of zero.
+                ys_dot = ys_dot * jnp.where(jumps, jnp.nan, 1.0)
         else:
             outcome = run(*primals)
             ys_dot, assembly = jax.tree.map(jnp.zeros_like, (outcome.ys, outcome.assembly))
@@ -531,7 +544,7 @@ def integrate_rows(
     saved = [samples(jnp.minimum(ts, t1), correct, taken), diffrax.SubSaveAt(t1=True), *also_saved]
     solver = with_loop_of(options.adjoint, rows_with_fixed_matrix(options.solver, plan.structure, rate))
     # As the state's; through kinks those of a W-method less.
-    slack = min(1.0, slack_of(solver, bool(kinks_of(plan.structure))))
+    slack = min(1.0, slack_of(solver, plan.structure))
     judging = replace(options, controller=judging_rows(options.controller, slack))
     solution = diffeqsolve(
         diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),

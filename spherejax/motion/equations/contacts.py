@@ -24,14 +24,31 @@ def kinks_of(structure: Structure) -> tuple[int, ...]:
 
     All touches, and contacts whose force does not surely grow from a slope of zero; see `stiffens_from_zero`.
     """
-    numbers = np.full(sum(int(np.prod(shape)) for shape in structure.shapes), np.nan)
-    for index, value in structure.special:
-        numbers[index] = value
-    system = structure.system(numbers)  # what is not known is NaN
+    system = _system_as_known(structure)
     contacts = [system.spherical(name).model for name in system.contact_joints]
     n_touches = sum(system.forces[name].n_touches for name in system.touching_forces)
     of_contacts = [i for i, model in enumerate(contacts) if not model.stiffens_from_zero]
     return (*of_contacts, *range(len(contacts), len(contacts) + n_touches))
+
+
+def _system_as_known(structure: Structure) -> System:
+    """The system with the numbers that a program is compiled for, and NaN for the others."""
+    numbers = np.full(sum(int(np.prod(shape)) for shape in structure.shapes), np.nan)
+    for index, value in structure.special:
+        numbers[index] = value
+    return structure.system(numbers)
+
+
+def abrupt_contacts(system: System) -> tuple[str, ...]:
+    """Names of the contacts through which derivatives by Rosenbrock methods are not right; see `stiffens_abruptly`."""
+    models = {name: system.spherical(name).model for name in system.contact_joints}
+    return tuple(name for name, model in models.items() if not model.stiffens_from_zero and model.stiffens_abruptly)
+
+
+@lru_cache(maxsize=64)
+def may_have_abrupt_contacts(structure: Structure) -> bool:
+    """Whether a system has any, as far as its structure says: an exponent that is neither 1 nor 1.5 is not known."""
+    return bool(abrupt_contacts(_system_as_known(structure)))
 
 
 def relative_motions(system: System, y: Float[Array, " size"]) -> dict[str, RelativeMotion]:

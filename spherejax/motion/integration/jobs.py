@@ -16,7 +16,6 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
-from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import magnitudes
@@ -167,7 +166,7 @@ class JobKind:
         """The same for the state and its sensitivities."""
         watch, usual = problem.watch, self.slack
         if usual is None:
-            usual = slack_of(self.solver, bool(kinks_of(self.structure)))
+            usual = slack_of(self.solver, self.structure)
 
         def slack(numbers):
             return usual if numbers.slack is None else numbers.slack

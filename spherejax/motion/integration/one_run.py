@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.model.system import Structure, example_of
-from spherejax.motion.equations.contacts import crossings, kinks_of
+from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
@@ -233,7 +233,7 @@ class _Request(eqx.Module):
         budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
         alike = all(is_concrete(each) for each in tolerances)
         shared, own = (tolerances, None) if alike else (None, tolerances)
-        usual = slack_of(options.solver, bool(kinks_of(structure)))
+        usual = slack_of(options.solver, structure)
         slack = np.asarray(usual) if options.slack is None else options.slack
         given = solver, shared, own, budget, rest, slack
         if options.at_start is None:

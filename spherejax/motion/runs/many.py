@@ -24,6 +24,8 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
+from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
+from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.lanes import Block, run_in_lanes
 from spherejax.motion.integration.sensitivity_rows import scales_of
@@ -120,6 +122,7 @@ def simulate_many(
         method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
         method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
         warn_of_starts(build, parameters, ts)
+        check_sensitivities(build, method, parameters)
         one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
         build = known_build(build, one, track_work, method.by)
         runs = many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
@@ -210,6 +213,26 @@ def with_sensitivities(
             f"({method.choice.reason}); pass solver=diffrax.Dopri8() or solver=sj.Ros34PW2()"
         )
     return method._replace(by=by, derivative_rtol=None if derivative_rtol is None else float(derivative_rtol))
+
+
+def check_sensitivities(build: Build, method: LaneMethod, parameters: Any) -> None:
+    """Refuse or doubt the sensitivities of runs, as `check_derivatives`; the runs of `LOOKS` are looked at.
+
+    Parameters that are traced are not looked at.
+    """
+    if not method.by or not all(map(is_concrete, jax.tree.leaves(parameters))):
+        return
+    n_runs = count_of_runs(parameters)
+    abrupt: dict[str, None] = {}
+    for run in sorted({place_of(look, n_runs) for look in LOOKS}):
+        scene = built(build, jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters))
+        try:
+            system = compile_scene(scene, track_work=method.track_work).system
+        except SceneError:  # this run will have the status of a bad value
+            continue
+        any_jump(system)
+        abrupt |= dict.fromkeys(abrupt_contacts(system))
+    warn_of_rosenbrock(abrupt, method.choice.solver, 3)
 
 
 @cached_jit(what="runs in lanes")

@@ -22,7 +22,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
-from spherejax.motion.equations.contacts import kinks_of
+from spherejax.motion.equations.contacts import abrupt_contacts, kinks_of
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions, parts_with_a_range
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
@@ -222,7 +222,7 @@ def _call(
             values = without_derivative(values, through_kinks(plan, type(adjoint).__name__))
         outcome_of = integrate.bound(plan, options, values, found.known, fixed, *arguments[5:])
     elif unknown or not is_concrete(ts):
-        outcome_of = partial(integrate_with_sensitivities, *arguments)
+        outcome_of = partial(integrate_with_sensitivities, *arguments, abrupt_contacts(found.system()))
     else:
         outcome_of = bound_run(*arguments)
     bound = bound_in_words(found.structure, path.scalar)

@@ -77,7 +77,7 @@ def over_kink(
         before = rate(t, y, parameters)
         there = y + size * before
         behind = jax.lax.stop_gradient(contacts.crossings(parameters, t + size, there))
-        value, speed = (sign * contacts.at_kinks(each) for each in (behind.value, behind.rate))
+        value, speed = sign * contacts.at_kinks(behind.value), sign * contacts.at_kinks(behind.rate)
         is_behind = is_short & (value > 0) & (speed > 0)
         late = jnp.min(jnp.where(is_behind, value / jnp.where(is_behind, speed, 1.0), size))
         there = there + late * (rate(t + size, there, parameters) - before)

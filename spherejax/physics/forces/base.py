@@ -144,6 +144,14 @@ class AbstractForce(eqx.Module):
         del t, motions
         return ()
 
+    @property
+    def force_at_touch(self) -> Scalar | None:
+        """The force that is there at once where a touch begins; None where it surely grows from zero.
+
+        Derivatives of runs do not go through a force that jumps; see `spherejax.motion.derivatives.through_touches`.
+        """
+        return None
+
     def room(self, t: Scalar, motions: Motions) -> Scalar | None:
         """How soon [s] something comes that a longer step could pass over, such as a bump; None if nothing is known."""
         del t, motions

@@ -21,9 +21,11 @@ Source: derived here, from the energy of one impact.
 """
 
 import abc
+from contextlib import nullcontext
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -38,6 +40,11 @@ from spherejax.physics.functions.shapes import finite
 TRANSITION = 1e-2
 """Rate [m/s or rad/s] within which a restitution is smooth, unless another is given: far below the rates of impacts,
 and wide enough that the step control has few steps to take through a reversal."""
+
+
+USUAL_DEPTH, ROUNDING = 1e-3, 1e-9
+"""A force at a depth of zero counts from this share of that at a usual depth [m or rad] on: what is less is the
+rounding of the user's function."""
 
 
 class Press(NamedTuple):
@@ -99,6 +106,17 @@ class OneSided(eqx.Module):
             jnp.where(touching, linear + elastic, 0.0),
             jnp.where(touching, self.stiffness * area + energy, 0.0),
         )
+
+    @property
+    def force_at_touch(self) -> Scalar | None:
+        """The force that is there at a depth of zero already [N]; None without a spring function: there is none."""
+        if self.spring is None:
+            return None
+        # Numbers that are known stay so within `jax.jit`.
+        is_known = all(map(is_concrete, jax.tree.leaves(self.spring)))
+        with jax.ensure_compile_time_eval() if is_known else nullcontext():
+            at_once, pressed = (jnp.asarray(self.spring(jnp.asarray(depth))) for depth in (0.0, USUAL_DEPTH))
+            return jnp.where(at_once > ROUNDING * jnp.abs(pressed), at_once, 0.0)
 
     @property
     def never_adds_energy(self) -> bool:
@@ -227,6 +245,11 @@ class AbstractStop(AbstractForce):
     def conserves_energy(self) -> bool:
         """Without damping, with no restitution below 1, and without a spring function, which may pull."""
         return self.stops.law.conserves_energy
+
+    @property
+    def force_at_touch(self) -> Scalar | None:
+        """That of the law [N or N m]."""
+        return self.stops.law.force_at_touch
 
     @property
     def n_touches(self) -> int:

@@ -228,6 +228,11 @@ class Recalling(eqx.Module):
         """As the element."""
         return self.force.n_touches
 
+    @property
+    def force_at_touch(self) -> Scalar | None:
+        """As the element."""
+        return self.force.force_at_touch
+
     def touches(self, t, motions):
         """As the element, with its turns."""
         return self._counted.touches(t, motions)

@@ -145,6 +145,11 @@ class Tyre(AbstractForce):
         return self.road is None and self._law.conserves_energy
 
     @property
+    def force_at_touch(self) -> Scalar | None:
+        """That of the law [N]."""
+        return self._law.force_at_touch
+
+    @property
     def n_touches(self) -> int:
         """The road."""
         return 1

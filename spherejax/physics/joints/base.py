@@ -145,6 +145,15 @@ class AbstractSphericalModel(eqx.Module):
         return False
 
     @property
+    def stiffens_abruptly(self) -> bool:
+        """Whether the slope of the contact force by the depth may change at an unbounded rate where contact begins.
+
+        So it does like depth^0.05 with an exponent of 1.05. Derivatives of runs by Rosenbrock methods are not right
+        through such contacts. A model that says nothing is taken for one.
+        """
+        return not self.stiffens_from_zero
+
+    @property
     def detects_onsets(self) -> bool:
         """Whether contact onsets and releases must be located (static)."""
         return False

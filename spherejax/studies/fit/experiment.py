@@ -20,6 +20,7 @@ from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.derivatives.sensitivities import integrate_along
+from spherejax.motion.derivatives.through_touches import check_derivatives
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Outcome, Plan
 from spherejax.motion.integration.one_run import run_of
@@ -263,6 +264,7 @@ def _reach(build: Build, unknowns: FitUnknowns, start, track_work: bool, integra
         known, unknown = split(system)
         path = path_of(structure)
         choice = choice_for(system, integration.rtol, integration.solver, explicit_only=path.scalar is False)
+        check_derivatives(system, choice.solver)
         plan = Plan(structure, unknown, path.scalar)
         found.append(_Reach(plan, np.asarray(known), choice, start_now(system, times)))
         return u

@@ -14,6 +14,8 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
+from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
+from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.integrate import Options, Plan
 from spherejax.motion.integration.sensitivity_rows import scales_of
@@ -24,6 +26,7 @@ from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.motion.start.tolerances import controller_for
@@ -107,6 +110,7 @@ def prepare(flat: FlatBuild, numbers, times, method: RunMethod) -> PreparedStudy
     method = method._replace(max_steps=whole_number("max_steps", method.max_steps, ENOUGH_STEPS))
     choice = choice_at(flat, numbers, method)
     system = system_at(flat, numbers, method.track_work)
+    any_jump(system)
     limits = tolerances_of(system, choice.solver, method.rtol, method.atol)
     controller = controller_for(flatten_system(system)[0], limits.rtol, limits.atol)
     solver = with_converging_root_finder(choice.solver, method.rtol)
@@ -153,6 +157,8 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
         method: how to integrate.
     """
     prepared = prepare(flat, numbers, times, method)
+    if is_linearly_implicit(prepared.options.solver):
+        warn_of_rosenbrock(abrupt_contacts(system_at(flat, numbers, method.track_work)), prepared.options.solver, 4)
     numbers = jnp.asarray(numbers)
     scale = scales_of(numbers)
     values, directions, are_legal = traced_numbers(flat, prepared.plan, numbers, scale, method.track_work)

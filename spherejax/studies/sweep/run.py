@@ -18,7 +18,7 @@ from spherejax.model.system import compile_scene
 from spherejax.motion.integration.lanes import Block
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.dataset import NOT_UNIQUE
-from spherejax.motion.runs.many import method_for, warn_of_starts, with_sensitivities
+from spherejax.motion.runs.many import check_sensitivities, method_for, warn_of_starts, with_sensitivities
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
 from spherejax.motion.runs.traced_functions import Build, known_build
 from spherejax.motion.start.redundancy import undetermined_reactions_of
@@ -126,6 +126,7 @@ def sweep(
         warn_of_starts(build, _some_runs(grid, 16), times)
         method = method_for(build, some, rtol, atol, solver, max_steps, wanted.needs_work, lanes)
         method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, some, derivative_rtol)
+        check_sensitivities(build, method, some)
         build = known_build(build, grid.row(0), method.track_work, method.by)
         wanted = with_known_functions(wanted, build, method, grid, times)
         workers = workers or default_workers()

@@ -410,7 +410,7 @@ class Landing:
         """The share of the following step that ends short of a kink, as the motion of the last one has it."""
         assert self.contacts is not None
         kinks = np.array(self.contacts.kinks)
-        start, end = (jax.tree.map(lambda values: values[kinks], each) for each in (state.start, end))
+        start, end = jax.tree.map(lambda values: values[kinks], (state.start, end))
         sign = jnp.where(end.value > 0, -1.0, 1.0)
         windows = windows_of(self.contacts)[kinks, None]
         fractions = _fractions_ahead(start, end, size, following, sign, windows)
