@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 import spherejax as sj
 from spherejax.compiler.linear_algebra.symmetric import REDUNDANT_PIVOT, SINGULAR_PIVOT, symmetric_solve
 from spherejax.model.system import compile_scene
+from spherejax.motion.start.redundancy import singular_passes
 
 G = 9.81
 
@@ -70,3 +71,49 @@ def test_the_bound_is_that_of_rounding_where_masses_or_moments_differ():
     assert bound(1e-6, (1e-3, 1e-3, 1e-3)) == REDUNDANT_PIVOT
     assert bound(0.01, (1e-5, 1e-3, 1e-3)) == REDUNDANT_PIVOT
     assert jax.jit(lambda m: jnp.asarray(bound(m, (1e-3, 1e-3, 1e-3))))(0.01) == REDUNDANT_PIVOT
+
+
+def states_of_parallelograms(system, n_loops, angles):
+    """Flat states of `n_four_bar` with rods of 1 m for angles from upright, at rest."""
+    ys = []
+    for angle in angles:
+        tilt, across = np.array([np.sin(angle), np.cos(angle), 0.0]), np.array([1.0, 0.0, 0.0])
+        turned = [np.cos(angle / 2), 0.0, 0.0, -np.sin(angle / 2)]
+        at = {f"rod_{i:02d}": [*(i * across + tilt / 2), *turned] for i in range(n_loops + 1)}
+        at |= {f"bar_{i:02d}": [*((i - 0.5) * across + tilt), 1.0, 0.0, 0.0, 0.0] for i in range(1, n_loops + 1)}
+        ys.append(np.concatenate([*(at[name] for name in system.bodies), np.zeros(6 * len(at))]))
+    return np.array(ys)
+
+
+@pytest.mark.parametrize("n_loops", [1, 2])
+def test_passes_of_singular_configurations_are_seen_between_samples(n_loops):
+    """All rods lie on one line at a quarter and at three quarters of a turn; `n_loops` values go through zero at once.
+
+    The planar loops have redundant equations all along, which are no pass.
+    """
+    system = compile_scene(sj.gallery.n_four_bar(n_loops)).system
+    ts = np.linspace(0.0, 1.0, 24)
+    passes = singular_passes(system, ts, states_of_parallelograms(system, n_loops, 2 * np.pi * ts))
+    assert not passes.unclear
+    assert [each.after < t < each.before for each, t in zip(passes.found, (0.25, 0.75), strict=True)] == [True, True]
+    assert all(set(each.joints) == set(system.joints) for each in passes.found)
+    assert "Between 0.217391 s and 0.26087 s a singular configuration was passed" in str(passes)
+
+
+def test_samples_in_a_singular_configuration_and_far_apart():
+    system = compile_scene(sj.gallery.n_four_bar(1)).system
+    at = states_of_parallelograms(system, 1, np.array([1.4, np.pi / 2, 1.8, 2.0, 4.0]))
+    inside = singular_passes(system, np.arange(4.0), at[:4])
+    assert [(each.after, each.before) for each in inside.found] == [(0.0, 2.0)]
+    assert not singular_passes(system, np.arange(2.0), at[2:4]).found
+    assert singular_passes(system, np.arange(2.0), at[3:]).unclear == ((0.0, 1.0),)
+
+
+@pytest.mark.slow
+def test_a_run_says_which_singular_configurations_it_has_passed():
+    ts = np.linspace(0.0, 2.0, 41)
+    run = sj.simulate(sj.gallery.n_four_bar(1), ts).require_success()
+    theta = turning_angle(ts, 1)
+    wanted = np.flatnonzero(np.diff(np.floor(theta / np.pi + 0.5)))
+    assert len(wanted) > 1
+    assert [each.after for each in run.singular_passes.found] == list(ts[wanted])

@@ -30,7 +30,14 @@ from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
 from spherejax.motion.start.assembly import Assembly
-from spherejax.motion.start.redundancy import ConstraintReport, report_at, singular_joints, undetermined_reactions
+from spherejax.motion.start.redundancy import (
+    ConstraintReport,
+    SingularPasses,
+    report_at,
+    singular_joints,
+    singular_passes,
+    undetermined_reactions,
+)
 from spherejax.physics.state import State
 
 if TYPE_CHECKING:
@@ -195,6 +202,23 @@ class Trajectory(eqx.Module, Reported):
         if np.ndim(self.ended):
             raise SceneError("undetermined_reactions reports on a single run; take one lane of the batch first")
         return undetermined_reactions(self.system, float(self.ts[0]), np.asarray(self.assembly.y))
+
+    @cached_property
+    def singular_passes(self) -> SingularPasses:
+        """Singular configurations that the run has passed: between which samples, and which joints; can be printed.
+
+        In a singular configuration (a parallelogram whose bars lie on one line) the constraint equations lose rank, and
+        the mechanism can go on in more than one way. A run that passes one follows its momentum, and errors of the
+        integration and the tiniest disturbance of a real mechanism may choose another branch. Looked for at the
+        samples when it is asked for, about a millisecond each: `.found` has `after` and `before` [s], the samples on
+        both sides, and the names of the `joints`; `.unclear` says where samples are too far apart to tell. Redundant
+        constraints do not count. For one run with known numbers.
+
+        Limits: a configuration that is only touched, or two between the same samples, are not seen.
+        """
+        if np.ndim(self.ended):
+            raise SceneError("singular_passes reports on a single run; take one lane of the batch first")
+        return singular_passes(self.system, np.asarray(self.ts), np.asarray(self.ys))
 
     def require_success(self) -> "Trajectory":
         """The run itself; raises `SimulationError` with the diagnosis when it failed."""

@@ -5,6 +5,7 @@ zero. A left null vector of W names the equations that depend on each other, and
 configuration the rank is smaller than nearby on the same motion.
 """
 
+import itertools
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -213,6 +214,101 @@ def singular_joints(
         return ()
     (rank_before, _), (rank, joints) = (_rank(*at[:2], NEARLY_DEPENDENT) for at in found)
     return joints if rank < rank_before else ()
+
+
+class SingularPass(NamedTuple):
+    """A singular configuration that a run has passed.
+
+    Attributes:
+        after: the last sample before it [s].
+        before: the first sample behind it [s].
+        joints: names of the joints whose equations depend on each other there.
+    """
+
+    after: float
+    before: float
+    joints: tuple[str, ...]
+
+
+class SingularPasses(NamedTuple):
+    """The singular configurations that a run has passed, as far as its samples tell; prints as sentences.
+
+    Attributes:
+        found: one for each.
+        unclear: samples [s] between which the mechanism moved too far to tell.
+    """
+
+    found: tuple[SingularPass, ...]
+    unclear: tuple[tuple[float, float], ...]
+
+    def __str__(self) -> str:
+        sentences = [
+            f"Between {each.after:.6g} s and {each.before:.6g} s a singular configuration was passed, where the "
+            f"equations of joints {', '.join(map(repr, each.joints))} depend on each other: the mechanism could go on "
+            "in more than one way."
+            for each in self.found
+        ]
+        if self.unclear:
+            first, last = self.unclear[0][0], self.unclear[-1][1]
+            n = len(self.unclear)
+            sentences.append(
+                f"Between {n} pairs of samples from {first:.6g} s to {last:.6g} s the mechanism moved too far to tell; "
+                "sample more densely."
+            )
+        return " ".join(sentences) or "No singular configuration was passed."
+
+
+def singular_passes(system: System, ts: Float[np.ndarray, " n"], ys: Float[np.ndarray, "n size"]) -> SingularPasses:
+    """The singular configurations that lie between samples of a motion.
+
+    Along a motion W = U diag(s) V^T can be followed smoothly; where a singular value goes through zero, it goes on as a
+    negative one. With U_k and V_k of one sample, and W of the next one,
+
+        U_k^T W V_k = O P,    O orthogonal, P positive
+
+    has O near 1 for samples that are close together, and an eigenvalue of -1 for each singular value that has changed
+    its sign between them. Its vector x names the joints, by U_k x. Equations that depend on others all along have
+    no part in it.
+
+    Args:
+        system: the system.
+        ts: sample times [s].
+        ys: flat states; those that are not finite are left out.
+
+    Limits: a value that touches zero and turns back is not seen, nor are two passes between the same samples. Samples
+    between which an eigenvalue turns by more than a radian are `unclear`.
+    """
+    structure, theta = flatten_system(_without_forces(system))
+    size = structure.system(theta).layout.size
+    known = [(float(t), *_rows_at(structure, theta, t, y[:size])[:2]) for t, y in zip(ts, ys, strict=True)]
+    known = [each for each in known if each[1].size and np.all(np.isfinite(each[1]))]
+    factors: list[Any] = [(t, rows, *np.linalg.svd(rows, full_matrices=True)) for t, rows, _ in known]
+    if not factors:
+        return SingularPasses((), ())
+    names = np.array(known[0][2])
+    rank = max(int(np.sum(sizes > NEARLY_DEPENDENT * sizes[0])) for _, _, _, sizes, _ in factors)
+    # Of a sample in a singular configuration the sign of a value is rounding: its neighbors tell.
+    clear = [each for each in factors if rank and each[3][rank - 1] > SHARE * each[3][0]]
+    found, unclear = [], []
+    for (t, _, left, _, right), (t_next, rows, *_) in itertools.pairwise(clear):
+        first, _, second = np.linalg.svd(left[:, :rank].T @ rows @ right[:rank].T)
+        values, vectors = np.linalg.eig(first @ second)
+        cosines = np.real(values)
+        is_turned = cosines < -TURNED
+        if np.any(is_turned):
+            shares = np.abs(left[:, :rank] @ vectors[:, is_turned]).max(axis=1)
+            joints = tuple(dict.fromkeys(names[shares > PART * shares.max()].tolist()))
+            found.append(SingularPass(t, t_next, joints))
+        if np.any(~is_turned & (cosines < TURNED)):
+            unclear.append((t, t_next))
+    return SingularPasses(tuple(found), tuple(unclear))
+
+
+TURNED = 0.5
+"""Cosine of the angle up to which eigenvalues count as 1, or as -1."""
+
+PART = 0.05
+"""A joint takes part in a pass by this share of the largest entry: between samples the vector is not the exact one."""
 
 
 def _without_forces(system: System) -> System:
