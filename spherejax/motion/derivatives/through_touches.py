@@ -28,8 +28,8 @@ from spherejax.program_cache import disk_cache
 UNSURE_BY_ROSENBROCK = (
     "derivatives by {method} are not sure through {names}: the stiffness of the contact may change at an unbounded "
     "rate where it begins (an exponent between 1 and 1.4, or one that is traced; the laws of cylinders), and errors of "
-    "1e-6 to 1e-4 were seen, which do not fall with rtol. Take an explicit method, whose derivatives are right to 1e-6 "
-    "there: solver=diffrax.Dopri8()"
+    "1e-6 to 1e-4 were seen, which do not fall with rtol, or steps that shrink to nothing. Take an explicit method, "
+    "whose derivatives are right to about 1e-6 there: solver=diffrax.Dopri8()"
 )
 
 
