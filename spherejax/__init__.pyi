@@ -23,6 +23,7 @@ from .motion.results.spectra import SpectrumWarning
 from .motion.results.steps import PartingWarning
 from .motion.results.trajectory import Trajectory
 from .motion.runs.many import Runs, simulate_many
+from .motion.runs.ode import EquationsOfMotion, Ode, ode
 from .motion.runs.simulate import simulate
 from .motion.solvers.dop853 import Dop853
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
@@ -246,6 +247,7 @@ __all__ = [
     "Dop853",
     "Dry",
     "DynamicStiffness",
+    "EquationsOfMotion",
     "Equilibrium",
     "EsduCylinder",
     "ExactRestitution",
@@ -291,6 +293,7 @@ __all__ = [
     "Network",
     "NoDriftControl",
     "NotScalarizable",
+    "Ode",
     "OutOfRangeWarning",
     "ParallelAxes",
     "Parameter",
@@ -418,6 +421,7 @@ __all__ = [
     "load_urdf",
     "maximum_penetration",
     "monte_carlo",
+    "ode",
     "open_sweep",
     "optimize",
     "orientation",

@@ -18,6 +18,7 @@ SLOW = (
     "concepts/periodic.md",
     "howto/compare.md",
     "howto/controllers.md",
+    "howto/equations.md",
     "howto/exchange.md",
     "howto/fit.md",
     "howto/own_law.md",

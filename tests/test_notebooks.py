@@ -22,6 +22,7 @@ TOPICS = (
     "cycles",
     "design_optimisation",
     "dry_contact",
+    "equations",
     "four_joints",
     "hard_cases",
     "identification",

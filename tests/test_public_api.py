@@ -75,6 +75,7 @@ ARGUMENTS = {
     sj.HingeElastomer: ("stiffness", "damping", "conical_stiffness", "conical_damping", "torsional_damping"),
     sj.CrossElastomer: ("stiffness", "damping", "torsional_stiffness", "torsional_damping"),
     sj.constraint_report: ("scene", "t"),
+    sj.ode: ("scene", "t0"),
     sj.differentiated_rows: ("residual", "t", "body_i", "body_j", "is_driven"),
     sj.Spherical: ("socket", "ball", "model"),
     sj.Scene: ("bodies", "joints", "forces", "gravity", "ground_points", "drift"),

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.numerics import safe_sqrt
 from spherejax.foundations.types import Scalar
-from spherejax.model.system import Structure, System
+from spherejax.model.system import MemorySlot, Structure, System
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.physics.joints.base import Crossing
@@ -110,14 +110,59 @@ def memory_after_step(
             was_touching = model.is_touching(memory_start[slot.entries])
             is_beyond = model.crossing(motion).value > 0
             rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
-            after = jnp.where(~was_touching & is_beyond, model.memory_at_onset(rate), now)
-            after = jnp.where(was_touching & ~is_beyond, model.memory_at_release(), after)
-            lasts = np.array([entry.lasts for entry in slot.contents])
-            now = jnp.where(lasts, now, after) if lasts.any() else after
+            now = _after_event(slot, model, now, rate, ~was_touching & is_beyond, was_touching & ~is_beyond)
         parts.append(now)
     if system.force_slots:
         parts.append(memory_end[system.force_slots[0].start :])
     return jnp.concatenate(parts)
+
+
+def _after_event(slot: MemorySlot, model: Any, now, onset_rate: Scalar, begins, ends) -> Float[Array, " n_entries"]:
+    """The memory of one contact behind an onset with a normal velocity [m/s], or a release; else what it is now."""
+    after = jnp.where(begins, model.memory_at_onset(onset_rate), now)
+    after = jnp.where(ends, model.memory_at_release(), after)
+    lasts = np.array([entry.lasts for entry in slot.contents])
+    return jnp.where(lasts, now, after) if lasts.any() else after
+
+
+def state_after_events(
+    system: System, t: Scalar, at_event: tuple[Float[Array, " size"], Float[Array, " n_contacts"]]
+) -> Float[Array, " size"]:
+    """The flat state behind contact events: a contact in flight begins, one that touches ends.
+
+    Args:
+        system: the system.
+        t: time of the event [s].
+        at_event: flat state where the crossing function is zero, and for each contact 1 where it has its event, else 0.
+            Here the mode alone decides: on which side of the surface rounding has left a root says nothing.
+    """
+    y, events = at_event
+    memory = unpack(system.layout, y).memory
+    motions = relative_motions(system, y)
+    parts = []
+    for slot in system.memory_slots:
+        now = memory[slot.entries]
+        if slot.joint in motions:
+            model: Any = system.spherical(slot.joint).model
+            is_touching = model.is_touching(now)
+            happens = events[system.contact_joints.index(slot.joint)] > 0
+            rate = penetration_rate(motions[slot.joint])
+            now = _after_event(slot, model, now, rate, happens & ~is_touching, happens & is_touching)
+        parts.append(now)
+    if system.force_slots:
+        parts.append(memory[system.force_slots[0].start :])
+    layout = system.layout
+    return jnp.concatenate([y[: layout.memory_start], *parts, y[layout.work_start :]])
+
+
+def event_values(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " n_contacts"]:
+    """For each contact its crossing function in contact, and minus that in flight: it falls through 0 at its event."""
+    values = crossings(system, t, y).value
+    memory = unpack(system.layout, y).memory
+    models: Any = {name: system.spherical(name).model for name in system.contact_joints}
+    are_touching = jnp.stack([model.is_touching(memory[system.memory_of(name)]) for name, model in models.items()])
+    values = values[: len(models)]
+    return jnp.where(are_touching, values, -values)
 
 
 def onset_slopes(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " n_contacts"]:
