@@ -32,7 +32,6 @@ from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
 from spherejax.motion.start.start_now import StartWarning, known_start
 from spherejax.physics.joints.base import Crossing, Reaction
 from spherejax.physics.state import State, pack, unpack
-from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
 N_CORRECTIONS = 3
@@ -423,7 +422,7 @@ def ode(scene: Scene, *, t0: float = 0.0, track_work: bool = False, scalar: bool
     """
     require_float64()
     real_number("t0", t0)
-    with read_once(), captures_explained([scene]):
+    with captures_explained([scene]):
         compiled = compile_scene(scene, track_work=track_work)
         system = compiled.system
         structure, _ = flatten_system(system)
