@@ -64,7 +64,7 @@ def test_f_is_the_rate_of_the_run(name):
         assert float(jnp.max(jnp.abs(named[body].position - run.velocity(body)))) == 0.0
 
 
-@pytest.mark.parametrize("name", ["bushing", "friction", "friction in ideal joint"])
+@pytest.mark.parametrize("name", EACH)
 def test_energies_reactions_and_observables_are_those_of_the_run(name):
     (f, _, args), run = moving(name)
     t, y = run.ts[-1], run.ys[-1]
@@ -76,7 +76,7 @@ def test_energies_reactions_and_observables_are_those_of_the_run(name):
         expected = np.asarray(run.reaction(joint)[-1])
         np.testing.assert_allclose(reaction.force, expected, atol=1e-9 * np.abs(expected).max())
         np.testing.assert_allclose(reaction.force, seen.reactions[joint].force, rtol=1e-12)
-    np.testing.assert_allclose(seen.eccentricity["coupler_rocker"], run.eccentricity("coupler_rocker")[-1], atol=1e-18)
+    np.testing.assert_allclose(seen.eccentricity["coupler_rocker"], run.eccentricity("coupler_rocker")[-1], atol=1e-15)
 
 
 def test_array_code_and_scalar_programs_are_the_same_equations():
@@ -139,7 +139,7 @@ def test_rate_at_rest_is_what_a_driver_prescribes():
     assert any("by itself" in said for said in f.left_to_the_integrator)
 
 
-@pytest.mark.parametrize("name", ["bushing", "friction", "friction in ideal joint", "ideal"])
+@pytest.mark.parametrize("name", EACH)
 def test_accelerations_and_multipliers_solve_newton_euler(name):
     (f, _, args), run = moving(name)
     t, y = run.ts[-1], run.ys[-1]
@@ -148,7 +148,7 @@ def test_accelerations_and_multipliers_solve_newton_euler(name):
     np.testing.assert_allclose(M @ a + D.T @ multipliers, g, atol=1e-11 * np.abs(g).max())
     right = f.constraint_bias(t, y, args) - f.constraint_feedback(t, y, args)
     np.testing.assert_allclose(D @ a, right, atol=1e-10 * np.abs(a).max())
-    assert np.abs(multipliers).max() > 0.1
+    assert np.abs(multipliers).max() > 0.01
 
 
 def test_projection_closes_what_was_opened_and_keeps_what_is_closed():
@@ -255,7 +255,11 @@ def largest_difference(run, f, y) -> float:
     return max(float(jnp.max(jnp.abs(run.position(name)[-1] - bodies[name].position))) for name in f.bodies)
 
 
-@pytest.mark.parametrize(("name", "solver"), [("ideal", diffrax.Tsit5()), ("bushing", diffrax.Kvaerno5())])
+@pytest.mark.parametrize(
+    ("name", "solver"),
+    [("ideal", diffrax.Tsit5()), pytest.param("bushing", diffrax.Kvaerno5(), marks=pytest.mark.slow)],
+    ids=["ideal", "bushing"],
+)
 def test_plain_diffrax_makes_the_same_motion(name, solver):
     (f, y0, args), run = moving(name)
     assert not f.has_events
@@ -263,6 +267,7 @@ def test_plain_diffrax_makes_the_same_motion(name, solver):
     assert largest_difference(run, f, solution.ys[-1]) < 1e-11
 
 
+@pytest.mark.slow
 def test_a_gradient_through_plain_diffrax_is_that_of_the_run():
     f = moving("bushing")[0].f
 
