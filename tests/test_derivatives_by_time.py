@@ -70,6 +70,30 @@ def test_by_the_offset_of_a_clock_and_the_mass_together(mode):
     np.testing.assert_allclose(mode(of_numbers)(at), jax.jacfwd(exact)(at), atol=1e-6)
 
 
+def test_residuals_of_two_records_whose_clocks_are_late_by_unknown_times():
+    """What a fit of clock offsets solves: each record depends on its own offset, and both on the mass.
+
+    The motion of both begins at 0, so that the offsets move the samples alone.
+    """
+    instants = (np.array([0.2, 0.5]), np.array([0.3, 0.6, 0.8]))
+
+    def residuals(numbers):
+        starts = [jnp.concatenate([jnp.zeros(1), ts + late]) for ts, late in zip(instants, numbers[:2], strict=True)]
+        return jnp.concatenate(
+            [sj.simulate(pushed(numbers[2]), ts, rtol=1e-9).position("body")[1:, 0] for ts in starts]
+        )
+
+    def exact(numbers):
+        starts = [jnp.concatenate([jnp.zeros(1), ts + late]) for ts, late in zip(instants, numbers[:2], strict=True)]
+        return jnp.concatenate([exact_motion(ts, numbers[2])[0, 1:] for ts in starts])
+
+    at = jnp.array([0.013, -0.02, MASS])
+    found = jax.jit(jax.jacfwd(residuals))(at)
+    np.testing.assert_allclose(found, jax.jacfwd(exact)(at), atol=1e-6)
+    assert not np.any(found[:2, 1])
+    assert not np.any(found[2:, 0])
+
+
 def crank(mass=0.5) -> sj.Scene:
     """A body on a hinge whose angle is prescribed: where it is follows from the time alone."""
     body = sj.Body(mass, (1e-2,) * 3, position=(0.0, 0.2, 0.0))

@@ -3,6 +3,7 @@
 import re
 
 import fitting
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -285,3 +286,19 @@ def test_a_mapping_that_does_not_fit_its_table_says_so(tmp_path, columns, messag
 def test_a_mapping_is_for_tables_alone():
     with pytest.raises(sj.SceneError, match="CSV files"):
         measured_from({"time": [1.0], "position.ball.x": [0.0]}, {"a": "position.ball.x"})
+
+
+def test_traced_times_and_values_are_refused_with_what_to_do():
+    """NumPy's error of a tracer named neither; a clock offset is an unknown of residuals of one's own."""
+
+    def late(offset):
+        sj.Measured(INSTANTS + offset, {SENSOR: np.zeros(len(INSTANTS))})
+
+    def scaled(factor):
+        sj.Measured(INSTANTS, {SENSOR: factor * np.ones(len(INSTANTS))})
+
+    for transform in (jax.grad, jax.jit):
+        with pytest.raises(sj.SceneError, match=r"instants .* traced.*sj\.simulate.*clock offset"):
+            transform(late)(0.01)
+        with pytest.raises(sj.SceneError, match=f"{SENSOR!r} are traced"):
+            transform(scaled)(2.0)

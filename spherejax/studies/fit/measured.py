@@ -4,8 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import visible
 from spherejax.motion.runs.many import Build
@@ -52,6 +54,7 @@ class Measured:
         t0: float = 0.0,
         functions: Mapping[str, Function] | None = None,
     ):
+        _refuse_traced(ts, values)
         times = _times(ts, t0)
         given = {
             "ts": times, "values": {key: _column(key, value, times.size) for key, value in values.items()},
@@ -78,6 +81,19 @@ class Measured:
 def _replaced(measured: Measured, **changes) -> Measured:
     given = {field: getattr(measured, field) for field in ("noise", "build", "name", "t0", "functions")}
     return Measured(measured.ts, measured.values, **{**given, **changes})
+
+
+def _refuse_traced(ts: Any, values: Mapping[str, Any]) -> None:
+    """Refuse numbers that JAX traces: NumPy's own error would name neither the measurement nor what to do."""
+    if not all(map(is_concrete, jax.tree.leaves(ts))):
+        raise SceneError(
+            "the instants of measurements are traced; sj.fit takes them as numbers. Where a clock is late by an "
+            "unknown time, write the residuals with sj.simulate, whose sample times have derivatives: the page on fits "
+            "shows how ('A clock offset between two channels')"
+        )
+    for name, value in values.items():
+        if not all(map(is_concrete, jax.tree.leaves(value))):
+            raise SceneError(f"measured values of {name!r} are traced; give numbers, outside of jit, vmap and grad")
 
 
 def _times(ts: Any, t0: float) -> np.ndarray:
