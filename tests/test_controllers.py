@@ -290,7 +290,7 @@ def _double_integral(law) -> float:
 def test_memory_is_in_tables(many):
     table = many.to_xarray()
     np.testing.assert_array_equal(table["motor.integral"], many.memory("motor")["integral"])
-    assert table["motor.integral"].attrs["units"] == "N"
+    assert table["motor.integral"].attrs["units"] == "N m"
     assert table["lag.thrust"].attrs["units"] == "N"
     assert "joint_memory" not in table
     assert many.memory("bearing") == {}
@@ -547,7 +547,7 @@ period = "10 ms"
 reference = { kind = "step", at = 0.1, before = 0.0, after = 1.5 }
 proportional = 0.8
 integral = 2.0
-limits = ["-2 N", "2 N"]
+limits = ["-2 N m", "2 N m"]
 tracking_time = "0.1 s"
 
 [forces.shaker]

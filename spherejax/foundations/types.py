@@ -45,17 +45,27 @@ class Unit(NamedTuple):
 
     Attributes:
         si: e.g. `"N s/m"`; `"1"` for pure numbers. In braces: a number of the same object, `"N/m^{exponent}"`, or what
-            the place says where a function stands, `{of_argument}` and `{of_value}`.
+            the place says where a function stands, `{of_argument}` and `{of_value}`; or what the class's `unit_words`
+            says by the object's parts, such as the unit of a coordinate, which is a length or an angle.
+        shown: for lists and docstrings, where the parts decide: `"N/m or N m/rad"`.
     """
 
     si: str
+    shown: str = ""
 
 
 class Function(NamedTuple):
-    """A mark on an annotation: a function of one number, with the SI units of its argument and its value."""
+    """A mark on an annotation: a function of one number, with the SI units of its argument and its value.
+
+    Attributes:
+        argument: as in `Unit`.
+        value: as in `Unit`.
+        shown: of the value, as in `Unit`.
+    """
 
     argument: str
     value: str
+    shown: str = ""
 
 
 class Named(Enum):

@@ -56,20 +56,19 @@ def described_field(parameter: inspect.Parameter) -> Field | None:
     marks = getattr(parameter.annotation, "__metadata__", ())
     kind = _without_none(get_args(parameter.annotation)[0] if marks else parameter.annotation)
     marks = (*marks, *getattr(kind, "__metadata__", ()))
-    unit = next((mark.si for mark in marks if isinstance(mark, Unit)), None)
+    mark = next((mark for mark in marks if isinstance(mark, Unit)), None)
+    unit, shown = (None, "") if mark is None else mark
     function = next((mark for mark in marks if isinstance(mark, Function)), None)
     if function is not None and unit is not None:
-        family = AbstractFunction
-        return Either(QuantityField(unit, ((),)), PartField(family, function.argument, function.value))
+        return Either(QuantityField(unit, ((),), shown), _function_field(function))
     if function is not None:
         is_many = parameter.kind is inspect.Parameter.VAR_POSITIONAL or (get_origin(kind) or kind) is Sequence
-        family = AbstractFunction
-        return PartsField(family) if is_many else PartField(family, function.argument, function.value)
+        return PartsField(AbstractFunction) if is_many else _function_field(function)
     if unit is not None:
         if (get_origin(kind) or kind) is Mapping:
             return Points()
         shapes = next((mark.shapes for mark in marks if isinstance(mark, Shaped)), _shapes_of(kind))
-        quantity = QuantityField(unit, ((3,),) if OWN in marks else shapes)
+        quantity = QuantityField(unit, ((3,),) if OWN in marks else shapes, shown)
         return Either(quantity, PartField(OwnFunction)) if OWN in marks else quantity
     if OWN in marks:
         return PartField(OwnFunction)
@@ -80,6 +79,10 @@ def described_field(parameter: inspect.Parameter) -> Field | None:
         return named or Plain(kind)
     is_family = inspect.isclass(kind) and eqx.Module in kind.__mro__
     return PartField(kind) if is_family else None
+
+
+def _function_field(function: Function) -> PartField:
+    return PartField(AbstractFunction, *function)
 
 
 def _without_none(annotation: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 from spherejax.files.fields.fields import Context
 from spherejax.files.fields.kinds import fields_of
 from spherejax.files.fields.objects import numbers_in_units
-from spherejax.files.fields.parts import PartField
+from spherejax.files.fields.parts import Either, PartField
 from spherejax.files.fields.quantities import Points
 from spherejax.model.numbers import part_at
 from spherejax.model.scene import Scene
@@ -33,4 +33,5 @@ def _unit_of(part: Any, name: str, unit: str | None, context: Context) -> tuple[
     if isinstance(field, Points):
         return "m", context
     inside = context._replace(words={**context.words, **numbers_in_units(part)})
-    return field.unit(inside), field.inside(context) if isinstance(field, PartField) else context
+    within = field.part if isinstance(field, Either) else field
+    return field.unit(inside), within.inside(inside) if isinstance(within, PartField) else context

@@ -57,7 +57,13 @@ def built(cls: type, table: Mapping[str, Any], place: FilePlace, context: Contex
         name = missing[0]
         place.fail(f"{cls.__name__} needs {name}, {fields[name].what}; add {name} = ...")
     inside = context._replace(words={**context.words, **_numbers_of(parameters, table)})
-    arguments = {name: fields[name].read(value, place / name, inside) for name, value in table.items()}
+    # The parts that say the units of other arguments are read first: a coordinate says whether a gain is in N m/rad.
+    ahead = {name: fields[name].read(table[name], place / name, inside) for name in _unit_givers(cls) if name in table}
+    inside = inside._replace(words={**inside.words, **_words_of_parts(cls, ahead)})
+    arguments = {
+        name: ahead[name] if name in ahead else fields[name].read(value, place / name, inside)
+        for name, value in table.items()
+    }
     if cls not in FIELDS:
         with reported(place, f"{cls.__name__} cannot be made"):
             made = called(cls, arguments)
@@ -110,7 +116,8 @@ def describe(made: Any, family: type, context: Context) -> dict[str, Any]:
 def described(made: Any, context: Context) -> dict[str, Any]:
     """The arguments of an object as a table, without those that are None."""
     fields, arguments = fields_of(type(made)), arguments_of(made)
-    inside = context._replace(words={**context.words, **_numbers_of(parameters_of(type(made)), arguments)})
+    words = {**_numbers_of(parameters_of(type(made)), arguments), **_words_of_parts(type(made), arguments)}
+    inside = context._replace(words={**context.words, **words})
     table = {name: fields[name].write(value, inside) for name, value in arguments.items()}
     try:
         is_same = same(called(type(made), arguments), made)
@@ -196,10 +203,21 @@ def _numbers_of(parameters: Mapping[str, inspect.Parameter], table: Mapping[str,
 
 
 def numbers_in_units(made: Any) -> dict[str, Any]:
-    """Numbers of an object that the units of its other numbers may refer to, e.g. its exponent."""
-    return _numbers_of(
-        parameters_of(type(made)), {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
-    )
+    """What the units of an object's numbers may refer to: numbers of it, e.g. its exponent, and units by its parts."""
+    values = {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
+    return {**_numbers_of(parameters_of(type(made)), values), **_words_of_parts(type(made), values)}
+
+
+def _unit_givers(cls: type) -> tuple[str, ...]:
+    """Arguments that say the units of others: those of the static method `unit_words` of the class, if it has one."""
+    teller = getattr(cls, "unit_words", None)
+    return () if teller is None else tuple(inspect.signature(teller).parameters)
+
+
+def _words_of_parts(cls: type, arguments: Mapping[str, Any]) -> dict[str, str]:
+    """Units by name that an object's parts give to its numbers."""
+    given = {name: arguments[name] for name in _unit_givers(cls) if name in arguments}
+    return cls.unit_words(**given) if given else {}  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _power_in_unit(value: Any) -> str | None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from spherejax.files.fields.fields import Context, Field, shown, words_of
 from spherejax.files.fields.quantities import QuantityField
+from spherejax.foundations.units.number_texts import looks_like_number
 
 
 class OwnFunction:
@@ -22,16 +23,18 @@ class PartField(Field):
         family: the class that it is one of.
         argument: for a function, the SI unit of its argument.
         value: for a function, the SI unit of its value.
+        shown: that unit in lists, where parts of the object decide on it; empty for `value`.
     """
 
     family: type
     argument: str | None = None
     value: str | None = None
+    shown: str = ""
 
     @property
     def what(self) -> str:
         """The family."""
-        units = "" if self.argument is None else f", [{self.value}] by [{self.argument}]"
+        units = "" if self.argument is None else f", [{self.shown or self.value}] by [{self.argument}]"
         family = words_of(self.family)
         if self.family is OwnFunction:
             return "a function of your own"
@@ -75,8 +78,8 @@ class PartsField(Field):
 
 @dataclass(frozen=True)
 class Either(Field):
-    """The first of several fields that fits the form of the value: numbers are written as numbers or lists, objects as
-    tables with a `kind`."""
+    """The first of several fields that fits the form of the value: numbers are written as numbers, lists, or texts with
+    a unit, objects as tables with a `kind`, or as this word alone."""
 
     quantity: QuantityField
     part: PartField
@@ -92,7 +95,9 @@ class Either(Field):
 
     def read(self, value, place, context):
         """The number or the object."""
-        is_part = isinstance(value, str) or (isinstance(value, dict) and "values" not in value)
+        # "300 rpm" is a number, "sine" a kind, and "2nd_laws.py:MyForce" a class of a user's own.
+        is_word = isinstance(value, str) and (":" in value or not looks_like_number(value.strip()))
+        is_part = is_word or (isinstance(value, dict) and "values" not in value)
         return (self.part if is_part else self.quantity).read(value, place, context)
 
     def write(self, value, context):

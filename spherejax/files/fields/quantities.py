@@ -22,15 +22,19 @@ class QuantityField(Field):
     Attributes:
         si: SI unit, with words in braces that are filled in from the context; None takes any dimension.
         shapes: allowed shapes; -1 stands for any length. None takes any shape.
+        shown: the unit in lists, where parts of the object decide on it; empty for `si`.
     """
 
     si: str | None
     shapes: tuple[tuple[int, ...], ...] | None = ((),)
+    shown: str = ""
 
     @property
     def what(self) -> str:
         """The unit and the shape."""
-        if self.si is None or self.si == PURE:
+        if self.shown:
+            unit = self.shown
+        elif self.si is None or self.si == PURE:
             unit = "any unit" if self.si is None else "-"
         else:
             unit = self.si.translate(_WITHOUT_BRACKETS).replace("of_", "")

@@ -1,5 +1,6 @@
 """The text of a scene file: every number with its unit in a comment."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -7,9 +8,10 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
-from spherejax.files.fields.fields import Context
+from spherejax.files.fields.fields import Context, Field
 from spherejax.files.fields.kinds import fields_of
-from spherejax.files.fields.objects import KIND, build, describe, described
+from spherejax.files.fields.objects import KIND, build, describe, described, numbers_in_units
+from spherejax.files.fields.parts import Either, PartField
 from spherejax.files.fields.quantities import Points, vector
 from spherejax.files.scenes.reading import STUDIED, SceneFile
 from spherejax.files.scenes.settings import FIELDS as SETTINGS
@@ -84,6 +86,7 @@ def _table(values: Mapping[str, Any], made: Any, context: Context) -> Table:
     """A table: numbers with their units first, then the tables in it."""
     fields = fields_of(type(made))
     words = {name: f"{value:g}" for name, value in values.items() if type(value) is float}
+    words |= numbers_in_units(made) if dataclasses.is_dataclass(made) else {}
     inside = context._replace(words={**context.words, **words})
     table = tomlkit.table()
     for name, value in values.items():
@@ -92,8 +95,15 @@ def _table(values: Mapping[str, Any], made: Any, context: Context) -> Table:
     for name, value in values.items():
         if isinstance(value, dict):
             is_points = isinstance(fields[name], Points)
-            table.add(name, _points(value, context) if is_points else _part(value, getattr(made, name), inside))
+            within = _units_within(fields[name], inside)
+            table.add(name, _points(value, context) if is_points else _part(value, getattr(made, name), within))
     return table
+
+
+def _units_within(field: Field, context: Context) -> Context:
+    """With the units of the argument and the value of a function that the field holds."""
+    part = field.part if isinstance(field, Either) else field
+    return part.inside(context) if isinstance(part, PartField) else context
 
 
 def _part(values: Mapping[str, Any], made: Any, context: Context) -> Any:

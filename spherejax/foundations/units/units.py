@@ -29,6 +29,7 @@ NAMES = {
     "N s/m": "a damping", "N m/rad": "a rotational stiffness", "N m s/rad": "a rotational damping",
     "kg m^2": "a moment of inertia", "Pa": "a pressure", "Pa s": "a viscosity", "1/s": "a rate",
     "1/m": "a number per length", "s/m": "a number per velocity", "rad/s^2": "an angular acceleration",
+    "N/(m s)": "an integral gain", "N m/(rad s)": "an integral gain of an angle",
 }  # fmt: skip
 """What units measure, for messages."""
 

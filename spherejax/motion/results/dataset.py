@@ -148,7 +148,9 @@ def _of_joints(run: Any) -> dict[str, Column]:
     for name in seen.driving_effort:
         effort = run.driving_effort(name)
         dims = ("time", "axis") if effort.ndim == 2 else ("time",)
-        columns[f"driving_effort_{name}"] = (dims, effort, "N m or N", f"torque or force of the driver {name}")
+        unit = system.joints[name].effort_unit
+        what = "torque" if unit == "N m" else "force"
+        columns[f"driving_effort_{name}"] = (dims, effort, unit, f"{what} of the driver {name}")
         power = run.driving_power(name)
         columns[f"driving_power_{name}"] = (("time",), power, "W", f"power that the driver {name} puts in")
     if seen.eccentricity:

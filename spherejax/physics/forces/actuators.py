@@ -1,8 +1,8 @@
 """Efforts along a coordinate as functions of time, or as samples of a signal: motors, hydraulic cylinders, shakers.
 
-A coordinate is a `Turn` about an axis, a `Travel` along a direction, or an `Extension` between two points. It is
-counted from the start of the motion in m, and its effort is in N; with a `Turn` of the radius 1 these are an angle in
-rad and a torque in N m.
+A coordinate is a `Turn` about an axis, a `Travel` along a direction, or an `Extension` between two points, counted from
+the start of the motion. Along a `Turn` it is an angle in rad, and efforts are moments in N m; along the others, and
+along a `Turn` on a radius, it is a length in m, and efforts are forces in N.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,13 +19,13 @@ from spherejax.foundations.numerics import CONCENTRIC_RADIUS
 from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Function, Listed, Named, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import Body, numbers
-from spherejax.physics.forces.base import AbstractForce, FindPlace
-from spherejax.physics.forces.coupler import AbstractCoordinate, AbstractStretch, Turn
+from spherejax.physics.forces.base import UNITS, AbstractForce, FindPlace
+from spherejax.physics.forces.coupler import AbstractCoordinate, AbstractStretch
 from spherejax.physics.forces.line import Attachment, two_ends
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants
 from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
 from spherejax.physics.functions.shapes import Constant, finite
-from spherejax.physics.memory import MemoryEntry
+from spherejax.physics.memory import MemoryEntry, Scale
 
 
 class Extension(AbstractStretch):
@@ -70,9 +70,9 @@ class Actuator(AbstractForce):
 
     Attributes:
         coordinate: a `Turn`, a `Travel` or an `Extension`.
-        effort: f [N] by time [s]: a number, `Table`, `Sine`, any function of one number. Steps of the integration end
-            where a function says that it begins, ends or turns.
-        offset: a number that is added [N]; an input for `sj.linearize` about a motion that the function drives.
+        effort: f [N or N m] by time [s]: a number, `Table`, `Sine`, any function of one number. Steps of the
+            integration end where a function says that it begins, ends or turns.
+        offset: a number that is added [N or N m]; an input for `sj.linearize` about a motion that the function drives.
 
     Limits: a pulse of a function of one's own that is shorter than 1/20,000 of the motion can be passed over; declare
     it by the breaks of a `Piecewise`, where steps end: `sj.Piecewise([0.4, 0.40001], [f, f, f])`.
@@ -85,12 +85,22 @@ class Actuator(AbstractForce):
     def __init__(
         self,
         coordinate: AbstractCoordinate,
-        effort: Annotated[Number | Callable, Unit("N"), Function("s", "N")] = 0.0,
-        offset: Annotated[Number, Unit("N")] = 0.0,
+        effort: Annotated[Number | Callable, Unit("{effort}", "N or N m"), Function("s", "{effort}", "N or N m")] = 0.0,
+        offset: Annotated[Number, Unit("{effort}", "N or N m")] = 0.0,
     ):
         self.coordinate = coordinate
         self.effort = function_of_time(effort)
         self.offset = offset
+
+    @staticmethod
+    def unit_words(coordinate: AbstractCoordinate) -> dict[str, str]:
+        """Units of its numbers by its coordinate."""
+        return dict(coordinate.part_units)
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """Of its coordinate."""
+        return {**UNITS, **self.coordinate.part_units}
 
     def _force(self, t: Scalar) -> Scalar:
         return self.effort(t) + self.offset
@@ -100,15 +110,14 @@ class Actuator(AbstractForce):
         return self.coordinate.wrenches(motions, self._force(t))
 
     def parts(self, t, motions) -> dict[str, Array]:
-        """`effort` [N]; `position` [m] and `rate` [m/s] of the coordinate."""
+        """`effort` [N or N m]; `position` [m or rad] and `rate` of the coordinate."""
         motion = self.coordinate.motion(motions)
         return {"effort": self._force(t), "position": motion.value, "rate": motion.rate}
 
     def unknown_in_time(self, t, motions):
         """The effort, where it is a function of one's own that does not say where it turns."""
         del motions
-        unit = "N m" if isinstance(self.coordinate, Turn) else "N"
-        return ((self.effort(t), unit),) if self.effort.is_unknown else ()
+        return ((self.effort(t), self.coordinate.part_units["effort"]),) if self.effort.is_unknown else ()
 
     def room(self, t, motions):
         """To where the effort begins, ends or turns."""
@@ -144,7 +153,7 @@ class SampledActuator(AbstractForceWithMemory):
     Attributes:
         coordinate: a `Turn`, a `Travel` or an `Extension`.
         times: of the samples, increasing [s], shape (n,).
-        values: the efforts there [N], shape (n,).
+        values: the efforts there [N or N m], shape (n,).
         linear: whether to go in straight lines from sample to sample; else the last one is held.
 
     Before the first sample the effort is nothing, behind the last one it stays.
@@ -159,7 +168,7 @@ class SampledActuator(AbstractForceWithMemory):
         self,
         coordinate: AbstractCoordinate,
         times: Annotated[Listed, Unit("s")],
-        values: Annotated[Listed, Unit("N")],
+        values: Annotated[Listed, Unit("{effort}", "N or N m")],
         linear: bool = False,
     ):
         self.coordinate = coordinate
@@ -167,11 +176,22 @@ class SampledActuator(AbstractForceWithMemory):
         self.values = numbers(values)
         self.linear = linear
 
+    @staticmethod
+    def unit_words(coordinate: AbstractCoordinate) -> dict[str, str]:
+        """Units of its numbers by its coordinate."""
+        return dict(coordinate.part_units)
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """Of its coordinate."""
+        return {**UNITS, **self.coordinate.part_units}
+
     @property
     def memory(self):
         """The effort at the last sample; its slope and instant, where lines are drawn."""
-        lines = MemoryEntry("slope", "N/s", 1.0), MemoryEntry("since", "s", 1.0)
-        return MemoryEntry("effort", "N", "force"), *(lines if self.linear else ())
+        unit, scale = effort_entry(self.coordinate)
+        lines = MemoryEntry("slope", f"{unit}/s", 1.0), MemoryEntry("since", "s", 1.0)
+        return MemoryEntry("effort", unit, scale), *(lines if self.linear else ())
 
     @property
     def sampling(self):
@@ -208,6 +228,11 @@ class SampledActuator(AbstractForceWithMemory):
     def body_names(self) -> tuple[str, ...]:
         """The bodies of the coordinate."""
         return self.coordinate.body_names
+
+
+def effort_entry(coordinate: AbstractCoordinate) -> tuple[str, Scale]:
+    """The unit of an effort that is remembered, and what its errors are judged by."""
+    return coordinate.part_units["effort"], "moment" if coordinate.is_angle else "force"
 
 
 def function_of_time(given: Number | Callable) -> AbstractFunction:

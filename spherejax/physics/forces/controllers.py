@@ -1,6 +1,6 @@
 """A PID controller in continuous time, and what it shares with a digital one (`sampled_pid`).
 
-Units as of actuators: coordinates in m, efforts in N; with a `Turn` of the radius 1 rad and N m.
+Units as of actuators: along a `Turn` angles in rad and moments in N m, else lengths in m and forces in N.
 """
 
 import abc
@@ -15,9 +15,14 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric, positive
 from spherejax.foundations.types import Function, Listed, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import Body, numbers
-from spherejax.physics.forces.actuators import coordinate_requirements, function_of_time, with_placed_coordinate
+from spherejax.physics.forces.actuators import (
+    coordinate_requirements,
+    effort_entry,
+    function_of_time,
+    with_placed_coordinate,
+)
 from spherejax.physics.forces.base import UNITS, FindPlace, Motions
-from spherejax.physics.forces.coupler import AbstractCoordinate, CoordinateMotion, Turn
+from spherejax.physics.forces.coupler import AbstractCoordinate, CoordinateMotion
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction
 from spherejax.physics.functions.base import AbstractFunction, function_requirements
 from spherejax.physics.functions.shapes import finite
@@ -29,10 +34,10 @@ class Sensed(NamedTuple):
 
     Attributes:
         motion: of the coordinate, through any number of turns.
-        value: what is controlled: its position [m] or its rate [m/s].
+        value: what is controlled: its position [m or rad] or its rate [m/s or rad/s].
         reference: what that should be.
         error: reference less value.
-        error_rate: the error's time derivative, of a position [m/s]; of a rate nobody measures it.
+        error_rate: the error's time derivative, of a position [m/s or rad/s]; of a rate nobody measures it.
     """
 
     motion: CoordinateMotion
@@ -40,6 +45,22 @@ class Sensed(NamedTuple):
     reference: Scalar
     error: Scalar
     error_rate: Scalar | None
+
+
+GAIN_UNITS: Mapping[tuple[bool, bool], Mapping[str, str]] = {
+    (False, False): {"controlled": "m", "proportional": "N/m", "integral": "N/(m s)", "derivative": "N s/m"},
+    (True, False): {
+        "controlled": "rad", "proportional": "N m/rad", "integral": "N m/(rad s)", "derivative": "N m s/rad",
+    },
+    (False, True): {"controlled": "m/s", "proportional": "N s/m", "integral": "N/m", "derivative": "N s^2/m"},
+    (True, True): {
+        "controlled": "rad/s", "proportional": "N m s/rad", "integral": "N m/rad", "derivative": "N m s^2/rad",
+    },
+}  # fmt: skip
+"""Units of what is controlled and of the gains: by whether the coordinate is an angle, and whether it is its rate."""
+
+REFERENCE, REFERENCE_SHOWN = "{controlled}", "m or rad, of a rate m/s or rad/s"
+"""Unit of a reference, by the coordinate and `of_rate`."""
 
 
 class AbstractController(AbstractForceWithMemory):
@@ -93,7 +114,7 @@ class AbstractController(AbstractForceWithMemory):
         return middle + half * jnp.tanh((effort - middle) / half)
 
     def _unwinding(self, asked: Scalar, effort: Scalar) -> Scalar | float:
-        """What limits take from the integral, by time [N/s]."""
+        """What limits take from the integral, by time [N/s or N m/s]."""
         if self.limits is None or self.tracking_time is None:
             return 0.0
         return (effort - asked) / self.tracking_time
@@ -112,11 +133,16 @@ class AbstractController(AbstractForceWithMemory):
         del motions
         return self.reference.room(t, True)
 
+    @staticmethod
+    def unit_words(coordinate: AbstractCoordinate, of_rate: bool = False) -> dict[str, str]:
+        """Units of its numbers, by its coordinate and by whether the rate of that is controlled."""
+        return {"effort": coordinate.part_units["effort"], **GAIN_UNITS[coordinate.is_angle, of_rate]}
+
     @property
     def part_units(self) -> Mapping[str, str]:
-        """References and errors are positions or rates."""
-        unit = "m/s" if self.of_rate else "m"
-        return {**UNITS, "reference": unit, "error": unit}
+        """Those of the coordinate; references and errors are positions or rates."""
+        unit = self.unit_words(self.coordinate, self.of_rate)["controlled"]
+        return {**UNITS, **self.coordinate.part_units, "reference": unit, "error": unit}
 
     def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
         """The coordinate in body axes."""
@@ -168,18 +194,20 @@ class PID(AbstractController):
 
     Attributes:
         coordinate: a `Turn`, a `Travel` or an `Extension`.
-        reference: by time [s]: of the coordinate [m] (with `of_rate` of its rate [m/s]); a number, or any function.
-        proportional: k_p [N/m].
-        integral: k_i [N/(m s)]; None, the default, has no integral.
-        derivative: k_d [N s/m]; None has no derivative.
+        reference: of the coordinate, with `of_rate` of its rate: a number [m or rad, of a rate m/s or rad/s], or any
+            function of time t in s.
+        proportional: k_p [N/m or N m/rad].
+        integral: k_i [N/(m s) or N m/(rad s)]; None, the default, has no integral.
+        derivative: k_d [N s/m or N m s/rad]; None has no derivative.
         filter_time: time constant of the derivative's filter [s]; None, the default, takes the rate as it is.
-        limits: least and largest effort [N], shape (2,); None for an effort without.
+        limits: least and largest effort [N or N m], shape (2,); None for an effort without.
         tracking_time: time constant with which limits unwind the integral [s]; None lets it wind up.
-        offset: added to the effort [N]: weight that is known, an input for `sj.linearize`.
-        of_rate: whether the coordinate's rate is controlled; gains are then [N s/m] and so on.
+        offset: added to the effort [N or N m]: weight that is known, an input for `sj.linearize`.
+        of_rate: whether the coordinate's rate is controlled, as of a motor by speed; k_p is then in N s/m or N m s/rad,
+            and so on.
         smooth_limits: whether the effort comes to its limits as a hyperbolic tangent; else it is clipped.
 
-    It remembers `integral` i [N] and `filtered` z.
+    It remembers `integral` i [N or N m] and `filtered` z.
 
     Limits: at a jump of the reference the derivative is that of the parts beside it, without the jump; with a filter it
     is the filter's answer. A controlled rate needs the filter for a derivative. The motion begins with i = 0, z = e.
@@ -202,15 +230,17 @@ class PID(AbstractController):
     def __init__(
         self,
         coordinate: AbstractCoordinate,
-        reference: Annotated[Number | Callable, Unit("m"), Function("s", "m")] = 0.0,
-        proportional: Annotated[Number, Unit("N/m")] = 0.0,
-        integral: Annotated[Number | None, Unit("N/(m s)")] = None,
-        derivative: Annotated[Number | None, Unit("N s/m")] = None,
+        reference: Annotated[
+            Number | Callable, Unit(REFERENCE, REFERENCE_SHOWN), Function("s", REFERENCE, REFERENCE_SHOWN)
+        ] = 0.0,
+        proportional: Annotated[Number, Unit("{proportional}", "N/m or N m/rad")] = 0.0,
+        integral: Annotated[Number | None, Unit("{integral}", "N/(m s) or N m/(rad s)")] = None,
+        derivative: Annotated[Number | None, Unit("{derivative}", "N s/m or N m s/rad")] = None,
         *,
         filter_time: Annotated[Number | None, Unit("s")] = None,
-        limits: Annotated[Listed | None, Unit("N")] = None,
+        limits: Annotated[Listed | None, Unit("{effort}", "N or N m")] = None,
         tracking_time: Annotated[Number | None, Unit("s")] = None,
-        offset: Annotated[Number, Unit("N")] = 0.0,
+        offset: Annotated[Number, Unit("{effort}", "N or N m")] = 0.0,
         of_rate: bool = False,
         smooth_limits: bool = False,
     ):
@@ -228,7 +258,7 @@ class PID(AbstractController):
 
     @property
     def _states(self):
-        integral = MemoryEntry("integral", "N", effort_scale(self.coordinate))
+        integral = MemoryEntry("integral", *effort_entry(self.coordinate))
         return (*((integral,) if self.integral is not None else ()), *(filtered_error(self) if self._filters else ()))
 
     @property
@@ -238,11 +268,11 @@ class PID(AbstractController):
     def unknown_in_time(self, t, motions):
         """The reference, where it is a function of one's own that does not say where it turns."""
         del motions
-        unit = "1" if isinstance(self.coordinate, Turn) else "m"
+        unit = "1" if self.coordinate.is_angle else "m"
         return ((self.reference(t), unit),) if self.reference.is_unknown else ()
 
     def action(self, t, motions, memory):
-        """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""
+        """`effort` [N or N m]; `position`, `rate` of the coordinate, `reference`, `error`."""
         kept, seen = self._entries(memory), self._measured(t, motions)
         asked = self.proportional * seen.error + self.offset
         rates = []
@@ -277,20 +307,16 @@ class PID(AbstractController):
 
 def filtered_error(controller: AbstractController) -> tuple[MemoryEntry, ...]:
     """The filtered error."""
-    is_turn = isinstance(controller.coordinate, Turn)
-    if controller.of_rate:
-        return (MemoryEntry("filtered", "m/s", "angular_speed" if is_turn else "speed"),)
-    return (MemoryEntry("filtered", "m", "angle" if is_turn else "length"),)
-
-
-def effort_scale(coordinate: AbstractCoordinate) -> Scale:
-    """By what errors of an effort are judged."""
-    return "moment" if isinstance(coordinate, Turn) else "force"
+    is_angle = controller.coordinate.is_angle
+    of_rate: Scale = "angular_speed" if is_angle else "speed"
+    of_position: Scale = "angle" if is_angle else "length"
+    unit = controller.unit_words(controller.coordinate, controller.of_rate)["controlled"]
+    return (MemoryEntry("filtered", unit, of_rate if controller.of_rate else of_position),)
 
 
 def _limits_requirement(limits) -> Requirement:
     values = numeric(limits)
     if values.shape != (2,):
-        return Requirement("limits", limits, False, "be two numbers", "Give the least and the largest effort [N].")
+        return Requirement("limits", limits, False, "be two numbers", "Give the least and the largest effort.")
     fits = (values[0] < values[1]) & (abs(values) < np.inf).all()
-    return Requirement("limits", limits, fits, "increase and be finite", "Give the least effort first [N].")
+    return Requirement("limits", limits, fits, "increase and be finite", "Give the least effort first.")

@@ -1,6 +1,7 @@
 """Couplers: a spring and a damper between the coordinates of two joints, as gears, belts and linkages have them.
 
-A coordinate x is a length that is counted from the start of the motion: of a joint that turns the arc on a radius. With
+A coordinate x is counted from the start of the motion: a length, or of a joint that turns its angle, or the arc on a
+radius. With
 
     u = x_2 - ratio x_1 - offset,    f = k u + c u_rate
 
@@ -22,7 +23,7 @@ from spherejax.foundations.legal import non_negative, positive
 from spherejax.foundations.rotation import normalized, rotation_matrix
 from spherejax.foundations.types import Named, Number, Numeric, Scalar, Triple, Unit
 from spherejax.physics.bodies import GROUND, Body, numbers
-from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
+from spherejax.physics.forces.base import UNITS, AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
 from spherejax.physics.forces.line import (
     Attachment,
     direction_on,
@@ -40,8 +41,8 @@ class CoordinateMotion(NamedTuple):
     """How far a coordinate has gone.
 
     Attributes:
-        value: x, 0 at the start [m].
-        rate: its time derivative [m/s].
+        value: x, 0 at the start [m or rad].
+        rate: its time derivative [m/s or rad/s].
     """
 
     value: Scalar
@@ -49,7 +50,18 @@ class CoordinateMotion(NamedTuple):
 
 
 class AbstractCoordinate(eqx.Module):
-    """How far one body has turned or slid against another."""
+    """How far one body has turned or slid against another: a length [m] with forces [N], or an angle with moments."""
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is an angle [rad], and efforts along it are moments [N m] (static)."""
+        return False
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """SI units of its position, its rate and the effort along it."""
+        position, effort = ("rad", "N m") if self.is_angle else ("m", "N")
+        return {"position": position, "rate": f"{position}/s", "effort": effort}
 
     @property
     @abc.abstractmethod
@@ -62,7 +74,7 @@ class AbstractCoordinate(eqx.Module):
 
     @abc.abstractmethod
     def wrenches(self, motions: Motions, force: Scalar) -> dict[str, Wrench]:
-        """Wrenches on both bodies of a force along the coordinate [N]: their power is the force times the rate."""
+        """Wrenches on both bodies of an effort along the coordinate [N or N m]: their power is effort times rate."""
 
     @abc.abstractmethod
     def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
@@ -74,28 +86,31 @@ class AbstractCoordinate(eqx.Module):
 
 
 class Turn(AbstractCoordinate):
-    """The arc of a body's turn against another since the start: radius times the angle of a `TorsionalSpring`.
+    """The angle by which a body has turned against another since the start, as of a `TorsionalSpring`; or its arc.
+
+    Without a radius it is an angle [rad], and efforts along it are moments [N m]. With a radius it is the arc on it
+    [m], and efforts are forces [N] that act on this radius.
 
     Attributes:
         bodies: names of the two bodies; `"ground"` is one.
         axis: world axes at the start, any length; it turns with the first body.
-        radius: on which the arc is measured, as a gear's pitch radius [m]; with 1, forces along it are moments.
+        radius: on which an arc is measured, as a gear's pitch radius [m]; None, the default, for the angle.
         attachment: the geometry in body axes, once the scene is compiled.
 
-    The arc goes on through any number of turns: an element with such a coordinate has an entry of the state for how
+    The angle goes on through any number of turns: an element with such a coordinate has an entry of the state for how
     far it has `turned` [rad]. Limits: as those of a `TorsionalSpring`.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
     axis: Triple
-    radius: Number
+    radius: Number | None
     attachment: TorsionalAttachment | None
 
     def __init__(
         self,
         bodies: Annotated[tuple[str, str], Named.BODIES],
         axis: Annotated[Triple, Unit("1")],
-        radius: Annotated[Number, Unit("m")] = 1.0,
+        radius: Annotated[Number | None, Unit("m")] = None,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.axis = numbers(axis)
@@ -107,14 +122,22 @@ class Turn(AbstractCoordinate):
         """The two bodies."""
         return self.bodies
 
+    @property
+    def is_angle(self):
+        """Without a radius."""
+        return self.radius is None
+
     def motion(self, motions):
-        """The arc and its rate."""
+        """The angle or the arc, and its rate."""
         twist = self._twist(motions)
+        if self.radius is None:
+            return CoordinateMotion(twist.angle, twist.rate)
         return CoordinateMotion(self.radius * twist.angle, self.radius * twist.rate)
 
     def wrenches(self, motions, force):
         """A couple along the direction in which the twist grows."""
-        moment = self.radius * force * self._twist(motions).direction
+        effort = force if self.radius is None else self.radius * force
+        moment = effort * self._twist(motions).direction
         return {self.bodies[0]: Wrench(jnp.zeros(3), -moment), self.bodies[1]: Wrench(jnp.zeros(3), moment)}
 
     def placed(self, bodies, find):
@@ -132,7 +155,7 @@ class Turn(AbstractCoordinate):
         return [
             Requirement("bodies", self.bodies, self.bodies[0] != self.bodies[1], "be two bodies", remedy),
             is_direction("axis", self.axis),
-            positive("radius", self.radius, "m"),
+            *([] if self.radius is None else [positive("radius", self.radius, "m")]),
         ]
 
 
@@ -207,7 +230,8 @@ class Coupler(AbstractForce):
 
         u = x_2 - ratio x_1 - offset,    f = k u + c u_rate
 
-    f resists the second coordinate, and ratio f drives the first. The stiffer, the closer to gears without play.
+    f resists the second coordinate, and ratio f drives the first. The stiffer, the closer to gears without play. Both u
+    and f are in the units of the second coordinate: m and N, or rad and N m of a `Turn` without a radius.
 
         meshing = sj.Coupler(
             sj.Turn(("housing", "pinion"), axis=(0, 0, 1), radius=0.02),
@@ -220,10 +244,10 @@ class Coupler(AbstractForce):
     Attributes:
         first: the coordinate x_1, a `Turn` or a `Travel`.
         second: the coordinate x_2, a `Turn` or a `Travel`.
-        ratio: of x_2 to x_1 [-]; -1 of wheels that mesh outside, 1 of a belt.
-        stiffness: k [N/m].
-        damping: c [N s/m].
-        offset: u = 0 where x_2 is this much more than ratio x_1 [m].
+        ratio: of x_2 to x_1 [-, rad/m or m/rad]; -1 of wheels that mesh outside, 1 of a belt.
+        stiffness: k [N/m or N m/rad].
+        damping: c [N s/m or N m s/rad].
+        offset: u = 0 where x_2 is this much more than ratio x_1 [m or rad].
     """
 
     first: AbstractCoordinate
@@ -237,10 +261,10 @@ class Coupler(AbstractForce):
         self,
         first: AbstractCoordinate,
         second: AbstractCoordinate,
-        ratio: Annotated[Number, Unit("1")] = 1.0,
-        stiffness: Annotated[Number, Unit("N/m")] = 0.0,
-        damping: Annotated[Number, Unit("N s/m")] = 0.0,
-        offset: Annotated[Number, Unit("m")] = 0.0,
+        ratio: Annotated[Number, Unit("{ratio}", "-, rad/m or m/rad")] = 1.0,
+        stiffness: Annotated[Number, Unit("{stiffness}", "N/m or N m/rad")] = 0.0,
+        damping: Annotated[Number, Unit("{damping}", "N s/m or N m s/rad")] = 0.0,
+        offset: Annotated[Number, Unit("{second}", "m or rad")] = 0.0,
     ):
         self.first = first
         self.second = second
@@ -248,6 +272,20 @@ class Coupler(AbstractForce):
         self.stiffness = stiffness
         self.damping = damping
         self.offset = offset
+
+    @staticmethod
+    def unit_words(first: AbstractCoordinate, second: AbstractCoordinate) -> dict[str, str]:
+        """Units of its numbers by its coordinates."""
+        one, other = first.part_units["position"], second.part_units["position"]
+        stiffness, damping = ("N m/rad", "N m s/rad") if second.is_angle else ("N/m", "N s/m")
+        ratio = "1" if one == other else f"{other}/{one}"
+        return {"second": other, "ratio": ratio, "stiffness": stiffness, "damping": damping}
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """Of the second coordinate."""
+        units = self.second.part_units
+        return {**UNITS, "lag": units["position"], "lag_rate": units["rate"], "force": units["effort"]}
 
     @property
     def never_adds_energy(self) -> bool:
@@ -260,7 +298,7 @@ class Coupler(AbstractForce):
         return is_without_damping(self.damping)
 
     def _press(self, motions: Motions) -> tuple[Scalar, Scalar, Scalar]:
-        """u [m], its rate [m/s], and f [N]."""
+        """u [m or rad], its rate, and f [N or N m]."""
         first, second = self.first.motion(motions), self.second.motion(motions)
         u = second.value - self.ratio * first.value - self.offset
         rate = second.rate - self.ratio * first.rate
@@ -283,7 +321,7 @@ class Coupler(AbstractForce):
         return 0.5 * self.stiffness * u * u
 
     def parts(self, t, motions) -> dict[str, Array]:
-        """`lag` u [m], `lag_rate` [m/s], `force` f [N], `dissipated_power` [W]."""
+        """`lag` u [m or rad], `lag_rate`, `force` f [N or N m], `dissipated_power` [W]."""
         del t
         u, rate, force = self._press(motions)
         return {"lag": u, "lag_rate": rate, "force": force, "dissipated_power": self.damping * rate * rate}
@@ -295,15 +333,15 @@ class Coupler(AbstractForce):
 
     def requirements(self) -> list[Requirement]:
         """Two coordinates, k >= 0, c >= 0, finite numbers."""
-        rows = []
+        rows, units = [], self.unit_words(self.first, self.second)
         for field in ("first", "second"):
             of_one = getattr(self, field).requirements()
             rows += [required._replace(field=f"{field}.{required.field}") for required in of_one]
         return [
             *rows,
             finite("ratio", self.ratio),
-            non_negative("stiffness", self.stiffness, "N/m"),
-            non_negative("damping", self.damping, "N s/m"),
+            non_negative("stiffness", self.stiffness, units["stiffness"]),
+            non_negative("damping", self.damping, units["damping"]),
             finite("offset", self.offset),
         ]
 

@@ -1,6 +1,6 @@
 """A digital PID controller: it measures, computes and holds, every period.
 
-Units as of actuators: coordinates in m, efforts in N; with a `Turn` of the radius 1 rad and N m.
+Units as of actuators: along a `Turn` angles in rad and moments in N m, else lengths in m and forces in N.
 """
 
 from collections.abc import Callable
@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from spherejax.foundations.legal import non_negative
 from spherejax.foundations.types import Function, Listed, Number, Numeric, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.forces.actuators import function_of_time
-from spherejax.physics.forces.controllers import AbstractController, effort_scale, filtered_error
+from spherejax.physics.forces.actuators import effort_entry, function_of_time
+from spherejax.physics.forces.controllers import REFERENCE, REFERENCE_SHOWN, AbstractController, filtered_error
 from spherejax.physics.forces.coupler import AbstractCoordinate
 from spherejax.physics.forces.remembering import ForceAction, Sampling
 from spherejax.physics.functions.base import AbstractFunction
@@ -37,21 +37,23 @@ class SampledPID(AbstractController):
     Attributes:
         coordinate: a `Turn`, a `Travel` or an `Extension`.
         period: from sample to sample [s].
-        reference: by time [s]: of the coordinate [m] (with `of_rate` of its rate [m/s]); a number, or any function.
-        proportional: k_p [N/m].
-        integral: k_i [N/(m s)]; None, the default, has no integral.
-        derivative: k_d [N s/m]; None has no derivative.
+        reference: of the coordinate, with `of_rate` of its rate: a number [m or rad, of a rate m/s or rad/s], or any
+            function of time t in s.
+        proportional: k_p [N/m or N m/rad].
+        integral: k_i [N/(m s) or N m/(rad s)]; None, the default, has no integral.
+        derivative: k_d [N s/m or N m s/rad]; None has no derivative.
         filter_time: time constant of the derivative's filter [s].
-        limits: least and largest effort [N], shape (2,); None for an effort without.
+        limits: least and largest effort [N or N m], shape (2,); None for an effort without.
         tracking_time: time constant with which limits unwind the integral [s]; None lets it wind up.
-        offset: added to the effort [N].
+        offset: added to the effort [N or N m].
         first_sample: t_0 [s]; before it there is no effort.
-        of_rate: whether the coordinate's rate is controlled; gains are then [N s/m] and so on.
+        of_rate: whether the coordinate's rate is controlled, as of a motor by speed; k_p is then in N s/m or N m s/rad,
+            and so on.
         smooth_limits: whether the effort comes to its limits as a hyperbolic tangent; else it is clipped.
         delayed: whether an effort acts one period after its sample.
 
-    It remembers `samples`, the number of the coming one, `effort` f [N], `integral` i [N], `filtered` z, and `coming`,
-    the effort that is delayed.
+    It remembers `samples`, the number of the coming one, `effort` f [N or N m], `integral` i, `filtered` z, and
+    `coming`, the effort that is delayed.
 
     Limits: the motion begins with i = 0 and z = e, so that the first sample has no derivative.
 
@@ -78,15 +80,17 @@ class SampledPID(AbstractController):
         self,
         coordinate: AbstractCoordinate,
         period: Annotated[Number, Unit("s")],
-        reference: Annotated[Number | Callable, Unit("m"), Function("s", "m")] = 0.0,
-        proportional: Annotated[Number, Unit("N/m")] = 0.0,
-        integral: Annotated[Number | None, Unit("N/(m s)")] = None,
-        derivative: Annotated[Number | None, Unit("N s/m")] = None,
+        reference: Annotated[
+            Number | Callable, Unit(REFERENCE, REFERENCE_SHOWN), Function("s", REFERENCE, REFERENCE_SHOWN)
+        ] = 0.0,
+        proportional: Annotated[Number, Unit("{proportional}", "N/m or N m/rad")] = 0.0,
+        integral: Annotated[Number | None, Unit("{integral}", "N/(m s) or N m/(rad s)")] = None,
+        derivative: Annotated[Number | None, Unit("{derivative}", "N s/m or N m s/rad")] = None,
         *,
         filter_time: Annotated[Number, Unit("s")] = 0.0,
-        limits: Annotated[Listed | None, Unit("N")] = None,
+        limits: Annotated[Listed | None, Unit("{effort}", "N or N m")] = None,
         tracking_time: Annotated[Number | None, Unit("s")] = None,
-        offset: Annotated[Number, Unit("N")] = 0.0,
+        offset: Annotated[Number, Unit("{effort}", "N or N m")] = 0.0,
         first_sample: Annotated[Number, Unit("s")] = 0.0,
         of_rate: bool = False,
         smooth_limits: bool = False,
@@ -114,10 +118,10 @@ class SampledPID(AbstractController):
 
     @property
     def _states(self):
-        scale = effort_scale(self.coordinate)
+        unit, scale = effort_entry(self.coordinate)
         names = ["effort"] + ["integral"] * (self.integral is not None) + ["coming"] * self.delayed
         filtered = filtered_error(self) if self.derivative is not None else ()
-        return (*(MemoryEntry(name, "N", scale) for name in names), *filtered)
+        return (*(MemoryEntry(name, unit, scale) for name in names), *filtered)
 
     def sampled(self, t, motions, memory):
         """The memory behind a sample."""
@@ -138,7 +142,7 @@ class SampledPID(AbstractController):
         return jnp.stack([now[entry.name] for entry in self.memory])
 
     def action(self, t, motions, memory):
-        """`effort` [N]; `position`, `rate` of the coordinate, `reference`, `error`."""
+        """`effort` [N or N m]; `position`, `rate` of the coordinate, `reference`, `error`."""
         seen, effort = self._measured(t, motions), self._entries(memory)["effort"]
         wrenches = self.coordinate.wrenches(motions, effort)
         return ForceAction(wrenches, jnp.zeros(len(memory)), parts=self._parts(seen, effort))

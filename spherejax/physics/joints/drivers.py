@@ -105,6 +105,7 @@ class PlacedRotationDriver(AbstractPlacedJoint):
     pointer: Numeric
     angle: AbstractFunction
     is_driven = True
+    effort_unit = "N m"
 
     @property
     def functions_of_time(self):

@@ -32,10 +32,12 @@ class AbstractPlacedJoint(eqx.Module):
     Attributes:
         bodies: names of the two bodies.
         is_driven: whether its equations depend on time (static).
+        effort_unit: SI unit of what a driver drives with, a moment or a force (static).
     """
 
     bodies: eqx.AbstractVar[tuple[str, str]]
     is_driven: ClassVar[bool] = False
+    effort_unit: ClassVar[str] = "N"
 
     @property
     @abc.abstractmethod
