@@ -27,6 +27,7 @@ from spherejax.compiler.native import loop_fusion
 from spherejax.compiler.native.loop_fusion import fuse_loops
 from spherejax.compiler.operations import OPERATIONS
 from spherejax.compiler.program import scalarize
+from spherejax.compiler.runge_kutta import Tableau
 from spherejax.foundations.lanes import in_lanes
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
@@ -247,6 +248,7 @@ from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler import primitive
 from spherejax.compiler.native.loop_fusion import fuse_loops
 from spherejax.compiler.program import scalarize
+from spherejax.compiler.runge_kutta import Tableau
 primitive.SMALLEST_CALLED = 0
 double = scalarize(lambda y: 2.0 * y, jnp.ones(3))
 def body(state):
@@ -332,7 +334,9 @@ def test_what_has_no_weight_does_not_count(n_runs):
     tableau = diffrax.Dopri8().tableau
     steps = ExplicitStages(tableau, lambda t, y, given: program.inside((), given.theta, t, y), True, program)
     used = steps.n_used
-    steps.coefficients[used:, 0] += 10.0  # the stages behind are in what is infinite
+    A = np.array(steps.tableau.A)
+    A[used:, 0] += 10.0  # the stages behind are in what is infinite
+    steps.tableau = Tableau.explicit(A, steps.tableau.c, steps.tableau.sums)
     given = Given(jnp.tile(theta[:, None], n_runs), ())
     lane = jnp.zeros(n_runs), jnp.full(n_runs, 0.1), jnp.zeros((1, n_runs)), given, (), jnp.zeros(n_runs, bool)
     with machine_code.native_code():

@@ -7,10 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from spherejax.compiler import hooks, linear_algebra
+    from spherejax.compiler import hooks, linear_algebra, runge_kutta
     from spherejax.compiler.graph import NotScalarizable
-    from spherejax.compiler.native.explicit import explicit_stages
-    from spherejax.compiler.native.rosenbrock_systems import RosenbrockSystems
     from spherejax.compiler.native.switch import native_code
     from spherejax.compiler.program import ScalarProgram, scalarize
 
@@ -18,18 +16,16 @@ if TYPE_CHECKING:
 # import JAX (0.3 s).
 _PLACES = {
     "NotScalarizable": ".graph",
-    "RosenbrockSystems": ".native.rosenbrock_systems",
     "ScalarProgram": ".program",
-    "explicit_stages": ".native.explicit",
     "hooks": ".hooks",
     "linear_algebra": ".linear_algebra",
     "native_code": ".native.switch",
+    "runge_kutta": ".runge_kutta",
     "scalarize": ".program",
 }
 
 __all__ = [
-    "NotScalarizable", "RosenbrockSystems", "ScalarProgram", "explicit_stages", "hooks", "linear_algebra",
-    "native_code", "scalarize",
+    "NotScalarizable", "ScalarProgram", "hooks", "linear_algebra", "native_code", "runge_kutta", "scalarize",
 ]  # fmt: skip
 
 

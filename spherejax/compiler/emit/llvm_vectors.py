@@ -15,7 +15,7 @@ def room_for(name: str, size: int, kind: str = "double") -> str:
 
 def call_of(name: str, pointers: Sequence[str]) -> str:
     """A call with pointers."""
-    return f"  call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})\n"
+    return f"  call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})"
 
 
 def listed(values: Any) -> str:

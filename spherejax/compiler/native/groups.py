@@ -155,7 +155,7 @@ def function_of(arguments: Sequence[Operand], results: Sequence[Operand], groups
         given_back += array.turned("out", f"%r{i}", f"%out{i}", groups)
         functions[array.functions("out", groups)] = None
     new_line = "\n"
-    body = new_line.join([*taken, call_of(inside, pointers).rstrip("\n"), *given_back])
+    body = new_line.join([*taken, call_of(inside, pointers), *given_back])
     begin, end = "  %run = add i64 0, 0", ""
     # The last group begins earlier where the width does not divide the number of runs: some runs are made twice, with
     # the same results. A group of fewer runs would be a second function.

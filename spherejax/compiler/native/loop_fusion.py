@@ -80,7 +80,7 @@ def _calls(equation: Any) -> bool:
     """Whether machine code is called in an operation."""
     if equation.primitive.name == "straight_line":
         return is_called(equation.params["line"], equation.params["lanes"])
-    if equation.primitive.name in ("stages", "rosenbrock_stages"):
+    if equation.primitive.name in machine_code.TARGETS:
         return True
     return any(_calls(e) for inner in jex.jaxprs_in_params(equation.params) for e in inner.eqns)
 

@@ -44,6 +44,7 @@ from spherejax.motion.integration.integrate import (
     correction_for,
     parameters_from,
 )
+from spherejax.motion.integration.lanes.stages import explicit_tableau
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights, linearized
 from spherejax.motion.integration.status import SimulationWarning, Status
@@ -262,32 +263,17 @@ def _evaluated_again(rate: Program) -> Callable:
 
 def _explicit_step(plan: Plan, solver: Any, rate: Program) -> Callable:
     del plan
-    A, c, b = (jnp.asarray(each) for each in _tableau_of(solver.tableau))
-
+    weights = np.asarray(solver.tableau.b_sol)
+    n = 1 + int(np.flatnonzero(weights)[-1])  # those behind are for estimates of the error and states inside
+    tableau = explicit_tableau(solver.tableau, n, [weights])
     at_stage = _evaluated_again(rate)
 
     def step(parameters: Parameters, t, t_next, y):
         h = t_next - t
-
-        def with_stage(k, row):
-            i, a_i, c_i = row
-            f = at_stage(t + c_i * h, y + h * jnp.sum(a_i[:, None] * k, 0), parameters)
-            return jax.lax.dynamic_update_index_in_dim(k, f, i, 0), None
-
-        k, _ = jax.lax.scan(with_stage, jnp.zeros((b.size, y.size)), (jnp.arange(b.size), A, c))
-        return y + h * jnp.sum(b[:, None] * k, 0)
+        k = tableau.stages(lambda t, y: at_stage(t, y, parameters), t, h, h, y)
+        return y + tableau.sums_of(k)[0]
 
     return step
-
-
-def _tableau_of(tableau: diffrax.ButcherTableau) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients, instants and weights of the stages up to the last one with a weight."""
-    b = np.asarray(tableau.b_sol)
-    n = 1 + int(np.flatnonzero(b)[-1])
-    A = np.zeros((len(b), len(b)))
-    for i, row in enumerate(tableau.a_lower, start=1):
-        A[i, :i] = row
-    return A[:n, :n], np.concatenate([[0.0], tableau.c])[:n], b[:n]
 
 
 def _rosenbrock_step(plan: Plan, solver: Any, rate: Program) -> Callable:

@@ -13,14 +13,14 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from spherejax.compiler import RosenbrockSystems
+from spherejax.compiler.runge_kutta import RosenbrockSystems, Tableau
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import Structure
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.solvers.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
 from spherejax.motion.solvers.low_rank import inexact_product, solve_inexact_stage
-from spherejax.motion.solvers.rosenbrock import SolveOfStages, factorize_dense, stages_in_turn
+from spherejax.motion.solvers.rosenbrock import SolveOfStages, factorize_dense
 from spherejax.motion.solvers.traits import is_linearly_implicit
 
 
@@ -141,7 +141,7 @@ class LinearSystems:
         return lambda rhs: solution((theta, factors, t, known), coefficients, at, gamma_h, rhs)
 
     def _all_stages(self, step: Any, at: StepLinearization, gamma_h, tableau, *start):
-        """What `stages_in_turn` returns by one call of machine code; its derivative is that of the loop."""
+        """What `Tableau.stages` returns by one call of machine code; its derivative is that of the loop."""
 
         @jax.custom_jvp
         def at_once(at: StepLinearization, gamma_h, start):
@@ -151,7 +151,9 @@ class LinearSystems:
             def of_state(t, y):
                 return self.rate.inside(at.theta, at.ahead, t, y)
 
-            return stages_in_turn(tableau, of_state, self._solver(at, gamma_h, None), *start)
+            *start, slope = start
+            coefficients, solve = Tableau.rosenbrock(tableau), self._solver(at, gamma_h, None)
+            return coefficients.stages(of_state, *start, solve=solve, slope=slope)
 
         @partial(at_once.defjvp, symbolic_zeros=True)
         def _(primals, tangents):

@@ -19,6 +19,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
+from spherejax.compiler.runge_kutta import Tableau, combined
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.motion.solvers.dense_lu import dense_solver
 from spherejax.motion.solvers.rosenbrock_tableaus import RODAS4P, RODAS5P, ROS34PW2, RosenbrockTableau
@@ -32,7 +33,7 @@ class SolveOfStages(NamedTuple):
 
     Attributes:
         one_by_one: () -> the solver of (I - gamma h J) x = rhs.
-        all_stages: (tableau, t0, dt, h, y, slope) -> what `stages_in_turn` returns.
+        all_stages: (tableau, t0, dt, h, y, slope) -> the increments of all stages, as `Tableau.stages` returns them.
     """
 
     one_by_one: Callable[[], LinearSolve]
@@ -160,7 +161,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
         if isinstance(solve, SolveOfStages):
             stages = solve.all_stages(self.tableau, t0, t1 - t0, h, y, slope)
         else:
-            stages = stages_in_turn(self.tableau, rate, solve, t0, t1 - t0, h, y, slope)
+            stages = Tableau.rosenbrock(self.tableau).stages(rate, t0, t1 - t0, h, y, solve=solve, slope=slope)
 
         y1, error, dense = step_from(self.tableau, stages, y, regular)
         dense = dict(y0=y0, y1=unravel(y1), bends=tuple(map(unravel, dense["bends"])))
@@ -195,49 +196,10 @@ def step_from(
         y: state at the start.
         regular: whether they could be solved for.
     """
-    y1 = y + _combine(tableau.b, stages)
+    y1 = y + combined(tableau.b, stages)
     valid = regular & jnp.all(jnp.isfinite(stages))
-    error = jnp.where(valid, _combine(tableau.e, stages), jnp.inf)
-    return y1, error, dict(y0=y, y1=y1, bends=tuple(_combine(row, stages) for row in tableau.H))
-
-
-def stages_in_turn(
-    tableau: RosenbrockTableau,
-    rate: Callable[[Scalar, Vector], Vector],
-    solve: LinearSolve,
-    t0: Scalar,
-    dt: Scalar,
-    h: Scalar,
-    y: Vector,
-    slope: Vector,
-) -> Float[Array, "s n"]:
-    """All stages k_i; the loop holds one copy of the vector field and of the solve, which halves compile time.
-
-    Args:
-        tableau: of the method.
-        rate: the vector field.
-        solve: of (I - gamma h J) x = rhs.
-        t0: start of the step [s].
-        dt: the step in the time that diffrax runs over (never negative) [s].
-        h: the signed one [s].
-        y: state at the start.
-        slope: h dt df/dt0.
-    """
-
-    def stage(stages: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
-        i, A_i, C_i, c_i, d_i = row
-        f_i = rate(t0 + c_i * dt, y + _combine(A_i, stages))
-        rhs = h * f_i + _combine(C_i, stages) + d_i.astype(y.dtype) * slope
-        return stages.at[i].set(tableau.gamma * solve(rhs)), None
-
-    rows = (jnp.arange(tableau.n_stages), tableau.A, tableau.C, tableau.c, tableau.d)
-    return lax.scan(stage, jnp.zeros((tableau.n_stages, *y.shape), y.dtype), jax.tree.map(jnp.asarray, rows))[0]
-
-
-def _combine(weights: ArrayLike, stages: Float[Array, "s *n"]) -> Float[Array, "*n"]:
-    """sum_i weights_i stages_i, without a `dot`: one could keep the time loop from being one function."""
-    wide = jnp.asarray(weights, stages.dtype).reshape(-1, *(1 for _ in stages.shape[1:]))
-    return jnp.sum(wide * stages, axis=0)
+    error = jnp.where(valid, combined(tableau.e, stages), jnp.inf)
+    return y1, error, dict(y0=y, y1=y1, bends=tuple(combined(row, stages) for row in tableau.H))
 
 
 @final

@@ -5,8 +5,7 @@ under `jax.vmap` gives each lane an axis in front and calls a matrix product for
 Any other method is mapped as it is.
 """
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -15,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from spherejax.compiler import ScalarProgram, explicit_stages
+from spherejax.compiler import ScalarProgram
+from spherejax.compiler.runge_kutta import Tableau, explicit_stages
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
@@ -73,18 +73,16 @@ class ExplicitStages:
         moving: tuple[int, ...] | None = None,
     ):
         self.program, self.moving = program, moving
-        n = len(tableau.b_sol)
-        self.coefficients = np.zeros((n, n))
-        for i, row in enumerate(tableau.a_lower, start=1):
-            self.coefficients[i, :i] = row
-        self.instants = np.concatenate([[0.0], tableau.c])
+        every = explicit_tableau(tableau, len(tableau.b_sol), ())
+        self.coefficients, self.instants = np.array(every.A), np.array(every.c)
         self.weights, self.error_weights = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
-        n_used = n_stages_of_end(tableau)
-        self.n_stages, self.n_used = n if with_dense_output else n_used, n_used
+        self.n_used = n_used = n_stages_of_end(tableau)
+        self.n_stages = len(self.weights) if with_dense_output else n_used
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
         stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
         lower = tableau.b_lower if isinstance(tableau, TwoErrors) else None
-        self.sums = [self.weights, self.error_weights, *(each for each in (lower, stray) if each is not None)]
+        sums = [self.weights, self.error_weights, *(each for each in (lower, stray) if each is not None)]
+        self.tableau = explicit_tableau(tableau, self.n_stages, sums)
         self.has_two_errors = lower is not None
         self.can_look = can_look(self.coefficients, self.instants)
         self.rate = rate
@@ -104,8 +102,11 @@ class ExplicitStages:
         n_made = n if n_evaluated is None else n_evaluated
         found = self._called(t, h, y, parameters, bend, n_made)
         if found is None:
-            k = self._looped(t, h, y, parameters, bend, n_made)
-            sums = [_weighted(weights, k) for weights in self.sums]
+            rate = in_lanes(self.rate)
+            k = self.tableau.stages(
+                lambda t, y: rate(t, y, parameters), t, h, h, y, bend=bend, n_made=n_made, in_lanes=True
+            )
+            sums = self.tableau.sums_of(k)
         else:
             k, sums = found
         change, error, *others = sums
@@ -123,27 +124,10 @@ class ExplicitStages:
         """The increments of all stages and their sums by one call of machine code; None where there is none."""
         if self.program is None:
             return None
-        n = self.n_stages
-        tableau = self.coefficients[:n, :n], self.instants[:n], self.sums
         # Rows below the state are tangents, which come with those of the numbers.
         slopes = (parameters.slopes.theta, parameters.slopes.ahead) if y.ndim == 3 else None
         given = parameters.theta, parameters.ahead
-        return explicit_stages(self.program, tableau, t, h, bend, y, n_made, *given, slopes, self.moving)
-
-    def _looped(self, t, h, y, parameters, bend, n_made) -> Array:
-        n = self.n_stages
-        c = jnp.asarray(self.instants)
-        rate = in_lanes(self.rate)
-        # Each stage reads the increments that it needs, in one loop over lanes; a product of matrices is far slower.
-        moves = [partial(_moved, row) for row in self.coefficients[:n]]
-
-        def with_stage(i, k):
-            moved = jax.lax.switch(i, moves, y, k)
-            instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
-            change = h * speed * rate(t + instant * h, moved, parameters)
-            return jax.lax.dynamic_update_index_in_dim(k, change, i, 0)
-
-        return jax.lax.fori_loop(0, n_made, with_stage, jnp.zeros((n, *y.shape)))
+        return explicit_stages(self.program, self.tableau, t, h, bend, y, n_made, *given, slopes, self.moving)
 
 
 class MappedSteps:
@@ -193,9 +177,9 @@ def _stray_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: n
     return others[-1] if others else None
 
 
-def _moved(row: np.ndarray, y: Array, k: Array) -> Array:
-    return y + _weighted(row, k)
-
-
-def _weighted(weights: np.ndarray, k: Array) -> Array:
-    return sum(w * k[j] for j, w in enumerate(weights) if w and j < k.shape[0])  # pyright: ignore[reportReturnType]
+def explicit_tableau(tableau: diffrax.ButcherTableau, n: int, sums: Sequence[np.ndarray]) -> Tableau:
+    """The coefficients of the first n stages, with weights of the wanted sums over them."""
+    coefficients = np.zeros((len(tableau.b_sol), len(tableau.b_sol)))
+    for i, row in enumerate(tableau.a_lower, start=1):
+        coefficients[i, :i] = row
+    return Tableau.explicit(coefficients[:n, :n], np.concatenate([[0.0], tableau.c])[:n], sums)

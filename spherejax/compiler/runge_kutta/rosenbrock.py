@@ -10,7 +10,6 @@ bilinear in k and in the derivatives c' of the coefficients that J k is linear i
 stages, and are evaluated once.
 """
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any, NamedTuple
@@ -20,44 +19,43 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.explicit import entries_at
-from spherejax.compiler.native.rosenbrock import (
-    BEGIN_ROWS,
-    FOUND,
-    MOVED,
-    MOVED_ROWS,
-    RIGHT,
-    TIME,
-    LinePart,
-    RosenbrockMethod,
-    RosenbrockSteps,
-    Rows,
-    can_be_called,
-    made,
-    made_by_rate,
-    over_lanes,
-    rosenbrock_stages,
-    rows_of,
-)
 from spherejax.compiler.primitive import ActiveInputs, StraightLine
 from spherejax.compiler.program import ScalarProgram
+from spherejax.compiler.runge_kutta.call import all_stages, can_be_called
+from spherejax.compiler.runge_kutta.recipe import (
+    FOUND,
+    MOVED,
+    RIGHT,
+    SLOPE,
+    TIME,
+    LinePart,
+    Rows,
+    StepRecipe,
+    T,
+    Tangents,
+    Y,
+    entries_at,
+    made,
+    over_lanes,
+)
+from spherejax.compiler.runge_kutta.tableau import Tableau
 
-T, Y, THETA, GAMMA_H, OTHER = 0, 2, 4, 5, 6
-"""Arguments of the call: t, h, y, slope, theta, gamma h, others, what the right-hand side has evaluated ahead; then
-what has an axis of rows."""
+THETA, GAMMA_H, OTHER = SLOPE + 1, SLOPE + 2, SLOPE + 3
+"""Arguments of the call behind those of every step: theta, gamma h, others, what the right-hand side has evaluated
+ahead; then what has an axis of rows."""
 
 
 class CalledStep(NamedTuple):
     """What is called in a step, and its arguments besides the caller's numbers.
 
     Attributes:
-        steps: what is called.
+        step: what is called.
         rate: the right-hand side.
         others: arguments that are the same for all steps.
         moving: of a step with sensitivities, which entries of theta and of what is evaluated ahead have tangents.
     """
 
-    steps: RosenbrockSteps
+    step: StepRecipe
     rate: ScalarProgram
     others: tuple[Float[np.ndarray, " n"], ...]
     moving: tuple[ActiveInputs, ...] = ()
@@ -71,7 +69,8 @@ class CalledStep(NamedTuple):
             along = slopes.theta, *scalar.slopes_inside(ahead, slopes.ahead)
             active = zip(along, self.moving, strict=True)
             arguments += [entries_at(x, some) for x, some in active if x is not None and some]
-        return rosenbrock_stages(self.steps._replace(method=RosenbrockMethod.of(tableau)), t, h, y, slope, *arguments)
+        (k,) = all_stages(self.step._replace(tableau=Tableau.rosenbrock(tableau)), t, h, y, slope, *arguments)
+        return k
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ class RosenbrockSystems:
         begin = OTHER + len(self.others)
         of_rate = tuple(range(begin, begin + len(ahead)))
         solve = LinePart(rest, (*leading, RIGHT, *factors))
-        steps = RosenbrockSteps(tuple(parts), LinePart(line, (THETA, TIME, MOVED, *of_rate)), solve)
+        step = StepRecipe(tuple(parts), LinePart(line, (THETA, TIME, MOVED, *of_rate)), solve)
         moving: tuple[ActiveInputs, ...] = ()
         if slopes is not None:
             n, n_numbers = slopes.theta.shape
@@ -164,10 +163,9 @@ class RosenbrockSystems:
                 for place, some in zip((THETA, *of_rate), moving, strict=True)
                 if isinstance(some, tuple) and some
             }
-            tangents = _Tangents(n, moves, begin + len(ahead))
             product = (line, (THETA, T, Y, *of_rate)) if self.product is None else self._product()
-            steps = tangents.beside(steps, *product, self.place)
-        return CalledStep(steps, rate, self.others, moving) if can_be_called(steps, size) else None
+            step = _with_rows(step, Tangents(n, moves, begin + len(ahead)), *product, self.place)
+        return CalledStep(step, rate, self.others, moving) if can_be_called(step, size) else None
 
     def _product(self) -> tuple[StraightLine, tuple[int, ...]]:
         assert self.product is not None
@@ -176,75 +174,49 @@ class RosenbrockSystems:
         return program.line_called(), sources
 
 
-class _Tangents:
-    """Parts that make the tangents of what other parts make.
+def _with_rows(
+    step: StepRecipe, tangents: Tangents, product: StraightLine, sources: tuple[int, ...], place: int
+) -> StepRecipe:
+    """A step with sensitivities.
 
     Args:
-        n: how many there are.
-        moves: by argument of the call that has tangents, which entries of it do.
-        begin: place of the first of these tangents among the arguments.
+        step: without.
+        tangents: of the arguments of the call.
+        product: what J k is the derivative of.
+        sources: of its arguments.
+        place: of the one that k is a tangent of.
     """
+    assert step.solve is not None
+    rate, along = tangents.of_rate(step.rate)
+    ahead, bends = _change_of_product(tangents, product, sources, place, len(step.ahead))
+    again = [f"{RIGHT}.rows" if source == RIGHT else source for source in step.solve.sources]
+    wide = [source == RIGHT for source in step.solve.sources]
+    solve = over_lanes(step.solve.line, again, wide, tangents.n)
+    rows = Rows(tangents.n, tangents.arguments, along, bends, solve, GAMMA_H)
+    return step._replace(ahead=(*step.ahead, *ahead), rate=rate, rows=rows)
 
-    def __init__(self, n: int, moves: dict[int, tuple[int, ...]], begin: int):
-        self.n = n
-        self.moves: dict[int | str, ActiveInputs] = {**moves}
-        self.places = {argument: begin + i for i, argument in enumerate(moves)}
-        self.operands = tuple((self.places[argument], len(some)) for argument, some in moves.items())
 
-    def beside(
-        self, steps: RosenbrockSteps, product: StraightLine, sources: tuple[int, ...], place: int
-    ) -> RosenbrockSteps:
-        """What is done in a step with sensitivities.
-
-        Args:
-            steps: without.
-            product: what J k is the derivative of.
-            sources: of its arguments.
-            place: of the one that k is a tangent of.
-        """
-        moves = [source == MOVED or self.moves.get(source, False) for source in steps.rate.sources]
-        rate = steps.rate.line.derivative(tuple(moves))
-        coefficients = [made_by_rate(i) for i in range(1, len(rate.values.outputs))]
-        along = self._part(rate.slopes, compress(steps.rate.sources, moves), coefficients)
-        ahead, bends = self._change_of_product(product, sources, place, len(steps.ahead))
-        again = [f"{RIGHT}.rows" if source == RIGHT else source for source in steps.solve.sources]
-        wide = [source == RIGHT for source in steps.solve.sources]
-        solve = over_lanes(steps.solve.line, again, wide, self.n)
-        rows = Rows(self.n, self.operands, along, bends, solve, GAMMA_H)
-        return RosenbrockSteps(
-            (*steps.ahead, *ahead), LinePart(rate.values, steps.rate.sources), steps.solve, None, rows
-        )
-
-    def _change_of_product(
-        self, line: StraightLine, sources: tuple[int, ...], place: int, at: int
-    ) -> tuple[tuple[LinePart, ...], tuple[LinePart, ...]]:
-        """What is evaluated ahead, as parts from `at` on, and in each stage, of the derivative of J k at fixed k."""
-        # J k is linear in k with coefficients that follow from the numbers and the state: these and their tangents...
-        linear = line.derivative(tuple(i == place for i in range(len(sources))))
-        state = sources.index(Y)  # another one stands for the vector
-        moves = [i == state or self.moves.get(source, False) for i, source in enumerate(sources)]
-        bent = linear.values.derivative(tuple(moves))
-        n_own, n_values = len(line.outputs), len(linear.values.outputs)
-        coefficients = [made(at, i) for i in range(n_values, len(bent.values.outputs))]
-        tangents = self._part(bent.slopes, compress(sources, moves), coefficients)
-        follow = bent.follows[n_own:]
-        if not any(follow):  # J depends on nothing that moves, as in a linear system
-            return (), ()
-        # ... and it is linear in the coefficients too. k is inactive here: its own tangent is solved for.
-        product = linear.slopes.derivative((False, *follow))
-        order = [*compress(range(n_values), bent.follows)]
-        changes = [made(at + 1, order.index(i)) for i in range(n_own, n_values) if bent.follows[i]]
-        coefficients = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
-        wide = [*(True for _ in changes), *(False for _ in coefficients)]
-        change = over_lanes(product.slopes, [*changes, *coefficients], wide, self.n)
-        values = LinePart(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
-        return (LinePart(bent.values, sources), tangents), (values, change)
-
-    def _part(self, line: StraightLine, moving: Iterable[int | str], coefficients: Sequence[str]) -> LinePart:
-        """The tangents that a line makes of those of the arguments that move, with coefficients of its value."""
-        names: dict[int | str, str] = {argument: rows_of(place) for argument, place in self.places.items()}
-        names |= {Y: BEGIN_ROWS, MOVED: MOVED_ROWS}
-        tangents = [names[source] for source in moving]
-        # Tangents are of each row; the coefficients are the same for all of them.
-        wide = [*(True for _ in tangents), *(False for _ in coefficients)]
-        return over_lanes(line, [*tangents, *coefficients], wide, self.n)
+def _change_of_product(
+    tangents: Tangents, line: StraightLine, sources: tuple[int, ...], place: int, at: int
+) -> tuple[tuple[LinePart, ...], tuple[LinePart, ...]]:
+    """What is evaluated ahead, as parts from `at` on, and in each stage, of the derivative of J k at fixed k."""
+    # J k is linear in k with coefficients that follow from the numbers and the state: these and their tangents...
+    linear = line.derivative(tuple(i == place for i in range(len(sources))))
+    state = sources.index(Y)  # another one stands for the vector
+    moves = [i == state or tangents.moves.get(source, False) for i, source in enumerate(sources)]
+    bent = linear.values.derivative(tuple(moves))
+    n_own, n_values = len(line.outputs), len(linear.values.outputs)
+    coefficients = [made(at, i) for i in range(n_values, len(bent.values.outputs))]
+    slopes = tangents.part(bent.slopes, compress(sources, moves), coefficients)
+    follow = bent.follows[n_own:]
+    if not any(follow):  # J depends on nothing that moves, as in a linear system
+        return (), ()
+    # ... and it is linear in the coefficients too. k is inactive here: its own tangent is solved for.
+    product = linear.slopes.derivative((False, *follow))
+    order = [*compress(range(n_values), bent.follows)]
+    changes = [made(at + 1, order.index(i)) for i in range(n_own, n_values) if bent.follows[i]]
+    coefficients = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
+    wide = [*(True for _ in changes), *(False for _ in coefficients)]
+    change = over_lanes(product.slopes, [*changes, *coefficients], wide, tangents.n)
+    values = LinePart(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
+    return (LinePart(bent.values, sources), slopes), (values, change)
