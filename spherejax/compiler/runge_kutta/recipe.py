@@ -71,6 +71,7 @@ class LinePart(NamedTuple):
 
 def over_lanes(line: StraightLine, sources: Sequence[int | str], wide: Sequence[bool], n_rows: int) -> LinePart:
     """A part some of whose arguments are over lanes, one for each row."""
+    # The text of one row is that of a function without lanes.
     if n_rows == 1:
         return LinePart(line, tuple(sources))
     return LinePart(line, tuple(sources), axes=tuple(map(int, wide)), n_rows=n_rows)
@@ -166,6 +167,7 @@ class Tangents:
         tangents = [names[source] for source in moving]
         # Tangents are of each row; the coefficients are the same for all of them.
         wide = [*(True for _ in tangents), *(False for _ in coefficients)]
+        # A row of a time or of a number that does not move is no argument at all, instead of zeros.
         return over_lanes(line, [*tangents, *coefficients], wide, self.n)
 
 

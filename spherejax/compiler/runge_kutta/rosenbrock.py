@@ -105,6 +105,7 @@ class RosenbrockSystems:
         wide = len(seeds) if len(seeds) > 1 else 0
         along = THETA, T, Y, made(0, 0), made(0, 1), OTHER
         ahead = (frozen, (THETA, T, Y), 0), (change, along, wide)
+        # Lanes are last in machine code. One seed is no lane: its text is that of a function without them.
         return cls(stage, ahead, (made(1, 0),), (np.ascontiguousarray(seeds.T) if wide else seeds[0],), None, 2)
 
     @classmethod

@@ -100,10 +100,12 @@ class Tableau(NamedTuple):
                 instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
                 increment = h * speed * rate(t + instant * dt, x)
             if solve is not None:
+                # Of a state of 32 bits the loop has to carry 32 bits.
                 increment = self.gamma * solve(increment + combined(C[i], k) + d[i].astype(y.dtype) * slope)
             return jax.lax.dynamic_update_index_in_dim(k, increment, i, 0)
 
         n = len(self.c)
+        # From zeros: a sum over a whole row of A then reads stages to come, whose weights are zero, as 0 times 0.
         return jax.lax.fori_loop(0, n if n_made is None else n_made, with_stage, jnp.zeros((n, *y.shape), y.dtype))
 
     def sums_of(self, k: Array) -> list[Array]:

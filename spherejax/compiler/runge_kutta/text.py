@@ -25,6 +25,7 @@ def step_text(step: StepRecipe, n_arguments: int, groups: RunGroups) -> tuple[se
     size = step.size * groups.width
     total = size * (1 + groups.lanes_for(step.n_rows))
     pointers = [f"%a{i}" for i in range(n_arguments)] + ["%k"] + ["%sums"] * bool(tableau.sums)
+    # `noalias`: what is made is never what is read, so that LLVM need not load the same number twice.
     arguments = ", ".join(f"ptr noalias {pointer}" for pointer in pointers)
     arrays = ["%moved", "%change"] if is_explicit else ["%moved", "%change", "%right"]
     behind = "total" if tableau.sums else "end"
@@ -42,6 +43,7 @@ def step_text(step: StepRecipe, n_arguments: int, groups: RunGroups) -> tuple[se
         f"  call void @llvm.memset.p0.i64(ptr align 8 %nothing, i8 0, i64 {8 * total}, i1 false)",
         *parts.room,
         "",
+        # Rows stand behind the state: parts for tangents get a pointer to the first of them.
         vectors.entry_at("%begin.rows", f"%a{recipe.Y}", size),
         *(vectors.entry_at(f"{array}.rows", array, size) for array in arrays),
         f"  %t = load {one}, ptr %a{recipe.T}, align 8",
@@ -52,6 +54,7 @@ def step_text(step: StepRecipe, n_arguments: int, groups: RunGroups) -> tuple[se
         "stage:",
         "  %i = phi i64 [0, %work], [%next, %stage]",
         f"  %row = mul nuw nsw i64 %i, {n}",
+        # Only the increments before this one are read (n = %i): the memory of the others has not been written.
         *_sum("%p.a", "@rows.A", "%row", f"%a{recipe.Y}", "%i", "%moved"),
         *([] if is_explicit else _sum("%p.c", "@rows.C", "%row", "%nothing", "%i", "%right")),
         *_time(groups, is_bent=is_explicit),
@@ -73,6 +76,7 @@ def step_text(step: StepRecipe, n_arguments: int, groups: RunGroups) -> tuple[se
 
 
 def _constants(tableau: Tableau) -> list[str]:
+    # In tables: with coefficients as numbers of the text each stage would need a copy of f, and its compilation.
     matrices, rows = {"A": tableau.A, "C": tableau.C}, {"c": tableau.c, "d": tableau.d}
     arrays = {name: [x for row in matrix for x in row] for name, matrix in matrices.items()} | rows
     arrays |= {"gamma": [tableau.gamma] if tableau.C else [], "sums": [x for row in tableau.sums for x in row]}
@@ -123,6 +127,7 @@ def _sums(tableau: Tableau, total: int) -> list[str]:
     n = len(tableau.c)
     return [
         "total:",
+        # From %work directly where no stage is made at all.
         "  %m = phi i64 [0, %work], [0, %stage], [%m.next, %total]",
         f"  %m.row = mul nuw nsw i64 %m, {n}",
         f"  %m.to = mul nuw nsw i64 %m, {total}",
@@ -181,6 +186,7 @@ def _solved_increments(parts: "_Parts", size: int, total: int, groups: RunGroups
             vectors.loaded(f"%s{i}", "%right", at, kind),
             vectors.loaded(f"%f{i}", "%change", at, kind),
             vectors.loaded(f"%u{i}", f"%a{recipe.SLOPE}", at, kind),
+            # h is each run's own; d is the method's, the same for all.
             vectors.add_scaled(f"%b{i}", f"%s{i}", "%h", f"%f{i}", kind, is_group),
             vectors.add_scaled(f"%w{i}", f"%b{i}", "%d", f"%u{i}", kind),
             vectors.stored(f"%w{i}", "%right", at, kind),
@@ -248,6 +254,7 @@ class _Written(NamedTuple):
 
 def _written(part: LinePart, name: str, results: list[str], groups: RunGroups) -> _Written:
     line = part.line
+    # Lanes of rows follow from the width of a group, which the recipe does not know: it holds for any number of runs.
     lanes = (groups.lanes_for(part.n_rows),) if part.n_rows else part.lanes
     text = FunctionText(line, lanes, part.axes or (0,) * len(part.sources), groups.width)
     declared, function = text.written_inside(name)
