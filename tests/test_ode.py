@@ -131,7 +131,9 @@ def test_rate_at_rest_is_what_a_driver_prescribes():
     body = sj.Body(1.0, (1e-2, 2e-2, 3e-2))
     hinge = sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     drive = sj.RotationDriver(("ground", "arm"), (0.0, 0.0, 1.0), sj.Polynomial([0.0, 2.0, 1.5]))
-    f, y0, args = sj.ode(sj.Scene({"arm": body}, {"hinge": hinge, "drive": drive}), t0=0.5)
+    scene = sj.Scene({"arm": body}, {"hinge": hinge, "drive": drive})
+    f, y0, args = sj.ode(scene, t0=0.5)
+    np.testing.assert_allclose(jax.jit(lambda t0: sj.ode(scene, t0=t0).y0)(0.5), y0, atol=1e-15)
     assert float(f.unpack(y0).bodies["arm"].angular_velocity[2]) == pytest.approx(2.0 + 2 * 1.5 * 0.5)
     rest = f.constraint_rate_at_rest(0.5, y0, args)[f.constraint_rows["drive"]]
     assert np.abs(rest) == pytest.approx(3.5)

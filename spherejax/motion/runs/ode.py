@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number
 from spherejax.foundations.types import Number, Scalar
@@ -394,7 +395,7 @@ class Ode(NamedTuple):
     args: System
 
 
-def ode(scene: Scene, *, t0: float = 0.0, track_work: bool = False, scalar: bool | None = None) -> Ode:
+def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: bool | None = None) -> Ode:
     """The equations of motion of a scene, as what diffrax and other solvers take: `f, y0, args = sj.ode(scene)`.
 
         diffrax.diffeqsolve(diffrax.ODETerm(f), diffrax.Kvaerno5(), t0, t1, dt0, y0, args, ...)
@@ -431,7 +432,7 @@ def ode(scene: Scene, *, t0: float = 0.0, track_work: bool = False, scalar: bool
         path = path_of(structure, scalar)
         f = EquationsOfMotion(structure, path.scalar, system.refines_constraints, system.smallest_pivot)
         args = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), system)
-        start = known_start(system, np.array([t0], np.float64))
+        start = known_start(system, np.array([t0], np.float64) if is_concrete(t0) else jnp.asarray(t0)[None])
         if start is None:
             y0 = f.start(t0, args)
         else:
