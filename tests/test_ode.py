@@ -234,6 +234,8 @@ def test_numbers_of_another_scene_are_refused():
         f(0.0, y0, jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), args))
     with pytest.raises(sj.SceneError, match=r"args must be the numbers of a scene.*NoneType"):
         f(0.0, y0, None)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(sj.SceneError, match="ode: str is no scene"):
+        sj.ode("four_bar")  # pyright: ignore[reportArgumentType]
     with pytest.raises(sj.SceneError, match="has no contacts"):
         f.crossings(0.0, y0, args)
     dry, y0, args = moving("dry")[0]

@@ -422,6 +422,8 @@ def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: boo
         SceneError: for a scene that cannot be simulated.
     """
     require_float64()
+    if not isinstance(scene, Scene):
+        raise SceneError(f"ode: {type(scene).__name__} is no scene; give a sj.Scene")
     real_number("t0", t0)
     with captures_explained([scene]):
         compiled = compile_scene(scene, track_work=track_work)
