@@ -114,6 +114,7 @@ class Operand(NamedTuple):
                 f"  {far} = getelementptr inbounds {self.kind}, ptr {outside}, i64 {outer}",
                 f"  {near} = getelementptr inbounds {self.kind}, ptr {inside}, i64 {inner}",
             ]
+            # Sizes are arguments, so that all arrays of a kind share one function of the text.
             numbers = ", ".join(f"i64 {x}" for x in (self.before, self.size, self.n_rows, lanes, stride))
             lines.append(f"  call void @{_turn_name(way, self.kind, has_runs)}(ptr {far}, ptr {near}, {numbers})")
         return lines
@@ -138,6 +139,7 @@ def function_of(arguments: Sequence[Operand], results: Sequence[Operand], groups
         if array.is_as_inside(groups):
             pointers.append(f"%a{i}")
             continue
+        # Room is taken ahead of the loop over groups: within it, `alloca` would take more of the stack in each turn.
         pointers.append(f"%in{i}")
         size = array.room(groups)
         room.append(room_for(f"%in{i}", size, array.kind))
@@ -202,7 +204,7 @@ def _turn(way: str, kind: str, has_runs: bool, width: int) -> str:
         moved = f"  %x = load {vector}, ptr %q, align {align}\n  store {vector} %x, ptr %p, align {align}"
     elif has_runs or width == 1:
         moved = f"  %x = load {vector}, ptr %p, align {align}\n  store {vector} %x, ptr %q, align {align}"
-    else:
+    else:  # an array that runs share has one number where a group needs a vector
         moved = (
             f"  %one = load {kind}, ptr %p, align {align}\n"
             f"  %first = insertelement {vector} poison, {kind} %one, i64 0\n"

@@ -353,6 +353,7 @@ def _vector_of(arrays: Sequence, group: Sequence[tuple[Any, int, tuple[int, ...]
     if len(parts) == len(arrays):
         (vector, *others), (_, last, shape) = {id(part.vector): part.vector for part in parts}.values(), group[-1]
         begins = [part.begin for part in parts]
+        # Then the vector is passed on as it is, and XLA copies nothing.
         if not others and begins == [begin for _, begin, _ in group] and vector.size == last + math.prod(shape):
             return vector
     return _joined([*map(_whole, arrays)])

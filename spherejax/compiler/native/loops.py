@@ -239,6 +239,7 @@ class LoopText:
         """What is in a slot now."""
         if not slot.size or slot.memory is None:
             return slot
+        # Versions are counted while the text is written: whoever still reads an older one is refused (`checked`).
         slot = slot._replace(version=slot.memory.version)
         if slot.size > 1:
             return slot
@@ -364,6 +365,7 @@ class LoopText:
         if is_called(line, lanes):
             return self.call(machine_code.called(line, lanes, axes), values, avals)
         # Too small for a call of its own: as a function of this text LLVM may inline it.
+        # A function has one loop over lanes, at most.
         if len(lanes) > 1 or 0 in lanes or not line.can_be_called:
             raise NotWrittenError("a scalar program that is none of machine code")
         name = f"line{len(self._functions)}"

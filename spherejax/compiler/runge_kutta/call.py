@@ -56,6 +56,7 @@ def all_stages(step: StepRecipe, *arguments: Array, n_runs: int | None = None) -
         arguments: in the order of `recipe`; with `n_runs` each has a last axis of runs, but how many stages are made.
         n_runs: how many runs; None for one. More of them may come by `jax.vmap`.
     """
+    # All runs make the same number of stages: it is the end of one loop for a whole group.
     shared = tuple(n_runs is None or x.ndim == 0 for x in arguments)
     return _step.bind(*arguments, step=step, n_runs=n_runs, shared=shared)
 
@@ -117,6 +118,7 @@ mlir.register_lowering(_step, _lowered, platform="cpu")
 
 def _operands(avals: Sequence, step: StepRecipe, n_runs: int | None, shared: tuple[bool, ...]) -> tuple[Operand, ...]:
     """The arguments of the call."""
+    # By the recipe, not by what is passed: the state of one run may have an axis of length one behind it.
     state = _state(step)
     operands = [Operand(1), Operand(1), state]
     for i, aval in enumerate(avals[len(operands) :], len(operands)):

@@ -56,6 +56,7 @@ def explicit_stages(
     # A line that returns more than the rate would need a place for it in each stage.
     if len(line.outputs) > 1:
         return None
+    # Numbers that were evaluated ahead one by one become vectors, in each run by itself.
     arguments = _over_runs(lambda x, ahead: (x, *program.line_inside(ahead)[1]))(numbers, ahead)
     places = range(FIRST + 1, FIRST + 1 + len(hoisted))
     step = StepRecipe((), LinePart(line, (FIRST, TIME, MOVED, *places)), None, tableau)
@@ -70,6 +71,7 @@ def explicit_stages(
             for place, x, entries in zip((FIRST, *places), along, some, strict=True)
             if x is not None and entries
         }
+        # Behind all other arguments, so that the sources of the parts without tangents stay what they are.
         tangents = Tangents(y.shape[0] - 1, moves, FIRST + len(arguments))
         rate, rows = tangents.of_rate(step.rate)
         step = step._replace(rate=rate, rows=Rows(tangents.n, tangents.arguments, rows))
@@ -81,6 +83,7 @@ def explicit_stages(
     n_runs = None if y.shape[-1] == 1 else y.shape[-1]
     if n_runs is None:
         t, h, bend, *arguments = (jnp.squeeze(x, -1) for x in (t, h, bend, *arguments))
+    # The text reads 64 bits, whatever the caller counts with.
     k, sums = all_stages(step, t, h, y, bend, jnp.asarray(n_made, jnp.int64), *arguments, n_runs=n_runs)
     return k, sums
 

@@ -159,6 +159,7 @@ class RosenbrockSystems:
         if slopes is not None:
             n, n_numbers = slopes.theta.shape
             moving = rate.moving_inside(evaluated_ahead, range(n_numbers) if by is None else by)
+            # Truths have no tangents (False), nor has what none of the numbers moves (an empty tuple).
             moves = {
                 place: some
                 for place, some in zip((THETA, *of_rate), moving, strict=True)
