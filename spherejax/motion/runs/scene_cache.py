@@ -21,6 +21,7 @@ from spherejax.model.system import System, compile_scene, flatten_system, with_l
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.jumps import jump_conditions
+from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
 from spherejax.program_cache.keys import LruCache, lru_get, own, own_arrays, value_key
@@ -64,6 +65,7 @@ class PreparedScene:
         # On the array path the linear systems of a stiff method are dense.
         self._explicit_only = self.path.scalar is False and scalar is None
         self._answers = LruCache(N_ANSWERS)
+        self._doubts = points_beside(scene, self._system)
 
     def system(self) -> System:
         """What the scene calls for."""
@@ -97,7 +99,9 @@ class PreparedScene:
         """The consistent start, where it is known."""
         times = (ts,) if self._system.is_driven else ()  # what is not driven starts alike at any time
         found = self._once("start", times, lambda: known_start(self._seen, ts))
-        return None if found is None else found._replace(assembly=own_arrays(found.assembly))
+        if found is None:
+            return None
+        return found._replace(assembly=own_arrays(found.assembly), doubts=(*found.doubts, *self._doubts))
 
     def jump_conditions(self, ts: Numeric) -> list:
         """Conditions, traced, that no driver jumps; see `motion.start.jumps`."""

@@ -137,8 +137,8 @@ def simulate(
     limits = None if accuracy is None else _limits(scene, ts, accuracy, rtol, stepsize_controller, track_work, scalar)
     with read_once(), captures_explained([scene]):
         call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
-        for change in call.changes:
-            warnings.warn(change, StartWarning, stacklevel=2)
+        for said in call.warnings:
+            warnings.warn(said, StartWarning, stacklevel=2)
         run = call.run()
     if limits is not None:
         run = accurate(run, limits)
@@ -165,11 +165,11 @@ class _Call(NamedTuple):
     """A call of `simulate` of which everything is decided.
 
     Attributes:
-        changes: what the start changes of what the scene describes.
+        warnings: what the start changes of what the scene describes, and what looks like a mistake.
         run: makes the run; its arrays and containers belong to nobody else.
     """
 
-    changes: tuple[str, ...]
+    warnings: tuple[str, ...]
     run: Callable[[], Trajectory]
 
 
@@ -257,7 +257,7 @@ def _call(
         )
 
     made_of = again(trajectory)
-    return _Call(() if start is None else start.changes, run)
+    return _Call(() if start is None else start.warnings, run)
 
 
 def _asked(solver: diffrax.AbstractSolver, rtol, atol, max_steps: int) -> Asked | None:

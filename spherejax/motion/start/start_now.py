@@ -16,12 +16,17 @@ from spherejax.model.system import Structure, System, compile_scene, flatten_sys
 from spherejax.motion.equations.friction_judgement import refuse_unsolvable_friction
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble_now
 from spherejax.motion.start.fighting_drivers import REMEDY, fighting_at, refuse_fighting_drivers
+from spherejax.motion.start.locked import locked_motors
+from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.positions import moved_bodies
 from spherejax.motion.start.velocities import removed_velocities
 
 
 class StartWarning(UserWarning):
-    """A run starts with other positions or velocities than the scene describes, for the joints do not allow those.
+    """A run starts with other positions or velocities than the scene describes, or its start looks like a mistake.
+
+    It looks like one where a motor acts on bodies that have 0 degrees of freedom, and where a joint with one point
+    stands beside a named point that nothing else uses.
 
     Bodies that had to be moved far are named with how far each was moved and turned; so are joints that took velocities
     away. Numbers that are traced (inside `jit`, `vmap`, `grad` and fits) are not looked at; `run.assembly` holds what
@@ -35,10 +40,17 @@ class KnownStart(NamedTuple):
     Attributes:
         assembly: the consistent start.
         changes: what it changes of what the scene describes, in sentences.
+        doubts: what looks like a mistake in the scene, in sentences.
     """
 
     assembly: Assembly
     changes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """All that is said of the start."""
+        return self.changes + self.doubts
 
 
 def start_now(system: System, ts: Numeric, *, stacklevel: int = 3) -> Assembly | None:
@@ -57,8 +69,8 @@ def start_now(system: System, ts: Numeric, *, stacklevel: int = 3) -> Assembly |
     start = known_start(system, ts)
     if start is None:
         return None
-    for change in start.changes:
-        warnings.warn(change, StartWarning, stacklevel=stacklevel)
+    for said in start.warnings:
+        warnings.warn(said, StartWarning, stacklevel=stacklevel)
     return start.assembly
 
 
@@ -84,7 +96,8 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
     if system.is_driven and np.all(np.isfinite(start.y)):
         refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
     refuse_unsolvable_friction(system, t, np.asarray(start.y))
-    return KnownStart(start, _changes(system, structure, theta, t, start))
+    doubts = locked_motors(system, ts, start)
+    return KnownStart(start, _changes(system, structure, theta, t, start), doubts)
 
 
 def _refuse_drivers_not_finite(system: System, t: float) -> None:
@@ -99,19 +112,23 @@ def _refuse_drivers_not_finite(system: System, t: float) -> None:
                 )
 
 
-def start_changes(system: System, t: float, start: Assembly) -> tuple[str, ...]:
-    """What a start changes of the positions and velocities that a scene describes, in sentences; of known numbers.
+def start_changes(system: System, ts: Numeric, start: Assembly) -> tuple[str, ...]:
+    """What a start changes of the positions and velocities that a scene describes, and motors on locked bodies.
 
     Args:
-        system: the system.
-        t: time of the start [s]; what is not driven starts alike at any time.
+        system: the system, of known numbers.
+        ts: sample times [s]; what is not driven starts alike at any time.
         start: the consistent start.
+
+    Returns:
+        Sentences; empty where nothing is to be said.
     """
-    return _changes(system, *flatten_system(as_ideal(system)), t, start)
+    changes = _changes(system, *flatten_system(as_ideal(system)), float(ts[0]), start)
+    return (*changes, *locked_motors(system, ts, start))
 
 
 def _changes(system: System, structure: Structure, theta, t: float, start: Assembly) -> tuple[str, ...]:
-    """`start_changes` of a system as if its joints were ideal, taken apart."""
+    """Changes of positions and velocities, by the system as if its joints were ideal, taken apart."""
     common = system, structure, theta, t, start
     return tuple(filter(None, (moved_bodies(*common), removed_velocities(*common))))
 
@@ -135,8 +152,13 @@ def changed_starts(scene_of: Callable[[Any], Scene], parameters: Any, ts: Numeri
     numbers = {run: jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters) for run in runs}
     starts = {run: _start_of(scene_of(numbers[run]), ts) for run in runs}
     changes = {run: start.changes for run, start in starts.items() if start is not None and start.changes}
-    if not changes:
+    doubts = {run: start.doubts for run, start in starts.items() if start is not None and start.doubts}
+    if not changes and not doubts:
         return "", None
+    if not changes:
+        first = next(iter(doubts))
+        count = "all runs" if len(runs) == 1 else f"{len(doubts)} of {len(runs)} runs that were looked at"
+        return f"{count} look like a mistake; of run {first}: {' '.join(doubts[first])}", numbers[first]
     count = f"{len(changes)} of {len(runs)} runs that were looked at do not start as they are described"
     first = next(iter(changes))
     if len(runs) == 1:
@@ -161,6 +183,8 @@ def _geometry_depends_on(scene_of: Callable[[Any], Scene], parameters: Any, ts: 
 def _start_of(scene: Scene, ts: Numeric) -> KnownStart | None:
     """Of one run; none of one that fails, which its status says."""
     try:
-        return known_start(compile_scene(scene).system, ts)
+        system = compile_scene(scene).system
+        start = known_start(system, ts)
+        return None if start is None else start._replace(doubts=(*start.doubts, *points_beside(scene, system)))
     except SceneError:
         return None

@@ -92,7 +92,7 @@ def _verdict(run: Trajectory) -> str:
 def cautions_of(run: Trajectory) -> list[str]:
     """What a run of any outcome is to be read with; first what its start has changed of the scene."""
     shares = np.asarray(run.stats.audit)
-    found = [*start_changes(run.system, float(run.ts[0]), run.assembly), cautions(shares)]
+    found = [*start_changes(run.system, run.ts, run.assembly), cautions(shares)]
     if shares[CHECKS.index("energy")] == NOT_MADE:
         found.append("Energy was not audited: the method knows too coarsely what drivers, forces or bristles put in.")
     if run.undetermined_reactions:
@@ -328,7 +328,7 @@ def _page_of_lanes(runs: Trajectory, title: str, scene: Scene | None) -> Page:
     heads = ("lane", "status", "time reached [s]", "steps", "repeated", "contact onsets")
     page.add("All lanes", PageTable(heads, rows, numeric=True))
     one = jax.tree.map(lambda leaf: leaf[chosen], flat)
-    page.cautions += [f"lane {chosen}: {said}" for said in start_changes(one.system, float(one.ts[0]), one.assembly)]
+    page.cautions += [f"lane {chosen}: {said}" for said in start_changes(one.system, one.ts, one.assembly)]
     why = "the first that failed" if bad.size else "the first"
     page.add(f"Lane {chosen}", PageText([f"What follows is lane {chosen}, {why}. {_verdict(one)}"]))
     add_motion(page, {f"lane {chosen}": one}, scene)

@@ -102,6 +102,11 @@ class Actuator(AbstractForce):
         """Of its coordinate."""
         return {**UNITS, **self.coordinate.part_units}
 
+    @property
+    def is_motor(self) -> bool:
+        """It moves its coordinate."""
+        return True
+
     def _force(self, t: Scalar) -> Scalar:
         return self.effort(t) + self.offset
 
@@ -185,6 +190,11 @@ class SampledActuator(AbstractForceWithMemory):
     def part_units(self) -> Mapping[str, str]:
         """Of its coordinate."""
         return {**UNITS, **self.coordinate.part_units}
+
+    @property
+    def is_motor(self) -> bool:
+        """It moves its coordinate."""
+        return True
 
     @property
     def memory(self):

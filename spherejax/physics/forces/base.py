@@ -127,6 +127,11 @@ class AbstractForce(eqx.Module):
         return False
 
     @property
+    def is_motor(self) -> bool:
+        """Whether the element is there to move bodies (static): on bodies that cannot move, `sj.simulate` warns."""
+        return False
+
+    @property
     def memory(self) -> tuple[MemoryEntry, ...]:
         """What the element remembers (static); one that does is an `AbstractForceWithMemory`."""
         return ()

@@ -79,6 +79,11 @@ class AbstractController(AbstractForceWithMemory):
     smooth_limits: eqx.AbstractVar[bool]
 
     @property
+    def is_motor(self) -> bool:
+        """It moves its coordinate."""
+        return True
+
+    @property
     def memory(self):
         """What the controller computes with."""
         return self._states

@@ -15,9 +15,10 @@ from spherejax.physics.bodies import numbers
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.body_axes import (
     direction_requirement,
-    places_of,
+    places_of_two,
     point_requirements,
     split_point,
+    split_second,
     turned,
     unit,
 )
@@ -82,7 +83,7 @@ class AbstractAxialJoint(AbstractPairJoint):
         self.axis = numbers(axis)
         self.model = Ideal() if model is None else model
         self.starts_concentric = starts_concentric
-        self.second_point_name, self.second_point = (None, None) if second_point is None else split_point(second_point)
+        self.second_point_name, self.second_point = split_second(second_point)
 
     def as_described(self):
         """The joint with a bushing that may be pressed at the start."""
@@ -103,10 +104,7 @@ class AbstractAxialJoint(AbstractPairJoint):
 
     def placed(self, bodies, find):
         """The joint's equations in body axes, or a ball in a socket that stands for them."""
-        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
-        if self.second_point is not None or self.second_point_name is not None:
-            on_second = places_of(bodies, find, self.bodies, self.second_point_name, self.second_point)[1]
-            places = places[0], on_second
+        places = places_of_two(bodies, find, self)
         axis = unit(self.axis)
         across = two_across(bodies, self.bodies[0], axis)
         on_second = turned(bodies, self.bodies[1], axis)

@@ -102,6 +102,25 @@ def places_of(bodies: Mapping[str, Body], find, pair: tuple[str, str], name: str
     return on(first), on(second)
 
 
+def split_second(point) -> tuple[str | None, Numeric | None]:
+    """As `split_point`, of a second point that may be left out (None): then both are None."""
+    return (None, None) if point is None else split_point(point)
+
+
+def places_of_two(bodies: Mapping[str, Body], find, joint: Any):
+    """A joint's point on each of its two bodies, body axes [m]: one point for both, or a second one for the second.
+
+    Args:
+        bodies: the scene's bodies.
+        find: resolves `"body.point"`.
+        joint: with `bodies`, `point`, `point_name`, `second_point` and `second_point_name`.
+    """
+    places = places_of(bodies, find, joint.bodies, joint.point_name, joint.point)
+    if joint.second_point is None and joint.second_point_name is None:
+        return places
+    return places[0], places_of(bodies, find, joint.bodies, joint.second_point_name, joint.second_point)[1]
+
+
 def unit(vector):
     """A vector divided by its length."""
     return vector / (vector**2).sum() ** 0.5

@@ -15,9 +15,11 @@ from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.body_axes import (
     direction_requirement,
     places_of,
+    places_of_two,
     point_requirements,
     right_angle_requirement,
     split_point,
+    split_second,
     turned,
     unit,
 )
@@ -40,6 +42,9 @@ class Universal(AbstractPairJoint):
             and x along the second at the start.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
+        second_point: the joint's point on the second body, where it is not `point` in the described start, or its
+            name: the start is then closed, and a `StartWarning` says what was moved.
+        second_point_name: its name, where it is given by name.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -49,6 +54,8 @@ class Universal(AbstractPairJoint):
     second_axis: Triple
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
+    second_point: Triple | None
+    second_point_name: str | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -58,6 +65,7 @@ class Universal(AbstractPairJoint):
         second_axis: Annotated[Triple, Unit("1")],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
+        second_point: Annotated[Numeric | None, Named.PLACE] = None,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
@@ -65,17 +73,20 @@ class Universal(AbstractPairJoint):
         self.second_axis = numbers(second_axis)
         self.model = Ideal() if model is None else model
         self.starts_concentric = starts_concentric
+        self.second_point_name, self.second_point = split_second(second_point)
 
     def as_described(self):
         """The joint with a bushing that may be pressed at the start."""
         point = self.point if self.point_name is None else self.point_name
-        return Universal(self.bodies, point, self.first_axis, self.second_axis, self.model, False)
+        second = self.second_point if self.second_point_name is None else self.second_point_name
+        return Universal(self.bodies, point, self.first_axis, self.second_axis, self.model, False, second)
 
     def requirements(self) -> list[Requirement]:
         """A finite point, two perpendicular directions, and a model."""
         a, b = self.first_axis, self.second_axis
         return [
             *point_requirements(self.point),
+            *point_requirements(self.second_point, "second_point"),
             direction_requirement(a, "first_axis"),
             direction_requirement(b, "second_axis"),
             right_angle_requirement(a, b, "Give the two arms of the cross at the start."),
@@ -84,7 +95,7 @@ class Universal(AbstractPairJoint):
 
     def placed(self, bodies, find):
         """The points coincide and the arms stay perpendicular."""
-        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        places = places_of_two(bodies, find, self)
         first = turned(bodies, self.bodies[0], unit(self.first_axis))
         second = turned(bodies, self.bodies[1], unit(self.second_axis))
         rubbing = None
@@ -104,6 +115,9 @@ class Fixed(AbstractPairJoint):
         model: `Ideal()`, or `Bushing(law=...)` with a law that resists rotation, in the axes of the first body.
         starts_concentric: whether a bushing starts relaxed, the start being assembled as if the joint were ideal;
             False leaves the bodies, and their velocities, as they are described.
+        second_point: the joint's point on the second body, where it is not `point` in the described start, or its
+            name: the start is then closed, and a `StartWarning` says what was moved.
+        second_point_name: its name, where it is given by name.
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -111,6 +125,8 @@ class Fixed(AbstractPairJoint):
     point_name: str | None = eqx.field(static=True)
     model: AbstractSphericalModel
     starts_concentric: bool = eqx.field(static=True)
+    second_point: Triple | None
+    second_point_name: str | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -118,24 +134,31 @@ class Fixed(AbstractPairJoint):
         point: Annotated[Numeric, Named.PLACE],
         model: AbstractSphericalModel | None = None,
         starts_concentric: bool = True,
+        second_point: Annotated[Numeric | None, Named.PLACE] = None,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.model = Ideal() if model is None else model
         self.starts_concentric = starts_concentric
+        self.second_point_name, self.second_point = split_second(second_point)
 
     def as_described(self):
         """The joint with a bushing that may be pressed at the start."""
         point = self.point if self.point_name is None else self.point_name
-        return Fixed(self.bodies, point, self.model, False)
+        second = self.second_point if self.second_point_name is None else self.second_point_name
+        return Fixed(self.bodies, point, self.model, False, second)
 
     def requirements(self) -> list[Requirement]:
         """A finite point and a model."""
-        return [*point_requirements(self.point), *model_requirements(self.model, turns_freely=False, slides=False)]
+        return [
+            *point_requirements(self.point),
+            *point_requirements(self.second_point, "second_point"),
+            *model_requirements(self.model, turns_freely=False, slides=False),
+        ]
 
     def placed(self, bodies, find):
         """The points coincide and three right angles stay."""
-        places = places_of(bodies, find, self.bodies, self.point_name, self.point)
+        places = places_of_two(bodies, find, self)
         angles = right_angles_of_all_axes(bodies, self.bodies, numbers((0.0, 0.0, 1.0)))
         ideal = PlacedPair(self.bodies, places, True, (), angles, ())
         return with_model(ideal, self.model, self.starts_concentric, bodies)
