@@ -8,6 +8,7 @@ of a whole study come from its result: `fitted.figures()`, `study.figures(...)`;
 
 histories of runs           `curves_of` for `four_histories`, `phase_portraits`, `eccentricity_paths`
                             `Panel` for `model_histories`; `spectrum`
+energy of a run by part     `energy_by_part`
 force laws by themselves    `impact_loops`, `friction_curves`, `hybrid_force`, `dynamic_stiffness`
 linearizations              `bode`, `modes`
 suspension rigs             `rig`
@@ -22,6 +23,7 @@ from spherejax.output.plot.bode import bode
 from spherejax.output.plot.curves import Curves, curves_of
 from spherejax.output.plot.cycles import continuation, cycle, swept_sine
 from spherejax.output.plot.eccentricity import eccentricity_paths
+from spherejax.output.plot.energy_parts import energy_by_part
 from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.laws import friction_curves, hybrid_force, impact_loops
 from spherejax.output.plot.modes import modes
@@ -46,6 +48,7 @@ __all__ = [
     "cycle",
     "dynamic_stiffness",
     "eccentricity_paths",
+    "energy_by_part",
     "figures_of_sweep",
     "four_histories",
     "friction_curves",

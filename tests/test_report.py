@@ -113,7 +113,16 @@ def test_nothing_is_asked_of_anybody(read, written):
 
 
 def test_a_run_tells_costs_audit_peaks_numbers_citations_versions(read, run):
-    expected = ["The mechanism", "The run", "Histories", "Peaks", "Numbers used", "What to cite", "Versions"]
+    expected = [
+        "The mechanism",
+        "The run",
+        "Histories",
+        "Energy by part",
+        "Peaks",
+        "Numbers used",
+        "What to cite",
+        "Versions",
+    ]
     assert [one for one in read.headings if one in expected] == expected
     assert f"{int(run.stats.n_steps):,}" in read.text
     assert "energy rises by no more than was put in" in read.text

@@ -22,6 +22,7 @@ from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
 from spherejax.motion.results.accuracy import POSITIONS, Accuracy
 from spherejax.motion.results.dataset import table_of, to_dataset
+from spherejax.motion.results.energy_parts import EnergyByPart, energy_by_part
 from spherejax.motion.results.global_error import GlobalError, floor_of, usual_limit
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
@@ -528,6 +529,20 @@ class Trajectory(eqx.Module, Reported):
         work = self.absorbed_work(joint)
         stored = self.observation.elastic_energy[joint]
         return work - (stored - stored[:1])
+
+    @cached_property
+    def energy_by_part(self) -> EnergyByPart:
+        """What each part put in, stores and lost since the start [J], at five instants of each step.
+
+        The fields `put_in`, `stored` and `lost` have a history for each part by its name, `ts` the times [s], and
+        `unaccounted` what is left over of their sum, as small as the errors of the run. The powers are integrated over
+        the steps, so that impacts between samples count; the run is made once more for it, see `impacts`. It needs no
+        `track_work=True`.
+
+        Raises:
+            SceneError: for a batched or traced run, or one that cannot be repeated.
+        """
+        return energy_by_part(self.system, self._steps, self.scalar)
 
     @property
     def constraint_violation(self) -> Float[Array, " n"]:

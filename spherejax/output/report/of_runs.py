@@ -23,6 +23,8 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.start_now import start_changes
 from spherejax.output.citations import cite
 from spherejax.output.drawing import draw
+from spherejax.output.plot.energy_parts import energy_by_part as draw_energy_by_part
+from spherejax.output.plot.energy_parts import energy_unit
 from spherejax.output.plot.run_figures import figures_of_run
 from spherejax.output.report.motion import viewed
 from spherejax.output.report.numbers import numbers_of
@@ -188,6 +190,7 @@ def add_run(page: Page, run: Trajectory) -> None:
     """Figures, peaks and contacts of a single run."""
     figures = [PagePicture(figure, what) for what, figure in figures_of_run(run).items()]
     page.add("Histories", *figures)
+    page.add("Energy by part", *_energy_by_part(run))
     page.add("Peaks", _peaks(run))
     if run.system.forces:
         page.add("Force elements", _force_elements(run))
@@ -210,6 +213,35 @@ def _peaks(run: Trajectory) -> PageTable | PageText:
     ]
     caption = "Largest magnitudes, seen at five instants of each step"
     return PageTable(("quantity", "largest", "unit", "at [s]"), rows, caption)
+
+
+def _energy_by_part(run: Trajectory) -> list[PagePicture | PageTable | PageText]:
+    """What was put in, what is stored, and what was lost where: a figure, and a table at the end of the run."""
+    try:
+        balance = run.energy_by_part
+    except SceneError as error:
+        return [PageText([str(error)])]
+    kinds = balance.put_in, balance.stored, balance.lost
+    ends = [{name: float(values[-1]) for name, values in kind.items()} for kind in kinds]
+    largest = max(abs(value) for kind in ends for value in kind.values())
+    unit, factor = energy_unit(largest)
+    names = list(dict.fromkeys(name for kind in ends for name in kind))
+
+    def told(value: float | None) -> str:
+        return "" if value is None else f"{factor * value:.5g}"
+
+    rows = [(name, *(told(kind.get(name)) for kind in ends)) for name in names]
+    rows.append(("all together", *(told(sum(kind.values())) for kind in ends)))
+    left = float(balance.unaccounted[-1])
+    caption = (
+        f"Energy from the start to t = {float(balance.ts[-1]):.6g} s. Put in, less stored, less lost: "
+        f"{factor * left:.2g} {unit} unaccounted for, by the errors of the integration"
+    )
+    heads = ("part", *(f"{kind} [{unit}]" for kind in ("put in", "stored", "lost")))
+    return [
+        PagePicture(draw_energy_by_part(balance), "energy that was put in, is stored and was lost, by part"),
+        PageTable(heads, rows, caption),
+    ]
 
 
 def _force_elements(run: Trajectory) -> PageTable:
