@@ -618,3 +618,16 @@ def test_options_of_robots_that_say_nothing_are_refused(arm, tmp_path, capsys, w
 def test_options_of_robots_are_refused_elsewhere(capsys):
     assert cli.main(["run", "four-bar", "--fixed", "elbow"]) == 2
     assert "--fixed is for robot descriptions (.urdf, .xml, .mjcf), and four-bar is none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [(("--stiffness", "1e5"), "5e-05 s"), ((), "5e-06 s")],
+)
+def test_a_damping_coefficient_is_told_its_ratio_to_the_stiffness(words, number, capsys):
+    """A bushing's damping is c/k: who gives c [N s/m] reads what to give, by the stiffness that would be used."""
+    assert cli.main(["run", "four-bar", "--joint", "bushing", "--damping", "5 N s/m", *words]) == 2
+    said = capsys.readouterr().err
+    assert "--damping 5 N s/m: the damping of a bushing is given by its ratio to the stiffness, c/k [s]" in said
+    assert f'it is --damping "{number}"' in said
+    assert model_from(parsed("--joint", "bushing", "--damping", "5 ms")).law.damping == pytest.approx(5e-3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import spherejax as sj
 from spherejax.command_line.catalog import (
@@ -21,6 +21,7 @@ from spherejax.command_line.catalog import (
 )
 from spherejax.command_line.numbers import measured_in, number_of, real
 from spherejax.foundations.errors import one_of
+from spherejax.foundations.units.units import in_si
 
 UNITS = {
     "clearance": "m",
@@ -116,9 +117,9 @@ def add_joint_options(parser: argparse.ArgumentParser, *, many: bool = False) ->
     )
     bushing.add_argument(
         "--damping",
-        type=measured_in(UNITS["damping"]),
+        type=_damping,
         metavar="B",
-        help="stiffness-proportional damping [s] (default: 1e-2; suspension: 1e-3)",
+        help="damping in proportion to the stiffness, c/k [s] (default: 1e-2; suspension: 1e-3)",
     )
     if not many:
         bushing.add_argument(
@@ -126,6 +127,40 @@ def add_joint_options(parser: argparse.ArgumentParser, *, many: bool = False) ->
             choices=ELASTOMERS,
             help="damping of the radial rate alone, or of all (default: radial)",
         )
+
+
+class _Coefficient(NamedTuple):
+    """What was given for --damping, where it is a coefficient: the text, and c [N s/m]."""
+
+    text: str
+    value: float
+
+
+def _damping(text: str) -> float | _Coefficient:
+    """For `type=`: a time [s]; a coefficient [N s/m] is refused when the stiffness is known, see `_ratio`."""
+    try:
+        return measured_in(UNITS["damping"])(text)
+    except argparse.ArgumentTypeError:
+        try:
+            return _Coefficient(text, in_si(text, "N s/m"))
+        except sj.SceneError:
+            pass
+        raise
+
+
+def _ratio(damping: float | _Coefficient | None, stiffness: float | None) -> float | None:
+    """The damping as a time [s].
+
+    Raises:
+        SceneError: for a coefficient, with the time that it is at this stiffness [N/m].
+    """
+    if not isinstance(damping, _Coefficient):
+        return damping
+    means = f"--damping {damping.text}: the damping of a bushing is given by its ratio to the stiffness, c/k [s]"
+    if stiffness is None:
+        raise sj.SceneError(f"{means}; divide {damping.value:g} N s/m by the stiffness, or give --stiffness as well")
+    number = f"{damping.value / stiffness:.4g}"
+    raise sj.SceneError(f'{means}. With the stiffness k = {stiffness:g} N/m it is --damping "{number} s"')
 
 
 def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
@@ -141,7 +176,8 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
     if options.joint == "bushing":
         law = ELASTOMERS[options.elastomer or "radial"]
         stiffness, damping = USUAL.get(getattr(options, "scene", ""), Usual()).bushing
-        return sj.Bushing(law=law(_or(options.stiffness, stiffness), _or(options.damping, damping)))
+        stiffness = _or(options.stiffness, stiffness)
+        return sj.Bushing(law=law(stiffness, _or(_ratio(options.damping, stiffness), damping)))
     material = sj.Material() if options.youngs_modulus is None else sj.Material(youngs_modulus=options.youngs_modulus)
     contact = {
         "socket_radius": _or(options.socket_radius, 0.010),
@@ -176,6 +212,7 @@ def all_models_from(
     has_friction = options.friction is not None or options.mu is not None or options.mu_static is not None
     modulus = options.youngs_modulus
     stiffness, damping = USUAL.get(options.scene, Usual()).bushing if options.scene in USUAL else (None, None)
+    stiffness = _or(options.stiffness, stiffness)
     return sj.joint_models(
         like,
         clearance=options.clearance,
@@ -187,8 +224,8 @@ def all_models_from(
         viscosity=options.viscosity,
         film=None if options.film is None else _film_from(options),
         boundary=None if options.boundary is None else BOUNDARIES[options.boundary](),
-        stiffness=_or(options.stiffness, stiffness),
-        damping=_or(options.damping, damping),
+        stiffness=stiffness,
+        damping=_or(_ratio(options.damping, stiffness), damping),
     )
 
 
