@@ -1,6 +1,8 @@
-"""How far a sweep is: a bar in terminals and notebooks, nothing in logs."""
+"""How far a sweep is: a bar in terminals and notebooks, a line every ten seconds in logs."""
 
+import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -84,6 +86,9 @@ Report = Callable[[SweepProgress], None]
 SECONDS_BETWEEN = 0.2
 """A notebook's display is not renewed more often."""
 
+SECONDS_BETWEEN_LINES = 10.0
+"""Time between two lines in a log [s]: a sweep that is over sooner writes none, one of an hour a few hundred."""
+
 
 @contextmanager
 def reporting(progress: bool | Report, n_runs: int) -> Iterator[Report]:
@@ -95,8 +100,40 @@ def reporting(progress: bool | Report, n_runs: int) -> Iterator[Report]:
     elif progress and sys.stderr.isatty():
         with _terminal_bar(n_runs) as report:
             yield report
+    elif progress and os.environ.get("SPHEREJAX_QUIET", "0") == "0":
+        with _lines() as report:
+            yield report
     else:
         yield lambda seen: None
+
+
+@contextmanager
+def _lines() -> Iterator[Report]:
+    """A line on standard error now and then, where it is a file or a pipe: the log of a batch job is not silent.
+
+    A thread writes them, so that a long first chunk, with compilation, is seen too.
+    """
+    latest: list[SweepProgress] = []
+    is_over = threading.Event()
+
+    def write() -> None:
+        while not is_over.wait(SECONDS_BETWEEN_LINES):
+            for seen in latest[-1:]:
+                left = (
+                    "" if seen.n_done in (seen.n_runs, seen.n_done_before) else f", {_minutes(seen.seconds_left)} left"
+                )
+                print(f"spherejax: sweep: {seen}{left}", file=sys.stderr, flush=True)
+
+    def report(seen: SweepProgress) -> None:
+        latest[:] = [seen]
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    try:
+        yield report
+    finally:
+        is_over.set()
+        writer.join()
 
 
 @contextmanager
