@@ -586,3 +586,14 @@ def test_the_arm_of_a_circle_runs_from_its_center_to_its_point():
     assert mechanism_of(scene).joints["arm"].kind == "PointOnCircle"
     arm = paths(sj.draw(scene, view=(-90, 0)), "joint:arm")[1]
     np.testing.assert_allclose(arm, [[0.0, 0.5], [1.0, 0.5]], atol=1e-12)
+
+
+def test_a_motor_along_a_line_is_a_cylinder_that_hides_no_body():
+    """A controller between two points is drawn without a zigzag, and without the paper-colored line beneath one."""
+    bob = sj.Body(1.0, (1e-2,) * 3, points={"top": (0, 0, 0.3)})
+    leg = sj.PID(sj.Extension(("ground.hook", "bob.top")), 0.5, 100.0, 1.0)
+    spring = sj.SpringDamper(("ground.hook", "bob.top"), 100.0)
+    scene = sj.Scene({"bob": bob}, {}, {"leg": leg, "spring": spring}, ground_points={"hook": (0, 0, 1.0)})
+    figure = sj.draw(scene, view=(-90, 0))
+    assert [len(path) for path in paths(figure, "force:leg")][:4] == [2, 5, 2, 2]
+    assert len(paths(figure, "force:spring")[0]) == 16

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from scipy.integrate import quad
 
 import spherejax as sj
@@ -106,3 +107,22 @@ def test_what_has_no_spectrum_says_so(swinging):
     runs = jax.vmap(run)(jnp.eye(3) * 0.01)
     with pytest.raises(sj.SceneError, match="single run"):
         runs.spectrum("position.ball")
+
+
+def test_a_figure_of_a_spectrum_reaches_as_far_as_there_is_content():
+    """A tone of 10 Hz among frequencies up to 1000 Hz; noise of a thousandth is no content."""
+    frequencies = np.arange(1.0, 1001.0)
+    amplitude = np.where(frequencies == 10.0, 1.0, 1e-3)
+    attributes = {"quantity": "position.bob.z", "duration": 1.0}
+
+    def shown(values):
+        found = xarray.Dataset(
+            {"amplitude": ("frequency", values, {"units": "m"})},
+            {"frequency": frequencies, "axis": "z"},
+            attrs=attributes,
+        )
+        (ax,) = sj.plot.spectrum(found).axes
+        return ax.get_xlim()[1], [text.get_text() for text in ax.texts]
+
+    assert shown(amplitude) == (11.0, ["below 0.5% of the largest from 11 to 1000 Hz"])
+    assert shown(np.full(1000, 1.0)) == (1000.0, [])

@@ -21,27 +21,30 @@ from spherejax.physics.kinematics import BodyMotion
 
 
 def force_strokes(name: str, mechanism: Mechanism, pose: MechanismPose, camera: Camera, s: float) -> list[Stroke]:
-    """A force element: a tyre on its road, a zigzag between two points, a spiral about an axis, or arrows of forces."""
+    """A force element: a tyre on its road, a zigzag or a motor between two points, a spiral, or arrows of forces."""
     force = mechanism.forces[name]
     if isinstance(force, Tyre):
         strokes = _tyre(force, pose, camera)
     elif isinstance(force, AbstractTorsionalForce):
         strokes = _spiral(force, mechanism, pose, camera, s)
     elif len(places := force_places(force)) == 2:
-        strokes = _line_element(name, places, pose, camera, s)
+        strokes = _line_element(name, places, pose, camera, s, force.is_motor)
     else:
         strokes = [_arrow(at, pull, camera, 5 * s) for at, pull in forces_on_bodies(name, force, pose)]
     return [replace(stroke, name=stroke.name or f"force:{name}") for stroke in strokes]
 
 
-def _line_element(name: str, places: list, pose: MechanismPose, camera: Camera, s: float) -> list[Stroke]:
-    """A zigzag, with hatching where it stands on the ground."""
+def _line_element(
+    name: str, places: list, pose: MechanismPose, camera: Camera, s: float, is_motor: bool
+) -> list[Stroke]:
+    """A zigzag, or the cylinder and rod of a motor, with hatching where it stands on the ground."""
     ends = [pose.point(body, place) for body, place in places]
     on_ground = [end for end, (body, _) in zip(ends, places, strict=True) if body == GROUND]
     up = np.sign(sum((end for end in ends), np.zeros(3)) @ camera.up - 2 * on_ground[0] @ camera.up) if on_ground else 1
     marks = [mark for end in on_ground for mark in ground_marks(camera.project(end), 0.8 * s * (1 if up >= 0 else -1))]
-    spring = _spring(camera.project(ends[0]), camera.project(ends[1]), camera.depth(np.array(ends)), s)
-    return [*(replace(mark, name=f"ground:{name}") for mark in marks), *spring]
+    symbol = _cylinder if is_motor else _spring
+    drawn = symbol(camera.project(ends[0]), camera.project(ends[1]), camera.depth(np.array(ends)), s)
+    return [*(replace(mark, name=f"ground:{name}") for mark in marks), *drawn]
 
 
 def _tyre(force: Tyre, pose: MechanismPose, camera: Camera) -> list[Stroke]:
@@ -101,6 +104,22 @@ def _spring(a: np.ndarray, b: np.ndarray, depth: float, s: float) -> list[Stroke
     return [
         Stroke(line, depth, PAPER, 3.2),
         Stroke(line, depth, FORCE_COLOR, 1.3),
+        *(Stroke(at + 0.35 * s * CIRCLE, depth, "none", 0.0, FORCE_COLOR) for at in (a, b)),
+    ]
+
+
+def _cylinder(a: np.ndarray, b: np.ndarray, depth: float, s: float) -> list[Stroke]:
+    """An actuator or controller along a line: an open barrel and a thin rod, through which bodies stay visible."""
+    along = b - a
+    across = 0.55 * s * np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-300)
+    begin, end = a + 0.2 * along, a + 0.6 * along
+    barrel = np.array([begin + across, end + across, end - across, begin - across, begin + across])
+    head = a + 0.42 * along
+    return [
+        Stroke(np.array([a, begin]), depth, FORCE_COLOR, 1.0),
+        Stroke(barrel, depth, FORCE_COLOR, 0.9),
+        Stroke(np.array([head + across, head - across]), depth, FORCE_COLOR, 1.2),
+        Stroke(np.array([head, b]), depth, FORCE_COLOR, 1.0),
         *(Stroke(at + 0.35 * s * CIRCLE, depth, "none", 0.0, FORCE_COLOR) for at in (a, b)),
     ]
 
