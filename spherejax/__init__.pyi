@@ -50,6 +50,7 @@ from .physics.forces.torsional import TorsionalSpring
 from .physics.forces.torsional_stop import TorsionalStop
 from .physics.forces.tyre import Tyre
 from .physics.functions.base import AbstractFunction, Network, UserFunction
+from .physics.functions.integral import Integral
 from .physics.functions.pieces import Piecewise, Sum
 from .physics.functions.roads import RandomRoad
 from .physics.functions.shapes import (
@@ -272,6 +273,7 @@ __all__ = [
     "Ideal",
     "ImplicitCurve",
     "Instants",
+    "Integral",
     "JohnsonCylinder",
     "LankaraniNikravesh",
     "LevenbergMarquardt",

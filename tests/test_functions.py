@@ -27,6 +27,7 @@ FUNCTIONS = {
     "two points": sj.SmoothTable(X[:2], Y[:2]),
     "one line": sj.Table(X[:2], Y[:2]),
     "sum": sj.Sum(sj.Linear(1.0), sj.Sine(1.0, 1.0)),
+    "integral": sj.Integral(sj.Table(X, Y), 0.3, origin=0.1),
     "user's": as_function(lambda x: x**2 * jnp.cos(x)),
 }
 BREAKS = {

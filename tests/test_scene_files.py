@@ -384,6 +384,7 @@ JOINTS = [
     sj.RotationDriver(BOTH, AXIS, sj.Linear(3.0, 0.1)),
     sj.RotationDriver(BOTH, AXIS, my_laws.hat),
     sj.TranslationDriver(BOTH, "a.tip", AXIS, sj.SmoothStep(0.0, 1.0, 0.0, 0.2)),
+    sj.TranslationDriver(BOTH, "a.tip", AXIS, rate=sj.Table([0.0, 1.0], [0.0, 0.5]), start=0.1),
     sj.PositionDriver("a.tip", my_laws.gust),
 ]
 
@@ -399,6 +400,7 @@ FUNCTIONS = [
     sj.SmoothTable([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
     sj.Piecewise([0.0], [sj.Linear(1.0), sj.Sum(sj.Constant(0.5), sj.Polynomial([0.0, 3.0]), my_laws.Growth(2.0))]),
     sj.Sum(),
+    sj.Integral(my_laws.Growth(2.0), 0.1, until=3.0, panels=8),
     my_laws.hat,
     my_laws.Growth(2.0),
 ]

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import concretely, is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Numeric
 from spherejax.model.system import System
@@ -63,23 +63,42 @@ class Jumps(NamedTuple):
 
 
 def jump_conditions(system: System, ts: Numeric) -> list:
-    """Conditions, traced, that no driver's function of time jumps between the first and the last sample time.
+    """Conditions, traced, that drivers' functions are known and do not jump between the first and the last sample time.
 
     Args:
         system: the system.
         ts: sample times [s].
 
     Raises:
-        SceneError: for a function that is known and jumps.
+        SceneError: for a function whose numbers are known, and which jumps, or is known for a shorter time.
     """
     conditions = []
     if np.shape(ts)[0] < 2:
         return conditions
     for name, joint in system.joints.items():
         for function in joint.functions_of_time:
+            if function.domain is not None:
+                conditions += _known_all_along(name, function.domain, ts)
             if function.may_jump:
                 conditions += _condition(name, function, ts)
     return conditions
+
+
+def _known_all_along(name: str, domain: tuple, ts: Numeric) -> list:
+    """The condition, where it is traced, that the sample times lie within the domain of a function."""
+    ends = domain[0], domain[1], ts[0], ts[-1]
+    low, high, first, last = concretely(lambda *each: tuple(jnp.asarray(one, jnp.float64) for one in each), *ends)
+    slack = 1e-9 * (high - low)  # less than a function's own slack, and more than sample times are rounded
+    is_within = (first >= low - slack) & (last <= high + slack)
+    if not is_concrete(is_within):
+        return [is_within]
+    if not is_within:
+        raise SceneError(
+            f"driver {name!r}: its function of time is known from {float(low):.6g} s to {float(high):.6g} s, and the "
+            f"run goes from {float(first):.6g} s to {float(last):.6g} s; give the integral of its rate an "
+            f"origin and an end that enclose the run, e.g. sj.Integral(rate, start, until={float(last):.6g})"
+        )
+    return []
 
 
 def _condition(name: str, function: AbstractFunction, ts: Numeric) -> list:

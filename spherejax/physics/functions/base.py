@@ -74,6 +74,11 @@ class AbstractFunction(eqx.Module):
         """
         return True
 
+    @property
+    def domain(self) -> tuple[Number, Number] | None:
+        """Between which places the function is known [unit of x]; None for everywhere."""
+        return None
+
     def requirements(self) -> list[Requirement]:
         """What the function's numbers must satisfy."""
         return []

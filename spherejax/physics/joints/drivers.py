@@ -5,8 +5,9 @@ bodies. The equations are scaled so that -lambda is the driving torque [N m] or 
 `run.driving_effort(name)` reports. At the start the mechanism is assembled to the driver's position and velocity.
 
 The function of time is one of `spherejax.physics.functions` (`Linear(slope, offset)`, `Sine(...)`, `SmoothStep(...)`),
-or any callable in jnp. Numbers that are to be swept or differentiated are fields of an `equinox.Module` with
-`__call__`; a plain function is structure: define it once, since each new function object is compiled anew.
+the `Integral` of a speed by time, or any callable in jnp. Numbers that are to be swept or differentiated are fields of
+an `equinox.Module` with `__call__`; a plain function is structure: define it once, since each new function object is
+compiled anew.
 
 What is prescribed must not jump; `spherejax.motion.start.jumps` looks before a run. Its rate may jump where the
 function says by `room` that it turns, as `Table` and `Piecewise` do: with a correction of each step (the
@@ -22,7 +23,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.forms import two_names
-from spherejax.foundations.types import OWN, Function, Named, Numeric, Triple, Unit
+from spherejax.foundations.types import OWN, Function, Named, Number, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import AbstractFunction
 from spherejax.physics.joints.body_axes import (
@@ -42,7 +43,7 @@ from spherejax.physics.joints.joint import (
     AbstractPlacedAtPoints,
     AbstractPlacedJoint,
 )
-from spherejax.physics.joints.prescribed import prescribed, time_requirements
+from spherejax.physics.joints.prescribed import prescribed, prescribed_by, time_requirements
 from spherejax.physics.joints.rows import differentiated_rows
 from spherejax.physics.kinematics import point_motion
 
@@ -60,6 +61,9 @@ class RotationDriver(AbstractPairJoint):
         axis: world axes at the start, any length, shape (3,); the second body turns about it by the right hand.
         angle: a function of time t [s] in jnp, in rad; 0 is the orientation of the described start. Smooth to the
             second derivative.
+        rate: given instead of angle, a motor's speed by time: a number [rad/s], or a function of time. The angle is its
+            `Integral`; of a Python function give angle=sj.Integral(rate, start, until=...).
+        start: with rate, the angle at t = 0 [rad].
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -70,11 +74,13 @@ class RotationDriver(AbstractPairJoint):
         self,
         bodies: Annotated[tuple[str, str], Named.BODIES],
         axis: Annotated[Triple, Unit("1")],
-        angle: Annotated[Callable, Function("s", "rad")],
+        angle: Annotated[Callable | None, Function("s", "rad")] = None,
+        rate: Annotated[Number | Callable | None, Unit("rad/s"), Function("s", "rad/s")] = None,
+        start: Annotated[Number, Unit("rad")] = 0.0,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.axis = numbers(axis)
-        self.angle = prescribed(angle, "angle")
+        self.angle = prescribed_by(angle, "angle", rate, start)
 
     def requirements(self) -> list[Requirement]:
         """A direction, and a function that gives one number."""
@@ -157,6 +163,8 @@ class TranslationDriver(AbstractPairJoint):
         axis: a, fixed in the first body, world axes at the start, any length, shape (3,).
         travel: a function of time t [s] in jnp, in m; 0 is the place of the described start. Smooth to the second
             derivative.
+        rate: given instead of travel, a speed by time: a number [m/s], or a function of time; as of a `RotationDriver`.
+        start: with rate, the travel at t = 0 [m].
         point: where d is measured, world axes at the start [m], shape (3,), or its name `"body.point"`: from this
             point of the first body to the same point of the second.
     """
@@ -172,12 +180,14 @@ class TranslationDriver(AbstractPairJoint):
         bodies: Annotated[tuple[str, str], Named.BODIES],
         point: Annotated[Numeric, Named.PLACE],
         axis: Annotated[Triple, Unit("1")],
-        travel: Annotated[Callable, Function("s", "m")],
+        travel: Annotated[Callable | None, Function("s", "m")] = None,
+        rate: Annotated[Number | Callable | None, Unit("m/s"), Function("s", "m/s")] = None,
+        start: Annotated[Number, Unit("m")] = 0.0,
     ):
         self.bodies = two_names("bodies", bodies, '("ground", "arm")')
         self.point_name, self.point = split_point(point)
         self.axis = numbers(axis)
-        self.travel = prescribed(travel, "travel")
+        self.travel = prescribed_by(travel, "travel", rate, start)
 
     def requirements(self) -> list[Requirement]:
         """A direction, a finite point, and a function that gives one number."""

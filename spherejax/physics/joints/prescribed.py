@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement
+from spherejax.foundations.checks import Requirement, is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Number
 from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
+from spherejax.physics.functions.integral import Integral
 
 
 def prescribed(function: Callable, field: str) -> AbstractFunction:
@@ -22,6 +24,25 @@ def prescribed(function: Callable, field: str) -> AbstractFunction:
     found = as_function(function)
     assert found is not None
     return found
+
+
+def prescribed_by(
+    value: Callable | None, field: str, rate: Number | Callable | None, start: Number
+) -> AbstractFunction:
+    """What is prescribed: a function of time, or the integral of its rate from t = 0, where it is `start`.
+
+    Raises:
+        SceneError: for both or neither, for a start without a rate, and for what is not callable.
+    """
+    if (value is None) == (rate is None):
+        given = "neither" if value is None else "both"
+        raise SceneError(f"give {field}= or rate=, functions of time t [s], not {given}")
+    if value is not None:
+        if not (is_concrete(start) and start == 0):
+            raise SceneError(f"start= belongs to rate=; {field}= says itself where it starts")
+        return prescribed(value, field)
+    assert rate is not None
+    return Integral(rate, start)
 
 
 def time_requirements(function: AbstractFunction, field: str, shape: tuple[int, ...] = ()) -> list[Requirement]:
