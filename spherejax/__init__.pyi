@@ -19,12 +19,15 @@ from .motion.results.accuracy import Accuracy
 from .motion.results.global_error import AccuracyWarning, GlobalError
 from .motion.results.impacts import Peak
 from .motion.results.modes import Mode
+from .motion.results.motion_state import MotionState
 from .motion.results.spectra import SpectrumWarning
 from .motion.results.steps import PartingWarning
 from .motion.results.trajectory import Trajectory
+from .motion.runs.continuation import continue_from
 from .motion.runs.many import Runs, simulate_many
 from .motion.runs.ode import EquationsOfMotion, Ode, ode
 from .motion.runs.simulate import simulate
+from .motion.runs.stepping import advance, start
 from .motion.solvers.dop853 import Dop853
 from .motion.solvers.rosenbrock import Rodas4P, Rodas5P, Ros34PW2
 from .motion.start.assembly import Assembly
@@ -292,6 +295,7 @@ __all__ = [
     "Mode",
     "ModelRow",
     "Modes",
+    "MotionState",
     "Network",
     "NoDriftControl",
     "NotScalarizable",
@@ -393,12 +397,14 @@ __all__ = [
     "WinklerLiner",
     "WorkPrecision",
     "Wrench",
+    "advance",
     "animate",
     "cite",
     "compare",
     "compile_scene",
     "constraint_report",
     "continuation",
+    "continue_from",
     "differentiated_rows",
     "draw",
     "dynamic_stiffness",
@@ -451,6 +457,7 @@ __all__ = [
     "sobol_samples",
     "squeeze_coefficient",
     "squeeze_factor",
+    "start",
     "steady_cycle",
     "sweep",
     "swept_sine",

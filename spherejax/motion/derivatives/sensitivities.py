@@ -54,7 +54,6 @@ from spherejax.motion.integration.sensitivity_rows import (
     linearized,
     of_first_row,
     rows_rate,
-    scales_of,
     unseen_of_first_row,
     with_rows,
     with_start_time,
@@ -83,7 +82,7 @@ def integrate_with_sensitivities(
         abrupt: names of contacts that Rosenbrock methods do not differentiate well; see `through_touches`.
     """
     in_lanes = can_be_a_job(plan.structure, options)
-    if not plan.unknown and is_concrete(ts):
+    if not plan.unknown and not plan.from_state and is_concrete(ts):
         return run_of(plan, options, values, known, ts, start, values_are_legal)
     # Tolerances may be traced: a rule may not close over them.
     arrays, others = eqx.partition(options, eqx.is_array)
@@ -103,7 +102,7 @@ def integrate_with_sensitivities(
             options = eqx.combine(arrays, others).decided
             if not (in_lanes and has_controlled_sensitivities(options.solver)):
                 return by_diffrax(values, arrays, *rest)
-            scale = with_start_time(scales_of(values), by_start)
+            scale = with_start_time(plan.scales(values), by_start)
             found = slopes_as_job(plan, options, values, _diagonal(scale), *rest, by_start=by_start)
             return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
 
@@ -397,7 +396,8 @@ def _slopes_through_the_loop(
     began = start_of_rows(plan, values, along, known, ts, start, values_are_legal, by_start)
 
     def from_state(y0):
-        return integrate(plan, options, values, known, ts, began.assembly._replace(y=y0), values_are_legal).ys
+        at_state = replace(plan, from_state=False)
+        return integrate(at_state, options, values, known, ts, began.assembly._replace(y=y0), values_are_legal).ys
 
     by_time = jax.jvp(from_state, (began.y0,), (began.slopes[0],))[1]
     assembly = jax.tree.map(
@@ -411,7 +411,7 @@ def _controlled_slopes(
     plan: Plan, options: Options, values: Float[Array, " p"], known, ts, start, values_are_legal, by_start: bool
 ) -> Slopes:
     """The derivatives by each of the traced numbers, with their errors controlled."""
-    scale = with_start_time(scales_of(values), by_start)
+    scale = with_start_time(plan.scales(values), by_start)
     found = _controlled(plan, options, values, _diagonal(scale), known, ts, start, values_are_legal, by_start)
     return Slopes(*_unscaled((found.slopes, found.assembly_slopes), scale))
 
@@ -486,7 +486,7 @@ def start_of_rows(
 
     def beginning_of(values):
         t0 = values[n] if by_start else ts[0]
-        return beginning(plan, plan.theta(values[:n], known), t0, start)
+        return beginning(plan, plan.theta(values[:n], known), t0, plan.start(values[:n], start))
 
     numbers = jnp.append(values, ts[0]) if by_start else values
     (assembly, y0), (assembly_slopes, slopes) = linearized(beginning_of, numbers, directions)

@@ -204,6 +204,33 @@ def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n
     return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
 
+def memory_of_contacts_at(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
+    """The memory of a state whose clearances may have been changed: contacts that the change made, or took away.
+
+    A ball in flight that is now beyond the surface has the onset that would have led it there (`earlier_onset_rate`); a
+    ball in contact that is now off the surface is released. Where nothing was changed, the memory is as it was.
+    """
+    del t
+    memory = unpack(system.layout, y).memory
+    motions = relative_motions(system, y)
+    parts = []
+    for slot in system.memory_slots:
+        now = memory[slot.entries]
+        if slot.joint in motions:
+            model: Any = system.spherical(slot.joint).model
+            motion = motions[slot.joint]
+            is_touching, is_beyond = model.is_touching(now), model.crossing(motion).value > 0
+            rate = earlier_onset_rate(system, slot.joint, motion, jnp.zeros(len(slot.names)))
+            after = jnp.where(~is_touching & is_beyond, model.memory_at_onset(rate), now)
+            after = jnp.where(is_touching & ~is_beyond, model.memory_at_release(), after)
+            lasts = np.array([entry.lasts for entry in slot.contents])
+            now = jnp.where(lasts, now, after) if lasts.any() else after
+        parts.append(now)
+    if system.force_slots:
+        parts.append(memory[system.force_slots[0].start :])
+    return jnp.concatenate(parts) if parts else memory
+
+
 def earlier_onset_rate(system: System, joint: str, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar:
     """The normal velocity [m/s] with which a ball that starts beyond the surface has come there.
 

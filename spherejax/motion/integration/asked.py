@@ -16,12 +16,16 @@ class Asked:
         rtol: relative tolerance.
         atol: absolute tolerance; None for one by kind of component.
         max_steps: largest number of steps.
+        by_name: whether the caller named the method; otherwise it was chosen by the scene.
+        scalar: what the caller said of scalar programs; None: nothing.
     """
 
     solver: diffrax.AbstractSolver
     rtol: float
     atol: float | None
     max_steps: int
+    by_name: bool = False
+    scalar: bool | None = None
 
     def __eq__(self, other: Any) -> bool:
         return (
@@ -36,4 +40,4 @@ class Asked:
 
     @property
     def _numbers(self) -> tuple:
-        return self.rtol, self.atol, self.max_steps
+        return self.rtol, self.atol, self.max_steps, self.by_name, self.scalar

@@ -26,6 +26,7 @@ from spherejax.motion.integration.compiling import in_machine_code, native_run, 
 from spherejax.motion.integration.diffrax_integration import diffeqsolve
 from spherejax.motion.integration.longest_step import longest_step, room_for
 from spherejax.motion.integration.sampling import SampledElements, SamplingSolver, samples_of
+from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, end_status, start_status, status_of
 from spherejax.motion.integration.unseen import Unseen, unseen_of
@@ -54,11 +55,14 @@ class Plan:
         structure: structure of the system.
         unknown: indices in theta of the numbers that are traced by the caller.
         scalar: whether to run on scalar programs; None: on those that are not too large.
+        from_state: whether the run starts from a flat state that the caller traces: it stands behind the traced
+            numbers, so that derivatives by it are found like those by numbers.
     """
 
     structure: Structure
     unknown: tuple[int, ...]
     scalar: bool | None
+    from_state: bool = False
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
         """All numbers of the system, from those that are traced and those that are known."""
@@ -66,6 +70,23 @@ class Plan:
         source = np.arange(known.shape[0])
         source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
         return jnp.concatenate([known, values])[source]
+
+    def start(self, values: Float[Array, " n_values"], start: Assembly | None) -> Assembly | None:
+        """The start of the run, from what is traced: of one that starts from a traced state, with that state."""
+        if not self.from_state:
+            return start
+        assert start is not None
+        return start._replace(y=values[len(self.unknown) :])
+
+    def scales(self, values: Any) -> Any:
+        """What derivatives by the traced numbers are multiplied by while they are integrated, shape (n_values,).
+
+        Entries of a state that are nothing but for rounding must not be judged by their size: each has at least 1.
+        """
+        n = len(self.unknown)
+        if not self.from_state:
+            return scales_of(values)
+        return jnp.concatenate([jnp.asarray(scales_of(values[:n])), jnp.maximum(jnp.abs(values[n:]), 1.0)])
 
 
 class Options(eqx.Module):
@@ -154,7 +175,7 @@ def integrate(
 
 def _integrated(plan, options, values, known, ts, start, values_are_legal) -> Outcome:
     theta = plan.theta(values, known)
-    assembly, y0 = beginning(plan, theta, ts[0], start)
+    assembly, y0 = beginning(plan, theta, ts[0], plan.start(values, start))
     began = start_status(values_are_legal, assembly.residual_after, y0)
     may_run = began == Status.SUCCEEDED
     # A lane that cannot run must not hold up the others: it gets an interval of length zero.

@@ -94,7 +94,7 @@ def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, value
     ends = jnp.asarray(times[[0, -1]])
     pace = _pace(plan.structure, request.rest)
     theta = np.array(known)
-    theta[list(plan.unknown)] = values
+    theta[list(plan.unknown)] = values[: len(plan.unknown)]
     described = None if start is None else jnp.asarray(start.y)
     start = _as_flying(plan, theta, times[0], start)
     begin = started.bound(plan, request, values, known, ends, start, values_are_legal)
@@ -247,7 +247,7 @@ class _Request(eqx.Module):
 
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
-        theta = plan.theta(values, known)
+        theta, start = plan.theta(values, known), plan.start(values, start)
         return job_of(plan, self.rest, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
 
     def limits(self, plan: Plan, theta) -> Limits:

@@ -59,8 +59,8 @@ REMEDIES = {
     ),
     Status.BAD_VALUE: (
         "a physical number is not legal (for instance a clearance that is not positive), or the sample times do "
-        "not increase. Simulate this lane alone, outside jit and vmap, to get the error that names the joint and the "
-        "value"
+        "not increase, or do not begin where the run that goes on ended. Simulate this lane alone, outside jit and "
+        "vmap, to get the error that names the joint and the value"
     ),
     Status.START_NOT_CLOSED: (
         "the joints cannot be closed at the start. Simulate this lane alone, outside jit and vmap, to get the error "

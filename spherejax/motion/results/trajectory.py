@@ -26,6 +26,7 @@ from spherejax.motion.results.energy_parts import EnergyByPart, energy_by_part
 from spherejax.motion.results.global_error import GlobalError, floor_of, usual_limit
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
+from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of, observation_of, state_of
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
@@ -228,6 +229,20 @@ class Trajectory(eqx.Module, Reported):
         return self
 
     # The state ---------------------------------------------------------------------------------------------------
+
+    @property
+    def end(self) -> MotionState:
+        """The state at the end, with all that `sj.continue_from` needs to go on; of a failed run where it stopped."""
+        t, y = self.t_reached, self.y_reached
+        if not is_concrete(self.ended) or np.ndim(self.ended):
+            # The last sample has the derivatives on all roads; its value is that of the state at the end.
+            last = self.ys[..., -1, :]
+            has_failed = (self.ended != Status.SUCCEEDED)[..., None]
+            y = jnp.where(has_failed, y, last + jax.lax.stop_gradient(y - last))
+            # Known times stay known: runs that share them go on side by side.
+            if is_concrete(self.ts) and not np.ndim(self.ended):
+                t = np.asarray(self.ts)[-1]
+        return MotionState.of(self.system, t, y, self.ended, self.asked, self.scalar)
 
     @property
     def state(self) -> State:

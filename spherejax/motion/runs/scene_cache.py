@@ -17,7 +17,7 @@ from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, compile_scene, flatten_system, with_laws_by_factor
+from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, with_laws_by_factor
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.jumps import jump_conditions
@@ -53,8 +53,7 @@ class PreparedScene:
         conditions: on the numbers that are traced.
     """
 
-    def __init__(self, scene: Scene, track_work: bool, scalar: bool | None):
-        compiled = compile_scene(scene, track_work=track_work)
+    def __init__(self, compiled: CompiledScene, scalar: bool | None):
         self._system = own_arrays(compiled.system)
         self._leaves, self._tree = jax.tree.flatten(self._system)
         self._seen = with_laws_by_factor(self._system)
@@ -121,7 +120,13 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
         SceneError: for a scene that cannot be simulated.
     """
     key = value_key((scene, track_work, scalar))
-    return lru_get(_scenes, key, lambda: PreparedScene(scene, track_work, scalar))
+    return lru_get(_scenes, key, lambda: PreparedScene(compile_scene(scene, track_work=track_work), scalar))
+
+
+def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
+    """The same of a scene that is compiled already, whose numbers have been checked."""
+    key = value_key((system, scalar))
+    return lru_get(_scenes, key, lambda: PreparedScene(CompiledScene(system, []), scalar))
 
 
 def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], Any]) -> Any:
@@ -133,6 +138,11 @@ def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], An
     if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return make()
     return lru_get(_calls, value_key((scene, ts, options)), make)
+
+
+def remembered_stepper(key: Any, make: Callable[[], Any]) -> Any:
+    """What the steps of `sj.advance` are made with, from the table; else what `make` returns."""
+    return lru_get(_steppers, key, make)
 
 
 class _Mark:
@@ -186,4 +196,4 @@ def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
     return np.concatenate(known), tuple(unknown)
 
 
-_scenes, _calls = LruCache(N_SCENES), LruCache(N_CALLS)
+_scenes, _calls, _steppers = LruCache(N_SCENES), LruCache(N_CALLS), LruCache(N_SCENES)

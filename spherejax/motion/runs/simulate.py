@@ -19,7 +19,7 @@ from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.lanes import rows_at
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
-from spherejax.model.system import System
+from spherejax.model.system import System, example_of
 from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
 from spherejax.motion.equations.contacts import abrupt_contacts, kinks_of
@@ -142,7 +142,7 @@ def simulate(
         run = call.run()
     if limits is not None:
         run = accurate(run, limits)
-    return _reported(run, throw)
+    return reported(run, throw)
 
 
 def _limits(scene: Scene, ts, accuracy, rtol, stepsize_controller, track_work: bool, scalar) -> Limits:
@@ -176,21 +176,62 @@ class _Call(NamedTuple):
 def _call(
     scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
 ) -> _Call:
-    """Check what is asked for and decide what is left open; arguments as of `simulate`."""
+    """A call of `simulate`; arguments as there."""
     ts = checked_times(ts)
     check_tolerances(rtol, atol, derivative_rtol)
+    found = prepared(scene, track_work, scalar)
+    return call_of(
+        found, None, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, scalar
+    )
+
+
+class GivenStart(NamedTuple):
+    """A start that is the end of a motion: nothing is assembled.
+
+    Attributes:
+        y: flat state, with the memory of joints and forces and with the works.
+        residual: by how much it misses the joints' equations of the scene that goes on [m or 1].
+        conditions: boolean scalars, traced; where one fails the run is not made.
+    """
+
+    y: Any
+    residual: Any
+    conditions: list
+
+    def assembly(self, n_bodies: int) -> Assembly:
+        """As a start that was not moved."""
+        nothing: Any = np.zeros(n_bodies)
+        return Assembly(self.y, nothing[0], self.residual, nothing, nothing, nothing)
+
+
+def call_of(
+    found: PreparedScene, given: GivenStart | None, ts, rtol, atol, solver, stepsize_controller, adjoint,
+    derivative_rtol, max_steps, scalar,
+) -> _Call:  # fmt: skip
+    """Check what is asked for and decide what is left open.
+
+    Args:
+        found: the scene.
+        given: the start; None to assemble it.
+        ts: sample times [s], checked.
+        scalar: what the caller said of scalar programs.
+        rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps: as of `simulate`.
+    """
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
-    found = prepared(scene, track_work, scalar)
     path, unknown = found.path, found.unknown
     choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
     if stepsize_controller is None:
-        controller, said = _control(found, choice.solver, rtol, atol)
+        controller, said = control_of(found, choice.solver, rtol, atol)
     else:
         controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
-    start = found.start(ts)
+    start = found.start(ts) if given is None else None
     assembly = None if start is None else start.assembly
-    plan = Plan(found.structure, unknown, path.scalar)
+    if given is not None:
+        assembly = given.assembly(example_of(found.structure).layout.n_bodies)
+    # A state that is traced is one of the traced numbers, so that there are derivatives by it.
+    from_state = given is not None and not is_concrete(given.y)
+    plan = Plan(found.structure, unknown, path.scalar, from_state)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
@@ -213,21 +254,29 @@ def _call(
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
     conditions += found.jump_conditions(ts)
+    if given is not None:
+        conditions += given.conditions
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
     values = rows_at(jnp.asarray(found.theta), unknown) if unknown else np.zeros(0)
-    arguments = plan, options, values, found.known, ts, assembly, values_are_legal
+    begun_with = assembly
+    if from_state and given is not None and assembly is not None:
+        values = jnp.concatenate([jnp.asarray(values), given.y])
+        begun_with = assembly._replace(y=np.zeros(given.y.shape))  # the state is among the values
+    arguments = plan, options, values, found.known, ts, begun_with, values_are_legal
     if not by_sensitivities:
         fixed = without_derivative(ts, f"{type(adjoint).__name__} gives no derivative by sample times. {BY_TIMES}")
         if kinks_of(found.structure):
             values = without_derivative(values, through_kinks(plan, type(adjoint).__name__))
         outcome_of = integrate.bound(plan, options, values, found.known, fixed, *arguments[5:])
-    elif unknown or not is_concrete(ts):
+    elif unknown or from_state or not is_concrete(ts):
         outcome_of = partial(integrate_with_sensitivities, *arguments, abrupt_contacts(found.system()))
     else:
         outcome_of = bound_run(*arguments)
     bound = bound_in_words(found.structure, path.scalar)
     explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound]))
-    described = _asked(choice.solver, rtol, atol, max_steps) if stepsize_controller is None and budget is None else None
+    described = None
+    if stepsize_controller is None and budget is None:
+        described = _asked(choice.solver, rtol, atol, max_steps, solver is not None, scalar)
 
     def run() -> Trajectory:
         try:
@@ -260,10 +309,12 @@ def _call(
     return _Call(() if start is None else start.warnings, run)
 
 
-def _asked(solver: diffrax.AbstractSolver, rtol, atol, max_steps: int) -> Asked | None:
+def _asked(
+    solver: diffrax.AbstractSolver, rtol, atol, max_steps: int, by_name: bool, scalar: bool | None
+) -> Asked | None:
     if not all(is_concrete(each) for each in jax.tree.leaves((solver, rtol, atol)) if eqx.is_array(each)):
         return None
-    return Asked(solver, float(rtol), None if atol is None else float(atol), max_steps)
+    return Asked(solver, float(rtol), None if atol is None else float(atol), max_steps, by_name, scalar)
 
 
 def choice_for(
@@ -343,7 +394,7 @@ def traced_times(ts: Float[Array, " n"]) -> list:
     return [] if is_concrete(ts) else [jnp.all(jnp.isfinite(ts)), jnp.all(jnp.diff(ts) >= 0)]
 
 
-def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
+def control_of(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
     """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it."""
     if atol is None and not isinstance(solver, diffrax.AbstractImplicitSolver):
         tolerances, controller = found.tolerances(rtol)
@@ -353,18 +404,19 @@ def _control(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -
     return controller, tolerances.description
 
 
-def _reported(run: Trajectory, throw: bool) -> Trajectory:
+def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory:
+    """The run; where its outcome is known a failure is an error with `throw`, else a warning."""
     seen = run.behind_tracers
     if seen is None:
         return _raising(run) if throw else run
     if int(seen.ended) != Status.SUCCEEDED:
         if throw:
             raise SimulationError(seen.diagnosis)
-        warnings.warn(seen.diagnosis, SimulationWarning, stacklevel=3)
+        warnings.warn(seen.diagnosis, SimulationWarning, stacklevel=stacklevel)
     shares = seen.stats.audit
     if cautions(shares):  # seldom: which parts are meant takes milliseconds
         said = cautions(shares, parts_with_a_range(seen.system, seen.y_reached))
-        warnings.warn(said, OutOfRangeWarning, stacklevel=3)
+        warnings.warn(said, OutOfRangeWarning, stacklevel=stacklevel)
     return run
 
 

@@ -1,0 +1,338 @@
+"""A mechanism step by step, for control and learning: numbers of its force elements are inputs, held during a step.
+
+A step is a run between two times, by the method and to the tolerance of the start. Nothing but its end is kept.
+"""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing, shown
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.forms import real_number, whole_number
+from spherejax.foundations.lanes import rows_at
+from spherejax.foundations.types import Number
+from spherejax.model.captured import captures_explained
+from spherejax.model.numbers import part_at, place_at, with_entry
+from spherejax.model.scene import Scene
+from spherejax.model.system import System, example_of, flatten_by_factor, flatten_system, with_laws_by_factor
+from spherejax.motion.derivatives.sensitivities import depends_on_time, integrate_with_sensitivities
+from spherejax.motion.equations.contacts import abrupt_contacts
+from spherejax.motion.equations.programs import path_of
+from spherejax.motion.integration.asked import Asked
+from spherejax.motion.integration.integrate import Options, Plan, beginning
+from spherejax.motion.integration.one_run import run_of
+from spherejax.motion.integration.status import SimulationError, SimulationWarning, Status, start_status
+from spherejax.motion.results.motion_state import MotionState
+from spherejax.motion.runs.continuation import reached, refuse_failed
+from spherejax.motion.runs.scene_cache import prepared, prepared_system, remembered_stepper, split
+from spherejax.motion.runs.simulate import (
+    ENOUGH_STEPS,
+    GivenStart,
+    check_tolerances,
+    checked_times,
+    choice_for,
+    control_of,
+    read_once,
+    traced_times,
+)
+from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.start.start_now import StartWarning
+from spherejax.program_cache import cached_jit
+from spherejax.runtime import require_float64
+
+GEOMETRY = ("attachment", "coordinate", "place")
+"""Fields of force elements that become others when a scene is compiled: no inputs."""
+
+Inputs = Mapping[str, Float[Array, "..."] | np.ndarray | float]
+"""Values by path, such as `{"motor.offset": 2.0, "push.force": (1.0, 0.0, 0.0)}`."""
+
+
+def start(
+    scene: Scene,
+    t: Number = 0.0,
+    *,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    max_steps: int = 20_000_000,
+    track_work: bool = False,
+    scalar: bool | None = None,
+) -> MotionState:
+    """The state of a mechanism at the start of its motion, for `sj.advance` and `sj.continue_from`.
+
+        state = sj.start(scene)
+        state = sj.advance(state, 0.01, {"motor.offset": 2.0})
+
+    Args:
+        scene: the mechanism.
+        t: time of the start [s].
+
+    Other args:
+        rtol, atol, solver, max_steps, track_work, scalar: as of `simulate`, for the motion that goes on from here;
+            `max_steps` of a step of `advance`. `rtol` and `atol` must be known.
+
+    Returns:
+        The state, assembled as `simulate` does it. Where numbers are traced (`jit`, `vmap`, `grad`) these are leaves of
+        it, and derivatives by them pass through; a start that cannot be made has a status (`ended`).
+
+    Raises:
+        SceneError: for a scene that cannot be simulated.
+    """
+    require_float64()
+    check_tolerances(rtol, atol)
+    if not all(map(is_concrete, (rtol, atol, max_steps))):
+        raise SceneError(
+            "sj.start: rtol, atol and max_steps must be known numbers; they belong to the state's structure"
+        )
+    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    real_number("t", t)
+    ts = checked_times(np.array([t], np.float64) if is_concrete(t) else jnp.asarray(t, jnp.float64)[None])
+    with read_once(), captures_explained([scene]):
+        found = prepared(scene, track_work, scalar)
+        choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
+        known = found.start(ts)
+        for change in () if known is None else known.warnings:
+            warnings.warn(change, StartWarning, stacklevel=2)
+        conditions = [*found.conditions, *traced_times(ts), *found.jump_conditions(ts)]
+        legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
+        plan = Plan(found.structure, found.unknown, found.path.scalar)
+        values = rows_at(jnp.asarray(found.theta), found.unknown) if found.unknown else np.zeros(0)
+        y, status = _begun(plan, values, found.known, ts, None if known is None else known.assembly, legal)
+    # A method that is chosen by numbers which are traced is chosen again at each step.
+    is_chosen = solver is not None or choice.at_start is None
+    asked = Asked(choice.solver, float(rtol), None if atol is None else float(atol), max_steps, is_chosen, scalar)
+    return MotionState.of(found.system(), jnp.asarray(ts)[0], y, status, asked, found.path.scalar)
+
+
+@cached_jit(what="the start of a motion")
+def _begun(plan: Plan, values, known, ts, start, legal) -> tuple[Float[Array, " size"], Array]:
+    """The flat state at the start, and its status."""
+    assembly, y = beginning(plan, plan.theta(values, known), ts[0], start)
+    return y, start_status(legal, jax.lax.stop_gradient(assembly.residual_after), jax.lax.stop_gradient(y))
+
+
+def advance(state: MotionState, dt: Number, inputs: Inputs | None = None, *, throw: bool = False) -> MotionState:
+    """The state of a mechanism a step later.
+
+        state = sj.advance(state, 0.01, {"motor.offset": 2.0})
+        state.position("cart"), state.velocity("cart")
+
+    The motion within the step is integrated to the tolerance of the start, through contacts and samples of controllers,
+    with as many steps of the method as that takes. All that the mechanism remembers goes on.
+
+    Args:
+        state: from `sj.start`, `run.end`, or a step before.
+        dt: length of the step [s].
+        inputs: numbers of force elements by path, held during the step; after it the state has the scene's again. A
+            path is the element's name and its field: `"motor.offset"` of an `Actuator` or a `PID` (what is added to the
+            effort), `"push.force"` of an `AppliedWrench` (an array), `"push.force.x"`. They may be traced.
+
+    Other args:
+        throw: raise `SimulationError` where the step fails; otherwise the state says so (`ended`), with a
+            `SimulationWarning` where that is known at once. No motion goes on from a state that has failed: where that
+            is traced, the state stays as it is.
+
+    Returns:
+        The state at `state.t + dt`; a pytree of the same structure. `jax.lax.scan` over `advance` compiles one step,
+        `jax.vmap` of it steps many states side by side, and both may be differentiated, with inputs in contact too.
+
+    Raises:
+        SceneError: for an input that the scene does not have, or a value that is not legal.
+        SimulationError: for a state that has failed; with `throw=True` for a step that fails.
+
+    Limits: of a scene whose equations read the time (a driver, a function of time, a sampled controller) `jax.vmap`
+    makes the steps of states one after the other, with a `SerialRunsWarning`; functions of time take a hundred steps of
+    the method at least in each. The derivative by a state is a forward sensitivity, a row for each of its entries (13
+    of a body).
+    """
+    require_float64()
+    refuse_failed(state)
+    if state.asked is None:
+        raise SceneError(
+            "this state has no method and tolerances: its run had traced ones, or a step-size controller of its own. "
+            "Make it by sj.start, or of a run with rtol= as a number"
+        )
+    _check_length(dt)
+    inputs = {} if inputs is None else inputs
+    if not isinstance(inputs, Mapping):
+        raise SceneError(f'inputs = {shown(inputs)} is no dictionary; write e.g. {{"motor.offset": 2.0}}')
+    with read_once():
+        given = tuple(inputs)
+        stepper = _stepper_of(state, given)
+        values = [_as_value(name, inputs[name], shape) for name, shape in zip(given, stepper.shapes, strict=True)]
+        conditions = [*reached(state), *_judged(state, stepper, values)]
+        found = stepper.advanced(state, dt, values, conditions)
+    if is_concrete(found.ended) and int(found.ended) != Status.SUCCEEDED:
+        if throw:
+            raise SimulationError(found.diagnosis)
+        warnings.warn(found.diagnosis, SimulationWarning, stacklevel=2)
+    return found
+
+
+def _check_length(dt: Any) -> None:
+    """Raise `SceneError` for a step that is none."""
+    real_number("dt", dt)
+    if is_concrete(dt) and not 0 < float(dt) < np.inf:
+        raise SceneError(f"dt = {float(dt):.6g} s must be positive and finite")
+
+
+class _Stepper(NamedTuple):
+    """What the steps of a mechanism are made with.
+
+    Attributes:
+        plan: what they are compiled for; the inputs are among its unknown numbers.
+        options: how they are integrated.
+        known: the numbers that are known.
+        traced: indices of the numbers that the caller traces, but for inputs.
+        order: of these and then of the inputs, as they stand in `plan.unknown`.
+        places: of the inputs in the system: attributes and keys, and an entry.
+        shapes: of the inputs.
+        reads_time: whether the motion depends on the time by itself.
+    """
+
+    plan: Plan
+    options: Options
+    known: Float[np.ndarray, " p"]
+    traced: tuple[int, ...]
+    order: np.ndarray
+    places: tuple[tuple[tuple[str, ...], tuple[int, ...]], ...]
+    shapes: tuple[tuple[int, ...], ...]
+    reads_time: bool
+
+    @classmethod
+    def of(cls, state: MotionState, names: tuple[str, ...]) -> "_Stepper":
+        """That of a state, for inputs by path."""
+        asked = state.asked
+        assert asked is not None
+        seen = with_laws_by_factor(state.system)
+        structure, theta = flatten_system(seen)
+        # A system whose numbers are their own indices says where the inputs are.
+        indices = structure.system(np.arange(theta.shape[0], dtype=np.float64))
+        places = tuple(_place_of(state.known_system, name) for name in names)
+        entries = [np.asarray(_at(indices, place)).astype(int) for place in places]
+        inputs = [int(i) for each in entries for i in each.ravel()]
+        if len(set(inputs)) < len(inputs):
+            raise SceneError(f"inputs {', '.join(map(repr, names))} name a number twice; name each once")
+        # A program for inputs of any value: one for a torque of zero could not be given another.
+        structure = replace(structure, special=tuple(each for each in structure.special if each[0] not in set(inputs)))
+        known, traced = split(seen)
+        known = np.array(known)
+        known[inputs] = 0.0
+        traced = tuple(i for i in traced if i not in set(inputs))
+        order = np.argsort([*traced, *inputs]).astype(int)
+        unknown = tuple(sorted([*traced, *inputs]))
+        # Method and tolerances are those of the scene, whatever the inputs are.
+        scene = prepared_system(state.system, asked.scalar)
+        choice = choice_for(None, asked.rtol, asked.solver) if asked.by_name else scene.choice(asked.rtol)
+        controller, _ = control_of(scene, choice.solver, asked.rtol, asked.atol)
+        solver = with_converging_root_finder(choice.solver, asked.rtol)
+        options = Options(solver, controller, diffrax.ForwardMode(), asked.max_steps, None, choice.at_start)
+        plan = Plan(structure, unknown, path_of(structure, asked.scalar).scalar)
+        reads_time = depends_on_time(plan) or bool(example_of(structure).sampled_forces)
+        shapes = tuple(each.shape for each in entries)
+        return cls(plan, options, known, traced, order, places, shapes, reads_time)
+
+    def advanced(self, state: MotionState, dt: Any, inputs: list, conditions: list) -> MotionState:
+        """The state a step later."""
+        ends = (state.t, state.t + dt) if self.reads_time else (0.0, dt)
+        is_known = all(map(is_concrete, ends))
+        ts = (
+            jnp.asarray(np.array(ends, np.float64))
+            if is_known
+            else jnp.stack([jnp.asarray(t, jnp.float64) for t in ends])
+        )
+        conditions = [*conditions, *traced_times(ts)]
+        legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
+        start = GivenStart(state.y, np.zeros(()), []).assembly(example_of(self.plan.structure).layout.n_bodies)
+        values = self._values(state, inputs)
+        if all(map(is_concrete, jax.tree.leaves((state, ts, values, legal)))) and not is_tracing():
+            outcome = run_of(self.plan, self.options, values, self.known, ts, start, legal)
+        else:
+            plan = replace(self.plan, from_state=not is_concrete(state.y))
+            if plan.from_state:
+                values = jnp.concatenate([jnp.asarray(values), state.y])
+                start = start._replace(y=np.zeros(state.y.shape))
+            abrupt = abrupt_contacts(state.system)
+            outcome = integrate_with_sensitivities(plan, self.options, values, self.known, ts, start, legal, abrupt)
+        has_come = state.ended == Status.SUCCEEDED
+        t = state.t + jnp.where(outcome.status == Status.SUCCEEDED, dt, outcome.t_reached - ts[0])
+        return replace(
+            state,
+            t=jnp.where(has_come, t, state.t),
+            y=jnp.where(has_come, outcome.y_reached, state.y),
+            ended=jnp.where(has_come, outcome.status, state.ended),
+        )
+
+    def _values(self, state: MotionState, inputs: list) -> Any:
+        """The unknown numbers."""
+        own = [np.zeros(0)]
+        if self.traced:
+            own = [rows_at(jnp.asarray(flatten_by_factor(state.system)[1]), self.traced)]
+        parts = [*own, *inputs]
+        if all(map(is_concrete, parts)):
+            return np.concatenate([np.ravel(np.asarray(each)) for each in parts])[self.order]
+        return jnp.concatenate([jnp.ravel(jnp.asarray(each, jnp.float64)) for each in parts])[self.order]
+
+
+def _stepper_of(state: MotionState, names: tuple[str, ...]) -> _Stepper:
+    """That of a state; of one whose numbers are all known it is made once."""
+    if any(leaf is None for leaf in state.known.leaves):
+        return _Stepper.of(state, names)
+    return remembered_stepper((state.known, state.asked, state.scalar, names), lambda: _Stepper.of(state, names))
+
+
+def _place_of(system: System, name: Any) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Where an input is.
+
+    Raises:
+        SceneError: for a path that leads nowhere, or to what is no number of a force element.
+    """
+    place = place_at(system, name)
+    if place.steps[0] != "forces" or any(field in GEOMETRY for field in place.steps[2:]):
+        raise SceneError(
+            f"{name} is no input: inputs are numbers of force elements that they have in the scene, such as "
+            "'motor.offset' or 'push.force'. To go on with other numbers, sj.continue_from(state, ts, scene=...)"
+        )
+    if place.value is None:
+        raise SceneError(f"{name} is not given in the scene; give it a value there first")
+    return place.steps, place.index
+
+
+def _at(system: System, place: tuple[tuple[str, ...], tuple[int, ...]]) -> Any:
+    steps, index = place
+    value = part_at(system, steps)
+    return value[index] if index else value
+
+
+def _as_value(name: str, value: Any, shape: tuple[int, ...]) -> Any:
+    """An input as an array of its place.
+
+    Raises:
+        SceneError: for what is no number, or has another shape.
+    """
+    try:
+        value = np.asarray(value, np.float64) if is_concrete(value) else jnp.asarray(value, jnp.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"inputs: {name} = {shown(value)} is no number") from None
+    if value.shape != shape:
+        raise SceneError(f"inputs: {name} has the shape {value.shape}, and its number in the scene {shape}")
+    return value
+
+
+def _judged(state: MotionState, stepper: _Stepper, inputs: list) -> list:
+    """Conditions on inputs that are traced; `SceneError` for one that is known and not legal."""
+    if not inputs:
+        return []
+    system = state.system
+    for (steps, index), value in zip(stepper.places, inputs, strict=True):
+        system = with_entry(system, steps, index, value)
+    names = dict.fromkeys(steps[1] for steps, _ in stepper.places)
+    return [c for n in names for c in enforce(f"force {n!r}", called(system.forces[n], "requirements"))]

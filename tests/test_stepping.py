@@ -1,0 +1,92 @@
+"""A mechanism step by step: inputs are held during a step, and a rollout is one program with derivatives."""
+
+import cases
+import controlling
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_continuation import block, block_at
+
+import spherejax as sj
+
+PUSHES = np.array([2.0, 0.0, -1.0])
+
+
+def expected_places(pushes, stiffness=8.0, speed=1.0, dt=0.1):
+    """Of the block after each step, in closed form."""
+    x, v, places = 0.0, speed, []
+    for push in pushes:
+        x, v = block_at(dt, x, v, stiffness, push)
+        places.append(x)
+    return np.array(places)
+
+
+def rollout(state, pushes):
+    def step(state, push):
+        state = sj.advance(state, 0.1, {"motor.offset": push})
+        return state, state.position("block")[0]
+
+    return jax.lax.scan(step, state, pushes)
+
+
+def test_inputs_are_held_during_a_step():
+    state, places = sj.start(block()), []
+    for push in PUSHES:
+        state = sj.advance(state, 0.1, {"motor.offset": push})
+        places.append(state.position("block")[0])
+    np.testing.assert_allclose(places, expected_places(PUSHES), atol=1e-9)
+    np.testing.assert_allclose(state.t, 0.3)
+    assert repr(state) == "State of block at t = 0.3 s"
+    # The inputs were those of the steps: a run that goes on has the scene's own numbers.
+    run = sj.continue_from(state, np.array([0.3, 0.5]))
+    x, v = float(state.position("block")[0]), float(state.velocity("block")[0])
+    np.testing.assert_allclose(run.position("block")[-1, 0], block_at(0.2, x, v, 8.0, 0.0)[0], atol=1e-8)
+
+
+def test_a_rollout_is_one_program_for_many_states():
+    end, places = jax.jit(rollout)(sj.start(block()), PUSHES)
+    np.testing.assert_allclose(places, expected_places(PUSHES), atol=1e-9)
+    assert bool(end.succeeded)
+    speeds = jnp.array([1.0, 2.0])
+    states = jax.vmap(lambda speed: sj.start(block(speed=speed)))(speeds)
+    assert repr(states) == "2 states of block"
+    _, places = jax.jit(jax.vmap(rollout, (0, None)))(states, PUSHES)
+    np.testing.assert_allclose(places, [expected_places(PUSHES, speed=float(v)) for v in speeds], atol=1e-8)
+
+
+def test_steps_are_those_of_a_run_with_a_sampled_controller():
+    scene, ts = controlling.sampled_motor(0.01), np.linspace(0.0, 0.06, 4)
+    state, angles = sj.start(scene), []
+    for _ in range(3):
+        state = sj.advance(state, 0.02)
+        angles.append(2 * np.arcsin(state.quaternion("rotor")[3]))
+    np.testing.assert_allclose(angles, controlling.sampled_answer(ts)[1:, 0], atol=1e-8)
+
+
+def test_wrong_inputs_are_named():
+    state = sj.start(block())
+    for inputs, said in (
+        ({"engine.offset": 1.0}, "engine"),
+        ({"motor": 1.0}, "is no number but a Actuator"),
+        ({"motor.offset": np.ones(2)}, "has the shape"),
+        ({"motor.offset": np.nan}, "motor"),
+        ({"bodies.block.mass": 1.0}, "is no input"),
+        ({"motor.coordinate.direction": np.ones(3)}, "is no input"),
+    ):
+        with pytest.raises(sj.SceneError, match=said):
+            sj.advance(state, 0.1, inputs)
+    for dt in (0.0, -1.0, np.nan):
+        with pytest.raises(sj.SceneError, match="dt"):
+            sj.advance(state, dt)
+
+
+def test_a_step_that_fails_says_so_and_nothing_goes_on_from_it():
+    state = sj.start(cases.pendulum(), max_steps=3)
+    with pytest.warns(sj.SimulationWarning, match="max_steps"):
+        failed = sj.advance(state, 5.0)
+    assert 0 < failed.t < 5.0
+    with pytest.raises(sj.SimulationError, match="max_steps"):
+        sj.advance(failed, 0.1)
+    with pytest.raises(sj.SimulationError, match="max_steps"):
+        sj.advance(state, 5.0, throw=True)
