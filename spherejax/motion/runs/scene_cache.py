@@ -53,7 +53,7 @@ class PreparedScene:
         conditions: on the numbers that are traced.
     """
 
-    def __init__(self, compiled: CompiledScene, scalar: bool | None):
+    def __init__(self, compiled: CompiledScene, scalar: bool | None, scene: Scene | None = None):
         self._system = own_arrays(compiled.system)
         self._leaves, self._tree = jax.tree.flatten(self._system)
         self._seen = with_laws_by_factor(self._system)
@@ -64,7 +64,8 @@ class PreparedScene:
         # On the array path the linear systems of a stiff method are dense.
         self._explicit_only = self.path.scalar is False and scalar is None
         self._answers = LruCache(N_ANSWERS)
-        self._doubts = points_beside(scene, self._system)
+        # Of a scene that is compiled already they have been said.
+        self._doubts = () if scene is None else points_beside(scene, self._system)
 
     def system(self) -> System:
         """What the scene calls for."""
@@ -120,7 +121,7 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
         SceneError: for a scene that cannot be simulated.
     """
     key = value_key((scene, track_work, scalar))
-    return lru_get(_scenes, key, lambda: PreparedScene(compile_scene(scene, track_work=track_work), scalar))
+    return lru_get(_scenes, key, lambda: PreparedScene(compile_scene(scene, track_work=track_work), scalar, scene))
 
 
 def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
