@@ -11,6 +11,7 @@ from spherejax.compiler.emit.llvm_arrays import LARGE, NotWrittenError
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import loop_fusion, loops
 from spherejax.motion.integration import one_run
+from spherejax.program_cache import folders
 
 TS = jnp.linspace(0.0, 0.01, 4)
 SPECIAL = np.array([0.0, -0.0, 1.0, -2.0, 0.5, np.nan, np.inf, -np.inf])
@@ -124,7 +125,7 @@ def operations():
     """Those of dry runs and films, with derivatives."""
     with pytest.MonkeyPatch.context() as patch:
         # What is kept would not be traced.
-        patch.setattr(sj.runtime, "_kept", [])
+        patch.setattr(folders, "_in_use", [])
         found = operations_of(
             lambda: height(dry, 1.01e-4),
             lambda: jax.grad(lambda c: height(dry, c))(1.01e-4),
@@ -351,7 +352,7 @@ MODELS = {
 
 @pytest.mark.parametrize("name", MODELS)
 def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
-    monkeypatch.setattr(sj.runtime, "_kept", [])
+    monkeypatch.setattr(folders, "_in_use", [])
     scene, ts = sj.gallery.four_bar(MODELS[name]), jnp.linspace(0.0, 0.011, 5)
     asked = []
 
