@@ -331,7 +331,7 @@ def test_what_has_warned_is_traced_again(folder, monkeypatch, warns):
 def test_only_what_was_compiled_here_is_kept(folder, monkeypatch, found, n_traced, is_kept):
     """What JAX has loaded from its own cache cannot be written again: it is compiled under another name."""
     keyed_by(monkeypatch, "key")
-    monkeypatch.setattr("spherejax.program_cache.program.found_by_jax", lambda: nullcontext(lambda: found))
+    monkeypatch.setattr("spherejax.program_cache.private.found_by_jax", lambda: nullcontext(lambda: found))
     traced = []
 
     def halved(x):
