@@ -1,5 +1,6 @@
 """Runs that go on: cut in pieces they are the run that was not, within contacts too, with their derivatives."""
 
+from dataclasses import replace
 from typing import Any
 
 import cases
@@ -19,11 +20,12 @@ MASS = 2.0
 
 
 def bouncing(friction, push=0.0):
-    """A ball that strikes its socket obliquely and spins; with a push it stays there."""
+    """A ball that strikes its socket obliquely, so that friction spins it; with a push it stays there."""
     model = sj.Dry(clearance=1e-4, normal=sj.LankaraniNikravesh(restitution=0.9), friction=friction)
     scene = cases.ball_in_socket(model, velocity=(0.05, 0.02, 0.0))
     forces = {"push": sj.AppliedWrench("ball", force=(0.0, 0.0, -push))} if push else {}
-    return sj.Scene(scene.bodies, scene.joints, forces, gravity=(0, 0, 0), ground_points=scene.ground_points)
+    beside = {"ball": replace(scene.bodies["ball"], position=(0.0, 0.0, 5e-5))}
+    return sj.Scene(beside, scene.joints, forces, gravity=(0, 0, 0), ground_points=scene.ground_points)
 
 
 def block(stiffness=8.0, push=0.0, speed=1.0):
@@ -203,3 +205,43 @@ def test_times_that_are_traced_begin_with_the_end():
     later = jax.jit(lambda ts: sj.continue_from(run, ts).ended)
     assert later(jnp.array([0.5, 0.6])) == sj.Status.SUCCEEDED
     assert later(jnp.array([0.4, 0.6])) == sj.Status.BAD_VALUE
+
+
+@pytest.mark.slow  # beside it: the example of the page `howto/go_on.md`
+def test_derivatives_pass_the_seam():
+    ts = jnp.array([0.0, 0.6, 1.0])
+
+    def in_pieces(k, push, speed):
+        first = sj.simulate(block(k, 0.0, speed), ts[:2], rtol=1e-9)
+        second = sj.continue_from(first, ts[1:], block(k, push, speed))
+        return second.position("block")[-1, 0]
+
+    def exact(k, push, speed):
+        return block_at(0.4, *block_at(0.6, 0.0, speed, k, 0.0), k, push)[0]
+
+    at = (8.0, 5.0, 1.0)
+    differences = [(exact(*np.add(at, step)) - exact(*np.subtract(at, step))) / 2e-5 for step in 1e-5 * np.eye(3)]
+    reverse = jax.jit(jax.grad(in_pieces, (0, 1, 2)))(*at)
+    np.testing.assert_allclose(reverse, differences, rtol=1e-6)
+    _, forward = jax.jvp(in_pieces, at, (0.0, 0.0, 1.0))
+    np.testing.assert_allclose(forward, differences[2], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_derivatives_pass_a_seam_within_a_contact():
+    ts = np.array([0.0, 1.88e-3, 3e-3])
+
+    def whole(speed, e):
+        return sj.simulate(struck(speed, e), ts, rtol=1e-9).velocity("ball")[-1, :2].sum()
+
+    def in_pieces(speed, e):
+        run = sj.simulate(struck(speed, e), ts[:2], rtol=1e-9)
+        return sj.continue_from(run, ts[1:]).velocity("ball")[-1, :2].sum()
+
+    def struck(speed, e):
+        model = sj.Dry(1e-4, normal=sj.HuntCrossley(restitution=e))
+        return cases.ball_in_socket(model, velocity=(speed, 0.02, 0.0))
+
+    assert sj.simulate(struck(0.05, 0.9), ts).memory("joint")["onset_rate"][1] > 0
+    expected = jax.grad(whole, (0, 1))(0.05, 0.9)
+    np.testing.assert_allclose(jax.grad(in_pieces, (0, 1))(0.05, 0.9), expected, rtol=1e-5)

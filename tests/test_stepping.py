@@ -90,3 +90,11 @@ def test_a_step_that_fails_says_so_and_nothing_goes_on_from_it():
         sj.advance(failed, 0.1)
     with pytest.raises(sj.SimulationError, match="max_steps"):
         sj.advance(state, 5.0, throw=True)
+
+
+@pytest.mark.slow  # beside it: the gradient of a page's example, `howto/go_on.md`, and the rollouts above
+def test_a_rollout_has_derivatives():
+    last = jax.jit(jax.grad(lambda pushes: rollout(sj.start(block()), pushes)[1][-1]))(PUSHES)
+    steps = 1e-4 * np.eye(3)
+    differences = [(expected_places(PUSHES + h)[-1] - expected_places(PUSHES - h)[-1]) / 2e-4 for h in steps]
+    np.testing.assert_allclose(last, differences, rtol=1e-6)
