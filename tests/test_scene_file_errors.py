@@ -349,7 +349,11 @@ damper = { kind = "piecewise", breaks = [0], pieces = ["my_laws.py:hat", { kind 
         (":hat", ":hut", "my_laws.py has no function or class 'hut'; did you mean 'hat'?"),
         ('"my_laws.py:hat"', '{ kind = "my_laws.py:hat", a = 1 }', "pieces[0].a: the function hat has no numbers"),
         ('"my_laws.py:hat"', '"my_laws.py:Viscous"', "pieces[0]: 'my_laws.py:Viscous' is no function"),
-        ('"my_laws.py:hat"', '"hertz"', "pieces[0]: 'hertz' is no function; there are: bump, constant, linear"),
+        (
+            '"my_laws.py:hat"',
+            '"hertz"',
+            "pieces[0]: 'hertz' is no function; there are: bump, constant, integral, linear",
+        ),
         ('["ground.hook", "lower"]', '"lower"', "forces.shock.ends: 'lower' is not a list of two of"),
         ('"lower"]', '"lowr"]', "forces.shock.ends[1]: there is no body 'lowr'; did you mean 'lower'?"),
         ('"lower"]', '"lower.pin"]', "forces.shock.ends[1]: 'lower.pin': body 'lower' has no point 'pin'"),

@@ -101,6 +101,7 @@ UNITS_BY_TIME = {
     "table": {"x": "s", "y": "N"},
     "smooth-table": {"x": "s", "y": "N"},
     "piecewise": {"breaks": "s"},
+    "integral": {"start": "N", "origin": "s", "until": "s"},
     "sum": {},
     "random-road": {
         **{"roughness": "m^3", "lowest": "1/m", "highest": "1/m", "phases": "rad"},
