@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from spherejax.compiler.runge_kutta import RosenbrockSystems, Tableau
 from spherejax.foundations.types import Scalar
-from spherejax.model.system import Structure, example_of
+from spherejax.model.system import Structure
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.solvers.linearization import freeze, pattern_of, residual_change, sizes_of, stage_solver
@@ -68,7 +68,6 @@ class LinearSystems:
         product_at: linearization -> a line, the place of one of its arguments, and all of them: J k is the derivative
             of what the line gives by that argument, along k.
         called: the same as parts of one call of machine code, where that can be.
-        rows: 1 for each row of J that the matrix has, 0 for one that is left out of it; None where none is.
     """
 
     rate: Program
@@ -77,7 +76,6 @@ class LinearSystems:
     known_at: Callable[..., tuple[Array, ...]]
     product_at: Callable[[StepLinearization], tuple[Any, int, tuple[Array, ...]]]
     called: RosenbrockSystems
-    rows: Float[np.ndarray, " size"] | None = None
 
     def jacobian(self, t, y, args) -> tuple[StepLinearization, Float[Array, " size"]]:
         """Where the systems are those of, and df/dt there."""
@@ -124,8 +122,7 @@ class LinearSystems:
 
         def multiply(coefficients, at: StepLinearization, k):
             given = self._coefficients(at) if coefficients is None else coefficients
-            (product,) = self._product(at)[1].slopes(k, *given)
-            return product if self.rows is None else product * self.rows
+            return self._product(at)[1].slopes(k, *given)[0]
 
         @jax.custom_jvp
         def solution(given, coefficients, at: StepLinearization, gamma_h, rhs):
@@ -229,18 +226,7 @@ def systems_of(structure: Structure) -> LinearSystems | None:
         return line, _STATE, (at.theta, at.t, at.y, *ahead)
 
     called = RosenbrockSystems.exact(stage.scalar, frozen_at.scalar, change.scalar, pattern.seeds)
-    slope = by_time if scalar.reads(1) else None
-    return LinearSystems(rate, stage, slope, known_at, product_at, called, _rows(structure))
-
-
-def _rows(structure: Structure) -> Float[np.ndarray, " size"] | None:
-    """The rows of J in the matrix; `linearization.residuals` leaves out that of the work of the constraint forces."""
-    system = example_of(structure)
-    if not system.tracks_constraint_work:
-        return None
-    rows = np.ones(system.layout.size)
-    rows[system.constraint_work_index] = 0.0  # counted from the end, and work is at the end of the state
-    return rows
+    return LinearSystems(rate, stage, by_time if scalar.reads(1) else None, known_at, product_at, called)
 
 
 @lru_cache(maxsize=64)
