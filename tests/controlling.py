@@ -13,6 +13,23 @@ ROTOR = sj.Turn(("ground", "rotor"), axis=(0.0, 0.0, 1.0))
 STIFFNESS, DAMPING, SPEED = 0.3, 0.02, 0.5
 """Of the torsion spring [N m/rad, N m s/rad], and how fast the rotor turns at the start [rad/s]."""
 
+ROTOR_FILE = """
+gravity = [0, 0, 0]
+
+[bodies.rotor]
+mass = 1.0
+inertia = [0.01, 0.01, 0.02]
+
+[joints.bearing]
+kind = "revolute"
+bodies = ["ground", "rotor"]
+point = [0, 0, 0]
+axis = [0, 0, 1]
+
+[forces.motor]
+"""
+"""A file of a rotor in its bearing, up to the lines of its motor."""
+
 GAINS: dict[str, Any] = dict(proportional=0.8, integral=2.0, derivative=0.05, filter_time=0.02)
 
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from controlling import GAINS, ROTOR, continuous_answer, motor, sampled_answer, sampled_motor
+from controlling import GAINS, ROTOR, ROTOR_FILE, continuous_answer, motor, sampled_answer, sampled_motor
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import simpson, solve_ivp
 
@@ -527,20 +527,7 @@ def test_neural_law_is_trained_through_the_simulator():
     assert float(loss(network)) < 0.05 * float(first)
 
 
-FILE = """
-gravity = [0, 0, 0]
-
-[bodies.rotor]
-mass = "1 kg"
-inertia = [0.01, 0.01, 0.02]
-
-[joints.bearing]
-kind = "revolute"
-bodies = ["ground", "rotor"]
-point = [0, 0, 0]
-axis = [0, 0, 1]
-
-[forces.motor]
+MOTORS = """
 kind = "sampled-pid"
 coordinate = { kind = "turn", bodies = ["ground", "rotor"], axis = [0, 0, 1] }
 period = "10 ms"
@@ -560,7 +547,7 @@ values = ["1 kN", "0 N"]
 
 def test_controllers_in_files(tmp_path):
     path = tmp_path / "motor.toml"
-    path.write_text(FILE)
+    path.write_text(ROTOR_FILE + MOTORS)
     scene = sj.load_scene(path)
     control: Any = scene.forces["motor"]
     shaker: Any = scene.forces["shaker"]

@@ -24,6 +24,7 @@ from spherejax.output.plot.sheet import Sheet, Wishes
 from spherejax.output.plot.space import poses_of
 from spherejax.output.plot.strokes import convex_hull
 from spherejax.output.plot.symbols import SYMBOLS
+from spherejax.output.report.motion import viewed
 
 DOWN = np.array([0.0, 0.0, -9.81])
 
@@ -589,7 +590,10 @@ def test_the_arm_of_a_circle_runs_from_its_center_to_its_point():
 
 
 def test_a_motor_along_a_line_is_a_cylinder_that_hides_no_body():
-    """A controller between two points is drawn without a zigzag, and without the paper-colored line beneath one."""
+    """A controller between two points is drawn without a zigzag, and without the paper-colored line beneath one.
+
+    So it is in reports, whose pictures can be turned.
+    """
     bob = sj.Body(1.0, (1e-2,) * 3, points={"top": (0, 0, 0.3)})
     leg = sj.PID(sj.Extension(("ground.hook", "bob.top")), 0.5, 100.0, 1.0)
     spring = sj.SpringDamper(("ground.hook", "bob.top"), 100.0)
@@ -597,3 +601,5 @@ def test_a_motor_along_a_line_is_a_cylinder_that_hides_no_body():
     figure = sj.draw(scene, view=(-90, 0))
     assert [len(path) for path in paths(figure, "force:leg")][:4] == [2, 5, 2, 2]
     assert len(paths(figure, "force:spring")[0]) == 16
+    links = [shape for shape in viewed(scene, "scene")["shapes"] if shape["kind"] == "link"]
+    assert [set(shape) & {"barrel", "zigzag"} for shape in links] == [{"barrel"}, {"zigzag"}]

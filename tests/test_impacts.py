@@ -197,3 +197,12 @@ def test_a_polynomial_that_meets_a_kink_is_not_believed():
     kink = np.array([[0.0, 1.0, 1.0, 0.0]])
     assert peak_of(ends, inside, np.zeros(2), kink)[0] == 1.0
     assert peak_of(ends, inside, np.array([0.0, 2.0]), smooth) == (2.0, 1.0)
+
+
+def test_a_peak_at_the_start_is_not_before_it():
+    """By rounding it was at -1e-20 s: the instant comes from those inside the first step."""
+    inside = np.array([SHARES])
+    lengths = np.linspace(1e-3, 1.0, 50)
+    falling = [peak_of(np.array([0.0, x]), x * inside, np.zeros(2), 10.0 - inside) for x in lengths]
+    assert all(time >= 0.0 for _, time in falling)
+    np.testing.assert_allclose([time for _, time in falling], 0.0, atol=1e-3)

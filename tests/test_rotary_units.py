@@ -6,25 +6,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from controlling import ROTOR_FILE
 
 import spherejax as sj
 from spherejax.files.fields.number_units import unit_at
 
-SCENE = """
-gravity = [0, 0, 0]
-
-[bodies.rotor]
-mass = 1.0
-inertia = [0.01, 0.01, 0.02]
-
-[joints.bearing]
-kind = "revolute"
-bodies = ["ground", "rotor"]
-point = [0, 0, 0]
-axis = [0, 0, 1]
-
-[forces.motor]
-"""
 TURN = 'coordinate = { kind = "turn", bodies = ["ground", "rotor"], axis = [0, 0, 1] }\n'
 ARC = 'coordinate = { kind = "turn", bodies = ["ground", "rotor"], axis = [0, 0, 1], radius = "20 mm" }\n'
 TRAVEL = 'coordinate = { kind = "travel", ends = ["ground", "rotor"], direction = [0, 0, 1] }\n'
@@ -33,7 +19,7 @@ TRAVEL = 'coordinate = { kind = "travel", ends = ["ground", "rotor"], direction 
 def loaded(tmp_path, *lines: str) -> sj.Scene:
     """The scene with a motor of these lines."""
     path = tmp_path / "motor.toml"
-    path.write_text(SCENE + "\n".join(lines))
+    path.write_text(ROTOR_FILE + "\n".join(lines))
     return sj.load_scene(path)
 
 

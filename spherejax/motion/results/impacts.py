@@ -158,7 +158,8 @@ def peak_of(ends: Any, inside: Any, at_ends: Any, at_inside: Any) -> tuple[float
         if value > best[0]:
             # The shares are known: two of them tell where the step begins and how long it is.
             length = (inside[row, -1] - inside[row, 0]) / (SHARES[-1] - SHARES[0])
-            best = value, float(inside[row, 0] + (share - SHARES[0]) * length)
+            instant = inside[row, 0] + (share - SHARES[0]) * length
+            best = value, float(np.clip(instant, ends[0], ends[-1]))  # rounding: -1e-20 s for a start at 0
     return best
 
 

@@ -263,7 +263,10 @@ class _Maker:
     # Forces ------------------------------------------------------------------------------------------------------
 
     def force(self, name: str, force: Any, mechanism: Mechanism) -> Iterator[Shape]:
-        """A force element: a tyre, a zigzag between two points, a spiral, or nothing; roads and arrows are tracks."""
+        """A force element: a tyre, a zigzag or a motor between two points, a spiral, or nothing.
+
+        Roads and arrows are tracks.
+        """
         if isinstance(force, Tyre):
             body, radius = force.center.partition(".")[0], float(np.asarray(force.radius))
             wheel = radius * np.stack([CIRCLE[:, 0], np.zeros(len(CIRCLE)), CIRCLE[:, 1]], -1)
@@ -278,7 +281,8 @@ class _Maker:
             for body, at in places:
                 if body == GROUND:
                     yield self._shape("ground", GROUND, at, radius=0.8 * self.s, edge=GROUND_COLOR)
-            yield self._link(places, FORCE_COLOR, width=1.3, zigzag=0.9 * self.s)
+            symbol = {"barrel": 0.55 * self.s} if force.is_motor else {"zigzag": 0.9 * self.s}
+            yield self._link(places, FORCE_COLOR, width=1.3, **symbol)
 
 
 SYMBOLS: dict[str, Callable[[_Maker, DrawnJoint], list[Shape]]] = {

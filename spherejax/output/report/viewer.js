@@ -342,14 +342,20 @@ class Viewer {
   }
 
   drawLink(shape, a) {
-    const b = this.project(this.anchor(shape.body2, shape.at2));
+    const b = this.project(this.anchor(shape.body2, shape.at2)), d = [b[0] - a[0], b[1] - a[1]];
+    const s = (shape.zigzag || shape.barrel || 0) * this.scale / (Math.hypot(...d) || 1);
+    const at = (f, side) => [a[0] + f * d[0] - side * s * d[1], a[1] + f * d[1] + side * s * d[0]];
+    if (shape.barrel) {  // open, so that bodies behind it stay visible, and a rod
+      const ends = [[0, 0, 0.2, 0], [0.2, 1, 0.6, 1], [0.6, 1, 0.6, -1], [0.6, -1, 0.2, -1], [0.2, -1, 0.2, 1], [0.42, 1, 0.42, -1], [0.42, 0, 1, 0]];
+      for (const [f, p, g, q] of ends) this.line([at(f, p), at(g, q)], shape.edge, shape.width);
+      return;
+    }
     let points = [a, b];
     if (shape.zigzag) {
-      const d = [b[0] - a[0], b[1] - a[1]], length = Math.hypot(...d) || 1, s = shape.zigzag * this.scale;
       const shares = [0, 0.18], sides = [0, 0];
       for (let i = 0; i < 12; i++) { shares.push(0.22 + 0.56 * i / 11); sides.push(i % 2 ? -1 : 1); }
       shares.push(0.82, 1); sides.push(0, 0);
-      points = shares.map((f, i) => [a[0] + f * d[0] - sides[i] * s * d[1] / length, a[1] + f * d[1] + sides[i] * s * d[0] / length]);
+      points = shares.map((f, i) => at(f, sides[i]));
     }
     this.line(points, "#ffffff", shape.width + 2);
     this.line(points, shape.edge, shape.width);

@@ -59,7 +59,37 @@ class Extension(AbstractStretch):
         return [Requirement("ends", self.ends, first != second, "be on two bodies", remedy)]
 
 
-class Actuator(AbstractForce):
+class AbstractMotor(AbstractForce):
+    """What actuators and controllers share: they drive a coordinate, whose units are theirs."""
+
+    coordinate: eqx.AbstractVar[AbstractCoordinate]
+
+    @staticmethod
+    def unit_words(coordinate: AbstractCoordinate) -> dict[str, str]:
+        """Units of its numbers by its coordinate."""
+        return dict(coordinate.part_units)
+
+    @property
+    def part_units(self) -> Mapping[str, str]:
+        """Those of the coordinate."""
+        return {**UNITS, **self.coordinate.part_units}
+
+    @property
+    def is_motor(self) -> bool:
+        """It moves its coordinate."""
+        return True
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """The bodies of the coordinate."""
+        return self.coordinate.body_names
+
+    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
+        """The coordinate in body axes."""
+        return eqx.tree_at(lambda own: own.coordinate, self, self.coordinate.placed(bodies, find))
+
+
+class Actuator(AbstractMotor):
     """An effort along a coordinate as a function of time: a motor's torque, a cylinder's force.
 
         f = effort(t) + offset
@@ -92,21 +122,6 @@ class Actuator(AbstractForce):
         self.effort = function_of_time(effort)
         self.offset = offset
 
-    @staticmethod
-    def unit_words(coordinate: AbstractCoordinate) -> dict[str, str]:
-        """Units of its numbers by its coordinate."""
-        return dict(coordinate.part_units)
-
-    @property
-    def part_units(self) -> Mapping[str, str]:
-        """Of its coordinate."""
-        return {**UNITS, **self.coordinate.part_units}
-
-    @property
-    def is_motor(self) -> bool:
-        """It moves its coordinate."""
-        return True
-
     def _force(self, t: Scalar) -> Scalar:
         return self.effort(t) + self.offset
 
@@ -129,10 +144,6 @@ class Actuator(AbstractForce):
         del motions
         return self.effort.room(t, True)
 
-    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
-        """The coordinate in body axes."""
-        return with_placed_coordinate(self, bodies, find)
-
     def requirements(self) -> list[Requirement]:
         """A coordinate, a function, a finite number."""
         return [
@@ -141,13 +152,8 @@ class Actuator(AbstractForce):
             finite("offset", self.offset),
         ]
 
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """The bodies of the coordinate."""
-        return self.coordinate.body_names
 
-
-class SampledActuator(AbstractForceWithMemory):
+class SampledActuator(AbstractMotor, AbstractForceWithMemory):
     """An effort along a coordinate that is given as samples of a signal: held between them, or in straight lines.
 
     Steps of the integration end on the samples, and what happens at one is not felt before it. Their number does not
@@ -181,21 +187,6 @@ class SampledActuator(AbstractForceWithMemory):
         self.values = numbers(values)
         self.linear = linear
 
-    @staticmethod
-    def unit_words(coordinate: AbstractCoordinate) -> dict[str, str]:
-        """Units of its numbers by its coordinate."""
-        return dict(coordinate.part_units)
-
-    @property
-    def part_units(self) -> Mapping[str, str]:
-        """Of its coordinate."""
-        return {**UNITS, **self.coordinate.part_units}
-
-    @property
-    def is_motor(self) -> bool:
-        """It moves its coordinate."""
-        return True
-
     @property
     def memory(self):
         """The effort at the last sample; its slope and instant, where lines are drawn."""
@@ -226,18 +217,9 @@ class SampledActuator(AbstractForceWithMemory):
         parts = {"effort": effort, "position": motion.value, "rate": motion.rate}
         return ForceAction(self.coordinate.wrenches(motions, effort), jnp.zeros(len(memory)), parts=parts)
 
-    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
-        """The coordinate in body axes."""
-        return with_placed_coordinate(self, bodies, find)
-
     def requirements(self) -> list[Requirement]:
         """A coordinate, and as many values as increasing times."""
         return [*coordinate_requirements(self.coordinate), *_sample_requirements(self.times, self.values)]
-
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """The bodies of the coordinate."""
-        return self.coordinate.body_names
 
 
 def effort_entry(coordinate: AbstractCoordinate) -> tuple[str, Scale]:
@@ -252,11 +234,6 @@ def function_of_time(given: Number | Callable) -> AbstractFunction:
     found = as_function(given)
     assert found is not None
     return found
-
-
-def with_placed_coordinate(force, bodies: Mapping[str, Body], find: FindPlace):
-    """An element with its field `coordinate` in body axes."""
-    return eqx.tree_at(lambda own: own.coordinate, force, force.coordinate.placed(bodies, find))
 
 
 def coordinate_requirements(coordinate: AbstractCoordinate) -> list[Requirement]:

@@ -5,7 +5,7 @@ Units as of actuators: along a `Turn` angles in rad and moments in N m, else len
 
 import abc
 from collections.abc import Callable, Mapping
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,14 +14,14 @@ import numpy as np
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric, positive
 from spherejax.foundations.types import Function, Listed, Number, Numeric, Scalar, Unit
-from spherejax.physics.bodies import Body, numbers
+from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.actuators import (
+    AbstractMotor,
     coordinate_requirements,
     effort_entry,
     function_of_time,
-    with_placed_coordinate,
 )
-from spherejax.physics.forces.base import UNITS, FindPlace, Motions
+from spherejax.physics.forces.base import Motions
 from spherejax.physics.forces.coupler import AbstractCoordinate, CoordinateMotion
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction
 from spherejax.physics.functions.base import AbstractFunction, function_requirements
@@ -59,14 +59,21 @@ GAIN_UNITS: Mapping[tuple[bool, bool], Mapping[str, str]] = {
 }  # fmt: skip
 """Units of what is controlled and of the gains: by whether the coordinate is an angle, and whether it is its rate."""
 
-REFERENCE, REFERENCE_SHOWN = "{controlled}", "m or rad, of a rate m/s or rad/s"
-"""Unit of a reference, by the coordinate and `of_rate`."""
+_CONTROLLED, _CONTROLLED_SHOWN = "{controlled}", "m or rad, of a rate m/s or rad/s"
+ReferenceValue = Annotated[
+    Number | Callable, Unit(_CONTROLLED, _CONTROLLED_SHOWN), Function("s", _CONTROLLED, _CONTROLLED_SHOWN)
+]
+ProportionalGain = Annotated[Number, Unit("{proportional}", "N/m or N m/rad")]
+IntegralGain = Annotated[Number | None, Unit("{integral}", "N/(m s) or N m/(rad s)")]
+DerivativeGain = Annotated[Number | None, Unit("{derivative}", "N s/m or N m s/rad")]
+EffortLimits = Annotated[Listed | None, Unit("{effort}", "N or N m")]
+EffortOffset = Annotated[Number, Unit("{effort}", "N or N m")]
+"""Arguments of controllers, with units by the coordinate and `of_rate`: see `AbstractController.unit_words`."""
 
 
-class AbstractController(AbstractForceWithMemory):
+class AbstractController(AbstractMotor, AbstractForceWithMemory):
     """What controllers share: a coordinate, a reference, gains, limits of the effort."""
 
-    coordinate: eqx.AbstractVar[AbstractCoordinate]
     reference: eqx.AbstractVar[AbstractFunction]
     proportional: eqx.AbstractVar[Number]
     integral: eqx.AbstractVar[Number | None]
@@ -77,11 +84,6 @@ class AbstractController(AbstractForceWithMemory):
     offset: eqx.AbstractVar[Number]
     of_rate: eqx.AbstractVar[bool]
     smooth_limits: eqx.AbstractVar[bool]
-
-    @property
-    def is_motor(self) -> bool:
-        """It moves its coordinate."""
-        return True
 
     @property
     def memory(self):
@@ -147,16 +149,7 @@ class AbstractController(AbstractForceWithMemory):
     def part_units(self) -> Mapping[str, str]:
         """Those of the coordinate; references and errors are positions or rates."""
         unit = self.unit_words(self.coordinate, self.of_rate)["controlled"]
-        return {**UNITS, **self.coordinate.part_units, "reference": unit, "error": unit}
-
-    def placed(self, bodies: Mapping[str, Body], find: FindPlace) -> Self:
-        """The coordinate in body axes."""
-        return with_placed_coordinate(self, bodies, find)
-
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """The bodies of the coordinate."""
-        return self.coordinate.body_names
+        return {**super().part_units, "reference": unit, "error": unit}
 
     def requirements(self) -> list[Requirement]:
         """A coordinate, a reference, finite gains, limits in order, positive times."""
@@ -235,17 +228,15 @@ class PID(AbstractController):
     def __init__(
         self,
         coordinate: AbstractCoordinate,
-        reference: Annotated[
-            Number | Callable, Unit(REFERENCE, REFERENCE_SHOWN), Function("s", REFERENCE, REFERENCE_SHOWN)
-        ] = 0.0,
-        proportional: Annotated[Number, Unit("{proportional}", "N/m or N m/rad")] = 0.0,
-        integral: Annotated[Number | None, Unit("{integral}", "N/(m s) or N m/(rad s)")] = None,
-        derivative: Annotated[Number | None, Unit("{derivative}", "N s/m or N m s/rad")] = None,
+        reference: ReferenceValue = 0.0,
+        proportional: ProportionalGain = 0.0,
+        integral: IntegralGain = None,
+        derivative: DerivativeGain = None,
         *,
         filter_time: Annotated[Number | None, Unit("s")] = None,
-        limits: Annotated[Listed | None, Unit("{effort}", "N or N m")] = None,
+        limits: EffortLimits = None,
         tracking_time: Annotated[Number | None, Unit("s")] = None,
-        offset: Annotated[Number, Unit("{effort}", "N or N m")] = 0.0,
+        offset: EffortOffset = 0.0,
         of_rate: bool = False,
         smooth_limits: bool = False,
     ):

@@ -3,17 +3,25 @@
 Units as of actuators: along a `Turn` angles in rad and moments in N m, else lengths in m and forces in N.
 """
 
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from spherejax.foundations.legal import non_negative
-from spherejax.foundations.types import Function, Listed, Number, Numeric, Unit
+from spherejax.foundations.types import Number, Numeric, Unit
 from spherejax.physics.bodies import numbers
 from spherejax.physics.forces.actuators import effort_entry, function_of_time
-from spherejax.physics.forces.controllers import REFERENCE, REFERENCE_SHOWN, AbstractController, filtered_error
+from spherejax.physics.forces.controllers import (
+    AbstractController,
+    DerivativeGain,
+    EffortLimits,
+    EffortOffset,
+    IntegralGain,
+    ProportionalGain,
+    ReferenceValue,
+    filtered_error,
+)
 from spherejax.physics.forces.coupler import AbstractCoordinate
 from spherejax.physics.forces.remembering import ForceAction, Sampling
 from spherejax.physics.functions.base import AbstractFunction
@@ -80,17 +88,15 @@ class SampledPID(AbstractController):
         self,
         coordinate: AbstractCoordinate,
         period: Annotated[Number, Unit("s")],
-        reference: Annotated[
-            Number | Callable, Unit(REFERENCE, REFERENCE_SHOWN), Function("s", REFERENCE, REFERENCE_SHOWN)
-        ] = 0.0,
-        proportional: Annotated[Number, Unit("{proportional}", "N/m or N m/rad")] = 0.0,
-        integral: Annotated[Number | None, Unit("{integral}", "N/(m s) or N m/(rad s)")] = None,
-        derivative: Annotated[Number | None, Unit("{derivative}", "N s/m or N m s/rad")] = None,
+        reference: ReferenceValue = 0.0,
+        proportional: ProportionalGain = 0.0,
+        integral: IntegralGain = None,
+        derivative: DerivativeGain = None,
         *,
         filter_time: Annotated[Number, Unit("s")] = 0.0,
-        limits: Annotated[Listed | None, Unit("{effort}", "N or N m")] = None,
+        limits: EffortLimits = None,
         tracking_time: Annotated[Number | None, Unit("s")] = None,
-        offset: Annotated[Number, Unit("{effort}", "N or N m")] = 0.0,
+        offset: EffortOffset = 0.0,
         first_sample: Annotated[Number, Unit("s")] = 0.0,
         of_rate: bool = False,
         smooth_limits: bool = False,
