@@ -103,9 +103,12 @@ def test_a_contact_that_is_cut_goes_on_with_its_impact_speed():
     assert second.error("position.ball").max() < 1e-10
 
 
-@pytest.mark.parametrize("solver", [None, diffrax.Kvaerno5()], ids=["lanes", "diffrax"])
-def test_other_numbers_from_the_seam_on(solver):
-    options = {"rtol": 1e-10, "solver": solver}
+WAYS = {"lanes": {}, "diffrax": {"solver": diffrax.Kvaerno5()}, "array code": {"scalar": False}}
+
+
+@pytest.mark.parametrize("way", [*list(WAYS)[:2], pytest.param("array code", marks=pytest.mark.slow)])
+def test_other_numbers_from_the_seam_on(way):
+    options = {"rtol": 1e-10, **WAYS[way]}
     first = sj.simulate(block(8.0, 0.0), np.array([0.0, 0.6]), **options)
     second = sj.continue_from(first, np.array([0.8, 1.0]), block(3.0, 5.0))
     x, v = block_at(0.6, 0.0, 1.0, 8.0, 0.0)
@@ -113,6 +116,7 @@ def test_other_numbers_from_the_seam_on(solver):
     np.testing.assert_allclose(second.ts, [0.6, 0.8, 1.0])
     np.testing.assert_allclose(second.position("block")[:, 0], expected, atol=1e-8)
     assert second.asked == first.asked
+    assert second.scalar == first.scalar
 
 
 def test_many_runs_go_on_side_by_side_and_in_a_scan():
@@ -179,7 +183,7 @@ def test_what_does_not_fit_is_named():
         sj.continue_from(run, later, elsewhere)
     with pytest.raises(sj.SceneError, match="before the end of the run"):
         sj.continue_from(run, np.array([0.05, 1.0]))
-    with pytest.raises(sj.SceneError, match="no run and no state"):
+    with pytest.raises(sj.SceneError, match="a Scene is no state of a motion"):
         sj.continue_from(no_run, later)
     with pytest.raises(sj.SceneError, match="is no scene"):
         sj.continue_from(run, later, no_scene)

@@ -234,11 +234,21 @@ def test_numbers_of_another_scene_are_refused():
         f(0.0, y0, jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), args))
     with pytest.raises(sj.SceneError, match=r"args must be the numbers of a scene.*NoneType"):
         f(0.0, y0, None)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(sj.SceneError, match="ode: str is no scene"):
+    with pytest.raises(sj.SceneError, match="a str is no scene"):
         sj.ode("four_bar")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(sj.SceneError, match=r"must have the shape \(39,\); it has \(\)"):
+        f(y0, 0.0, args)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(sj.SceneError, match=r"shape \(39,\); it has \(38,\)"):
+        f.constraint_residual(0.0, y0[1:], args)
+    with pytest.raises(sj.SceneError, match=r"it has \(38,\)"):
+        f.unpack(y0[1:])
+    with pytest.raises(sj.SceneError, match=r"n_corrections = -1 must be a whole number"):
+        f.project(0.0, y0, args, -1)
     with pytest.raises(sj.SceneError, match="has no contacts"):
         f.crossings(0.0, y0, args)
     dry, y0, args = moving("dry")[0]
+    with pytest.raises(sj.SceneError, match=r"no dictionary by joint.*'coupler_rocker': True"):
+        dry.after_contact(0.0, y0, args, [True])
     with pytest.raises(sj.SceneError, match=r"'wheel' have no contact; the contacts are 'coupler_rocker'"):
         dry.after_contact(0.0, y0, args, {"wheel": True})
 

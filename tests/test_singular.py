@@ -109,6 +109,17 @@ def test_samples_in_a_singular_configuration_and_far_apart():
     assert singular_passes(system, np.arange(2.0), at[3:]).unclear == ((0.0, 1.0),)
 
 
+def test_passes_of_a_traced_run_are_refused_in_words():
+    def n_passes(mass):
+        body = sj.Body(mass, (1e-2, 1e-2, 1e-2), position=(0.0, 0.0, -0.3))
+        hinge = sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        return len(sj.simulate(sj.Scene({"arm": body}, {"hinge": hinge}), np.array([0.0, 0.1])).singular_passes.found)
+
+    assert n_passes(1.0) == 0
+    with pytest.raises(sj.SceneError, match="known numbers; return the run from jit"):
+        jax.make_jaxpr(n_passes)(1.0)
+
+
 @pytest.mark.slow
 def test_a_run_says_which_singular_configurations_it_has_passed():
     ts = np.linspace(0.0, 2.0, 41)

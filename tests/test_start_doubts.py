@@ -116,6 +116,27 @@ def test_a_joint_beside_a_point_that_nothing_uses_is_named():
     assert doubts(slider_crank(drive=spring, off=0.05)) == ()
 
 
+ENTRANCES = {"simulate": lambda scene: sj.simulate(scene, TS), "start": sj.start, "ode": sj.ode}
+
+
+@pytest.mark.parametrize("entrance", ["start", "ode"])
+def test_whoever_starts_a_motion_hears_of_it(entrance):
+    for scene, said in (
+        (slider_crank(SKEW, MOTORS["actuator"]), "motor 'drive' acts on bodies"),
+        (slider_crank(off=0.05), "beside point 'rod.small'"),
+    ):
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            ENTRANCES[entrance](scene)
+        assert any(said in str(warning.message) for warning in heard)
+
+
+@pytest.mark.parametrize("entrance", ENTRANCES)
+def test_what_is_no_scene_is_refused_in_words(entrance):
+    with pytest.raises(sj.SceneError, match=r"a str is no scene: 'crank\.toml'.*sj\.load_scene"):
+        ENTRANCES[entrance]("crank.toml")
+
+
 @pytest.mark.parametrize("kind", ["universal", "fixed", "revolute"])
 def test_a_second_point_is_closed_and_said(kind):
     """5 cm beside its place: with a second point the body is moved there, and the run says by how much."""

@@ -1,12 +1,14 @@
 """A mechanism step by step: inputs are held during a step, and a rollout is one program with derivatives."""
 
+from typing import Any
+
 import cases
 import controlling
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_continuation import block, block_at
+from test_continuation import MASS, block, block_at
 
 import spherejax as sj
 
@@ -64,18 +66,48 @@ def test_steps_are_those_of_a_run_with_a_sampled_controller():
     np.testing.assert_allclose(angles, controlling.sampled_answer(ts)[1:, 0], atol=1e-8)
 
 
+def test_an_input_of_an_element_with_the_name_of_a_body():
+    scene = block()
+    named_alike = sj.Scene(scene.bodies, scene.joints, {"block": scene.forces["motor"]}, gravity=(0.0, 0.0, 0.0))
+    for path in ("block.offset", "forces.block.offset"):
+        state = sj.advance(sj.start(named_alike), 0.5, {path: 4.0})
+        np.testing.assert_allclose(state.position("block")[0], 0.5 + 4.0 / MASS * 0.5**2 / 2, atol=1e-12)
+
+
+def test_states_whose_equations_read_the_time_are_stepped_one_after_the_other_and_say_so():
+    along = sj.Travel(("ground", "block"), (1.0, 0.0, 0.0))
+    scene = block()
+    shaken = sj.Scene(scene.bodies, scene.joints, {"motor": sj.Actuator(along, sj.Sine(3.0, 1.0))}, gravity=(0, 0, 0))
+    states = jax.vmap(lambda _: sj.start(shaken))(jnp.zeros(2))
+    with pytest.warns(sj.SerialRunsWarning, match=r"Steps of sj\.advance.*input of the step"):
+        after = jax.vmap(lambda state, push: sj.advance(state, 0.2, {"motor.offset": push}))(
+            states, jnp.array([0.0, 2.0])
+        )
+    alone = [sj.advance(sj.start(shaken), 0.2, {"motor.offset": push}) for push in (0.0, 2.0)]
+    np.testing.assert_allclose(after.y, [state.y for state in alone], atol=1e-9)
+
+
 def test_wrong_inputs_are_named():
     state = sj.start(block())
-    for inputs, said in (
-        ({"engine.offset": 1.0}, "engine"),
+    wrong: list[tuple[Any, str]] = [
+        ({"moter.offset": 1.0}, r"no force element 'moter'; did you mean 'motor'\?"),
+        ({"motor.ofset": 1.0}, r"did you mean 'offset'\?"),
+        ({3: 1.0}, "3 is no path"),
+        ({"motor.offset": "2"}, "'2' is no number"),
+        ({"motor.offset": None}, "None is no number"),
+        ({"motor.offset": True}, "True is no number"),
         ({"motor": 1.0}, "is no number but a Actuator"),
         ({"motor.offset": np.ones(2)}, "has the shape"),
         ({"motor.offset": np.nan}, "motor"),
-        ({"bodies.block.mass": 1.0}, "is no input"),
-        ({"motor.coordinate.direction": np.ones(3)}, "is no input"),
-    ):
+        ({"bodies.block.mass": 1.0}, "is no input: there is no force element 'bodies'"),
+        ({"motor.coordinate.direction": np.ones(3)}, "is no input: it is geometry"),
+    ]
+    for inputs, said in wrong:
         with pytest.raises(sj.SceneError, match=said):
             sj.advance(state, 0.1, inputs)
+    for other, said in ((sj.simulate(block(), np.array([0.0, 0.1])), r"run\.end"), (block(), "a Scene is no state")):
+        with pytest.raises(sj.SceneError, match=said):
+            sj.advance(other, 0.1)  # pyright: ignore[reportArgumentType]
     for dt in (0.0, -1.0, np.nan):
         with pytest.raises(sj.SceneError, match="dt"):
             sj.advance(state, dt)

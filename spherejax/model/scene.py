@@ -91,6 +91,10 @@ def check_scene(scene: Scene) -> list:
     Raises:
         SceneError: naming the joint, body or force, the value and the remedy.
     """
+    if not isinstance(scene, Scene):
+        raise SceneError(
+            f"a {type(scene).__name__} is no scene: {shown(scene)}. Give an sj.Scene; sj.load_scene reads a file"
+        )
     new = [each for each in _parts(scene) if each.values is None or each.values not in _right]
     _check_forms(scene, new)
     _check_drift(scene)

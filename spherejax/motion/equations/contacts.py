@@ -1,5 +1,6 @@
 """Contacts of a system as functions of the flat state: where contact begins and ends, and what is remembered then."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -98,31 +99,42 @@ def memory_after_step(
     """
     y_start, y_end, slopes = step
     memory_start = unpack(system.layout, y_start).memory
-    memory_end = unpack(system.layout, y_end).memory
-    motions = relative_motions(system, y_end)
-    slope_of = {name: slopes[i] for i, name in enumerate(motions)}
+
+    def event_of(slot: MemorySlot, model: Any, motion: RelativeMotion):
+        was_touching = model.is_touching(memory_start[slot.entries])
+        is_beyond = model.crossing(motion).value > 0
+        slope = slopes[system.contact_joints.index(slot.joint)]
+        rate = penetration_rate(motion) - slope * model.penetration(motion)
+        return rate, ~was_touching & is_beyond, was_touching & ~is_beyond
+
+    return _memory_after_events(system, y_end, event_of)
+
+
+def _memory_after_events(system: System, y: Float[Array, " size"], event_of: Callable) -> Float[Array, " n_memory"]:
+    """The memory of a flat state, with that of each contact which begins or ends there replaced.
+
+    Args:
+        system: the system.
+        y: flat state.
+        event_of: function of a contact's memory slot, its model and its relative motion. It returns the normal velocity
+            of an onset [m/s], whether contact begins, and whether it ends.
+    """
+    memory = unpack(system.layout, y).memory
+    motions = relative_motions(system, y)
     parts = []
     for slot in system.memory_slots:
-        now = memory_end[slot.entries]
+        entries = memory[slot.entries]
         if slot.joint in motions:
             model: Any = system.spherical(slot.joint).model
-            motion = motions[slot.joint]
-            was_touching = model.is_touching(memory_start[slot.entries])
-            is_beyond = model.crossing(motion).value > 0
-            rate = penetration_rate(motion) - slope_of[slot.joint] * model.penetration(motion)
-            now = _after_event(slot, model, now, rate, ~was_touching & is_beyond, was_touching & ~is_beyond)
-        parts.append(now)
+            onset_rate, begins, ends = event_of(slot, model, motions[slot.joint])
+            after = jnp.where(begins, model.memory_at_onset(onset_rate), entries)
+            after = jnp.where(ends, model.memory_at_release(), after)
+            lasts = np.array([entry.lasts for entry in slot.contents])
+            entries = jnp.where(lasts, entries, after) if lasts.any() else after
+        parts.append(entries)
     if system.force_slots:
-        parts.append(memory_end[system.force_slots[0].start :])
-    return jnp.concatenate(parts)
-
-
-def _after_event(slot: MemorySlot, model: Any, now, onset_rate: Scalar, begins, ends) -> Float[Array, " n_entries"]:
-    """The memory of one contact behind an onset with a normal velocity [m/s], or a release; else what it is now."""
-    after = jnp.where(begins, model.memory_at_onset(onset_rate), now)
-    after = jnp.where(ends, model.memory_at_release(), after)
-    lasts = np.array([entry.lasts for entry in slot.contents])
-    return jnp.where(lasts, now, after) if lasts.any() else after
+        parts.append(memory[system.force_slots[0].start :])
+    return jnp.concatenate(parts) if parts else memory
 
 
 def state_after_events(
@@ -137,22 +149,16 @@ def state_after_events(
             Here the mode alone decides: on which side of the surface rounding has left a root says nothing.
     """
     y, events = at_event
-    memory = unpack(system.layout, y).memory
-    motions = relative_motions(system, y)
-    parts = []
-    for slot in system.memory_slots:
-        now = memory[slot.entries]
-        if slot.joint in motions:
-            model: Any = system.spherical(slot.joint).model
-            is_touching = model.is_touching(now)
-            happens = events[system.contact_joints.index(slot.joint)] > 0
-            rate = penetration_rate(motions[slot.joint])
-            now = _after_event(slot, model, now, rate, happens & ~is_touching, happens & is_touching)
-        parts.append(now)
-    if system.force_slots:
-        parts.append(memory[system.force_slots[0].start :])
     layout = system.layout
-    return jnp.concatenate([y[: layout.memory_start], *parts, y[layout.work_start :]])
+    memory = unpack(layout, y).memory
+
+    def event_of(slot: MemorySlot, model: Any, motion: RelativeMotion):
+        is_touching = model.is_touching(memory[slot.entries])
+        happens = events[system.contact_joints.index(slot.joint)] > 0
+        return penetration_rate(motion), happens & ~is_touching, happens & is_touching
+
+    after = _memory_after_events(system, y, event_of)
+    return jnp.concatenate([y[: layout.memory_start], after, y[layout.work_start :]])
 
 
 def event_values(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " n_contacts"]:
@@ -212,23 +218,13 @@ def memory_of_contacts_at(system: System, t: Scalar, y: Float[Array, " size"]) -
     """
     del t
     memory = unpack(system.layout, y).memory
-    motions = relative_motions(system, y)
-    parts = []
-    for slot in system.memory_slots:
-        now = memory[slot.entries]
-        if slot.joint in motions:
-            model: Any = system.spherical(slot.joint).model
-            motion = motions[slot.joint]
-            is_touching, is_beyond = model.is_touching(now), model.crossing(motion).value > 0
-            rate = earlier_onset_rate(system, slot.joint, motion, jnp.zeros(len(slot.names)))
-            after = jnp.where(~is_touching & is_beyond, model.memory_at_onset(rate), now)
-            after = jnp.where(is_touching & ~is_beyond, model.memory_at_release(), after)
-            lasts = np.array([entry.lasts for entry in slot.contents])
-            now = jnp.where(lasts, now, after) if lasts.any() else after
-        parts.append(now)
-    if system.force_slots:
-        parts.append(memory[system.force_slots[0].start :])
-    return jnp.concatenate(parts) if parts else memory
+
+    def event_of(slot: MemorySlot, model: Any, motion: RelativeMotion):
+        is_touching, is_beyond = model.is_touching(memory[slot.entries]), model.crossing(motion).value > 0
+        rate = earlier_onset_rate(system, slot.joint, motion, jnp.zeros(len(slot.names)))
+        return rate, ~is_touching & is_beyond, is_touching & ~is_beyond
+
+    return _memory_after_events(system, y, event_of)
 
 
 def earlier_onset_rate(system: System, joint: str, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar:

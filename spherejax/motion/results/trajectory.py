@@ -220,6 +220,10 @@ class Trajectory(eqx.Module, Reported):
         """
         if np.ndim(self.ended):
             raise SceneError("singular_passes reports on a single run; take one lane of the batch first")
+        if not all(map(is_concrete, jax.tree.leaves((self.ts, self.ys, self.system)))):
+            raise SceneError(
+                "singular_passes reports on a run with known numbers; return the run from jit, then ask it"
+            )
         return singular_passes(self.system, np.asarray(self.ts), np.asarray(self.ys))
 
     def require_success(self) -> "Trajectory":

@@ -101,11 +101,16 @@ def refuse_failed(state: Any) -> None:
     """Raise an error for what no motion can go on from.
 
     Raises:
-        SceneError: for what is no state, or for many.
+        SceneError: for what is no state, for a run in place of its end, or for many.
         SimulationError: for the end of a run that has failed.
     """
+    if isinstance(state, Trajectory):
+        raise SceneError("a run is no state; give its state at the end, run.end")
     if not isinstance(state, MotionState):
-        raise SceneError(f"{shown(state)} is no run and no state; give what sj.simulate or sj.start returns")
+        raise SceneError(
+            f"a {type(state).__name__} is no state of a motion: {shown(state)}. Give sj.start(scene), or a run of "
+            "sj.simulate: sj.continue_from takes the run, sj.advance its end, run.end"
+        )
     if np.ndim(state.ended):
         raise SceneError(
             "these are many motions; go on with one of them, jax.tree.map(lambda leaf: leaf[0], runs), or with all: "

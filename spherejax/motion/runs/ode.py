@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_concrete, shown
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import real_number
+from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
@@ -30,6 +30,7 @@ from spherejax.motion.equations.terms import Energies
 from spherejax.motion.integration.integrate import initial_state
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
+from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.start_now import StartWarning, known_start
 from spherejax.physics.joints.base import Crossing, Reaction
 from spherejax.physics.state import State, pack, unpack
@@ -156,7 +157,10 @@ class EquationsOfMotion(eqx.Module):
 
     @property
     def left_to_the_integrator(self) -> tuple[str, ...]:
-        """What `sj.simulate` does beside integrating `f`, and your own integrator has to do, in sentences."""
+        """Sentences: the tasks beside the integration of `f` that `sj.simulate` does, and your integrator has to do.
+
+        Empty for a scene that is integrated as it is.
+        """
         system = self._example
         said = []
         if self.contacts:
@@ -177,7 +181,7 @@ class EquationsOfMotion(eqx.Module):
                 "corrects a state; drift=sj.Baumgarte() of a scene puts feedback into `f`"
             )
         if program_for(state_rate, self.structure, self.scalar).reads_time:
-            said.append("f depends on time by itself: limit the steps (`dtmax`), or one passes over a pulse")
+            said.append("f depends on time by itself: limit the steps (`dtmax`), or a step passes over a pulse")
         return tuple(said)
 
     @property
@@ -189,6 +193,7 @@ class EquationsOfMotion(eqx.Module):
     def unpack(self, y: Float[Array, "*n size"]) -> NamedState:
         """A flat state by names; leading axes are allowed."""
         system = self._example
+        _check_state(self, jnp.shape(y)[-1:])
         state = unpack(system.layout, jnp.asarray(y))
         parts = state.position, state.quaternion, state.velocity, state.angular_velocity
         bodies = {name: BodyState(*(part[..., i, :] for part in parts)) for i, name in enumerate(system.bodies)}
@@ -230,6 +235,8 @@ class EquationsOfMotion(eqx.Module):
             args: numbers of the scene.
             n_corrections: Newton corrections; one is what `PostStabilization` makes behind each step.
         """
+        n_corrections = whole_number("n_corrections", n_corrections, f"Leave it out for {N_CORRECTIONS}.")
+        _check_state(self, jnp.shape(y))
         return _projected(self, t, y, args, n_corrections)
 
     # Terms of the equations ---------------------------------------------------------------------------------------
@@ -330,6 +337,11 @@ class EquationsOfMotion(eqx.Module):
             events: whether each contact has its event, by joint; `solution.event_mask` of diffrax is this.
         """
         self._require(bool(self.contacts), "has no contacts")
+        if not isinstance(events, Mapping):
+            raise SceneError(
+                f"events = {shown(events)} is no dictionary by joint; write e.g. {{{self.contacts[0]!r}: True}}, or "
+                "give solution.event_mask of diffrax"
+            )
         if unknown := set(events) - set(self.contacts):
             raise SceneError(
                 f"events: {_listed(sorted(unknown))} have no contact; the contacts are {_listed(self.contacts)}"
@@ -422,8 +434,6 @@ def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: boo
         SceneError: for a scene that cannot be simulated.
     """
     require_float64()
-    if not isinstance(scene, Scene):
-        raise SceneError(f"ode: {type(scene).__name__} is no scene; give a sj.Scene")
     real_number("t0", t0)
     with captures_explained([scene]):
         compiled = compile_scene(scene, track_work=track_work)
@@ -438,8 +448,8 @@ def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: boo
         if start is None:
             y0 = f.start(t0, args)
         else:
-            for change in start.changes:
-                warnings.warn(change, StartWarning, stacklevel=2)
+            for said in (*start.warnings, *points_beside(scene, system)):
+                warnings.warn(said, StartWarning, stacklevel=2)
             y0 = _completed(f, jnp.asarray(t0, jnp.float64), args, start.assembly)
     if compiled.conditions:
         y0 = jnp.where(jnp.all(jnp.stack(compiled.conditions)), y0, jnp.nan)
@@ -449,11 +459,21 @@ def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: boo
 @partial(jax.jit, static_argnums=0, inline=True)
 def _evaluated(function: Callable, equations: EquationsOfMotion, t, y, args: System) -> Any:
     """A function of a system as a program; inlined where it is part of another program."""
-    sizes = None if isinstance(y, jax.Array) else tuple(each.shape[0] for each in y)
+    _check_state(equations, jnp.shape(y[0] if isinstance(y, tuple) else y))
+    sizes = tuple(part.shape[0] for part in y) if isinstance(y, tuple) else None
     program = program_for(function, equations.structure, equations.scalar, sizes, is_quiet=function is not state_rate)
     # Straight lines of thousands of operations, and their derivatives: XLA takes 15 times as long to compile them.
     with program.native_code():
         return program(equations.numbers(args), jnp.asarray(t, jnp.float64), y)
+
+
+def _check_state(equations: EquationsOfMotion, shape: tuple[int, ...]) -> None:
+    """Raise `SceneError` for a state of another length than the scene's."""
+    if shape != (equations.size,):
+        raise SceneError(
+            f"the state of {equations!r} must have the shape ({equations.size},); it has {shape}. The arguments are "
+            "(t, y, args); many states go through jax.vmap"
+        )
 
 
 @partial(jax.jit, static_argnums=4, inline=True)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing, shown
-from spherejax.foundations.errors import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.lanes import rows_at
 from spherejax.foundations.types import Number
@@ -50,6 +50,8 @@ from spherejax.runtime import require_float64
 
 GEOMETRY = ("attachment", "coordinate", "place")
 """Fields of force elements that become others when a scene is compiled: no inputs."""
+
+OTHER_NUMBERS = "To go on with other numbers of the scene: sj.continue_from(state, ts, scene=...)"
 
 Inputs = Mapping[str, Float[Array, "..."] | np.ndarray | float]
 """Values by path, such as `{"motor.offset": 2.0, "push.force": (1.0, 0.0, 0.0)}`."""
@@ -149,9 +151,9 @@ def advance(state: MotionState, dt: Number, inputs: Inputs | None = None, *, thr
         SimulationError: for a state that has failed; with `throw=True` for a step that fails.
 
     Limits: of a scene whose equations read the time (a driver, a function of time, a sampled controller) `jax.vmap`
-    makes the steps of states one after the other, with a `SerialRunsWarning`; functions of time take a hundred steps of
-    the method at least in each. The derivative by a state is a forward sensitivity, a row for each of its entries (13
-    of a body).
+    makes the steps of states one after the other, with a `SerialRunsWarning`. With functions of time each step takes at
+    least a hundred steps of the method. The value of such a function as an input has neither cost. The derivative by a
+    state is a forward sensitivity, a row for each of its entries (13 of a body).
     """
     require_float64()
     refuse_failed(state)
@@ -295,12 +297,19 @@ def _place_of(system: System, name: Any) -> tuple[tuple[str, ...], tuple[int, ..
     Raises:
         SceneError: for a path that leads nowhere, or to what is no number of a force element.
     """
-    place = place_at(system, name)
-    if place.steps[0] != "forces" or any(field in GEOMETRY for field in place.steps[2:]):
+    if not isinstance(name, str):
+        raise SceneError(f"inputs: {shown(name)} is no path of a number; write e.g. 'motor.offset' or 'push.force'")
+    # A body or a joint may have the name of a force element: only among the latter is a name looked up.
+    path = name if name.partition(".")[0] in system.forces else name.removeprefix("forces.")
+    element = path.partition(".")[0]
+    if element not in system.forces:
         raise SceneError(
-            f"{name} is no input: inputs are numbers of force elements that they have in the scene, such as "
-            "'motor.offset' or 'push.force'. To go on with other numbers, sj.continue_from(state, ts, scene=...)"
+            f"{name} is no input: there is no force element {element!r}; {one_of(system.forces, element)}. Inputs are "
+            f"numbers of force elements, such as 'motor.offset' or 'push.force'. {OTHER_NUMBERS}"
         )
+    place = place_at(system, f"forces.{path}")
+    if any(field in GEOMETRY for field in place.steps[2:]):
+        raise SceneError(f"{name} is no input: it is geometry, which is fixed during a step. {OTHER_NUMBERS}")
     if place.value is None:
         raise SceneError(f"{name} is not given in the scene; give it a value there first")
     return place.steps, place.index
@@ -319,9 +328,12 @@ def _as_value(name: str, value: Any, shape: tuple[int, ...]) -> Any:
         SceneError: for what is no number, or has another shape.
     """
     try:
-        value = np.asarray(value, np.float64) if is_concrete(value) else jnp.asarray(value, jnp.float64)
+        numbers = np.asarray(value) if is_concrete(value) else jnp.asarray(value)
     except (TypeError, ValueError):
         raise SceneError(f"inputs: {name} = {shown(value)} is no number") from None
+    if numbers.dtype.kind not in "iuf":  # NumPy makes a number of a text, and NaN of None
+        raise SceneError(f"inputs: {name} = {shown(value)} is no number; give it in SI units, without quotes")
+    value = numbers.astype(np.float64)
     if value.shape != shape:
         raise SceneError(f"inputs: {name} has the shape {value.shape}, and its number in the scene {shape}")
     return value

@@ -27,7 +27,8 @@ from spherejax.program_cache.several_devices import lowered_replicated
 ONE_AFTER_THE_OTHER = (
     "jax.vmap of runs whose sample times, max_steps or numbers of the solver differ: they are made one after the "
     "other, for several times the price of lanes. Map over the numbers of the scene alone, with the sample times of "
-    "all runs in one ts"
+    "all runs in one ts. Steps of sj.advance are such runs where the equations read the time (a driver, a function of "
+    "time, a sampled controller): give its value as an input of the step instead"
 )
 
 
