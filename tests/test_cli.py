@@ -631,3 +631,8 @@ def test_a_damping_coefficient_is_told_its_ratio_to_the_stiffness(words, number,
     assert "--damping 5 N s/m: the damping of a bushing is given by its ratio to the stiffness, c/k [s]" in said
     assert f'it is --damping "{number}"' in said
     assert model_from(parsed("--joint", "bushing", "--damping", "5 ms")).law.damping == pytest.approx(5e-3)
+
+
+def test_a_damping_coefficient_has_no_ratio_to_a_stiffness_of_zero(capsys):
+    assert cli.main(["run", "four-bar", "--joint", "bushing", "--damping", "5 N s/m", "--stiffness", "0"]) == 2
+    assert "give a positive --stiffness" in capsys.readouterr().err

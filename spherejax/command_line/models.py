@@ -157,8 +157,8 @@ def _ratio(damping: float | _Coefficient | None, stiffness: float | None) -> flo
     if not isinstance(damping, _Coefficient):
         return damping
     means = f"--damping {damping.text}: the damping of a bushing is given by its ratio to the stiffness, c/k [s]"
-    if stiffness is None:
-        raise sj.SceneError(f"{means}; divide {damping.value:g} N s/m by the stiffness, or give --stiffness as well")
+    if stiffness is None or not stiffness > 0:
+        raise sj.SceneError(f"{means}; divide {damping.value:g} N s/m by the stiffness, or give a positive --stiffness")
     number = f"{damping.value / stiffness:.4g}"
     raise sj.SceneError(f'{means}. With the stiffness k = {stiffness:g} N/m it is --damping "{number} s"')
 
