@@ -248,7 +248,6 @@ from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler import primitive
 from spherejax.compiler.native.loop_fusion import fuse_loops
 from spherejax.compiler.program import scalarize
-from spherejax.compiler.runge_kutta import Tableau
 primitive.SMALLEST_CALLED = 0
 double = scalarize(lambda y: 2.0 * y, jnp.ones(3))
 def body(state):

@@ -3,7 +3,7 @@
 The compiler imports nothing of the package that it is part of, and keeps nothing on disk itself. A host that has a disk
 cache attaches it here, once, before anything is compiled. Without a host every process compiles for itself, warnings
 are plain `UserWarning`s, and functions are traced as they are. The flags of XLA with which programs are fast have to be
-set before JAX's backend starts; only the host can do so. This file imports no JAX.
+set before JAX's backend starts; only the host can do so, and finds them here (`xla_flags`). This file imports no JAX.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
-from spherejax.compiler.private import FAST_COMPILE, LESS_ALIASING, has_backend_started, with_xla_flags
+from spherejax.compiler.xla_flags import FAST_COMPILE, LESS_ALIASING, has_backend_started, with_xla_flags
 
 __all__ = [
     "FAST_COMPILE",

@@ -643,33 +643,27 @@ def _comparison(name: str, sign: str, numpy: Callable[..., Any], python: Callabl
     )
 
 
-def _extreme(name: str, numpy: Callable[..., Any], in_stablehlo: Callable[..., Any], c: str) -> ScalarOperation:
+def _on_two(
+    name: str,
+    kinds: tuple[str, ...],
+    numpy: Callable[..., Any],
+    in_stablehlo: Callable[..., Any] | None,
+    llvm: Callable[..., str],
+    c: str,
+) -> ScalarOperation:
+    """An operation on two numbers of one of these types, with a result of that type."""
     return ScalarOperation(
         name=name,
         jax=getattr(lax, f"{name}_p").bind,
         numpy=numpy,
         stablehlo=in_stablehlo,
-        llvm=_extremum(name),
-        accepts=same(DOUBLE, WHOLE, TRUTH),
+        llvm=llvm,
+        accepts=same(*kinds),
         c=c,
     )
 
 
-def _bitwise(
-    name: str, sign: str, numpy: Callable[..., Any], in_stablehlo: Callable[..., Any] | None
-) -> ScalarOperation:
-    """An operation on two truths, or on the bits of two whole numbers."""
-    return ScalarOperation(
-        name=name,
-        jax=getattr(lax, f"{name}_p").bind,
-        numpy=numpy,
-        stablehlo=in_stablehlo,
-        llvm=_logic(name),
-        accepts=same(TRUTH, WHOLE),
-        c=f"{{}} {sign} {{}}",
-    )
-
-
+_ORDERED, _OF_BITS = (DOUBLE, WHOLE, TRUTH), (TRUTH, WHOLE)
 _OF_ERF = 2.0 / np.sqrt(np.pi)
 
 _ALL = (
@@ -853,8 +847,8 @@ _ALL = (
         name="is_finite", jax=lax.is_finite_p.bind, numpy=np.isfinite, llvm=_llvm_is_finite, c="is_finite({})"
     ),
     # The larger, the smaller, what lies between.
-    _extreme("max", np.maximum, stablehlo.maximum, "larger({}, {})"),
-    _extreme("min", np.minimum, stablehlo.minimum, "smaller({}, {})"),
+    _on_two("max", _ORDERED, np.maximum, stablehlo.maximum, _extremum("max"), "larger({}, {})"),
+    _on_two("min", _ORDERED, np.minimum, stablehlo.minimum, _extremum("min"), "smaller({}, {})"),
     ScalarOperation(
         name="clamp",
         jax=lax.clamp_p.bind,
@@ -870,9 +864,9 @@ _ALL = (
     _comparison("eq", "==", np.equal, operator.eq, "oeq", "eq", (DOUBLE, WHOLE, TRUTH)),
     _comparison("ne", "!=", np.not_equal, operator.ne, "une", "ne", (DOUBLE, WHOLE, TRUTH)),
     # Truths, and bits of whole numbers.
-    _bitwise("and", "&", np.bitwise_and, stablehlo.and_),
-    _bitwise("or", "|", np.bitwise_or, stablehlo.or_),
-    _bitwise("xor", "^", np.bitwise_xor, None),
+    _on_two("and", _OF_BITS, np.bitwise_and, stablehlo.and_, _logic("and"), "{} & {}"),
+    _on_two("or", _OF_BITS, np.bitwise_or, stablehlo.or_, _logic("or"), "{} | {}"),
+    _on_two("xor", _OF_BITS, np.bitwise_xor, None, _logic("xor"), "{} ^ {}"),
     ScalarOperation(
         name="not",
         jax=lax.not_p.bind,

@@ -3,8 +3,8 @@
     python -m spherejax.compiler.private
 
 prints for the installed versions which of these parts are missing, and what that costs. The binary interface of calls
-is in `native/ffi_abi.py`. A missing part makes a program slower or ends with an error that names it. Results stay
-right. JAX is imported where it is needed: flags have to be known before it starts.
+is in `native/ffi_abi.py`, flags of XLA are in `xla_flags`. A missing part makes a program slower or ends with an error
+that names it. Results stay right.
 """
 
 import importlib.util
@@ -12,9 +12,12 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import jax
+from jax.extend import core
+
+from spherejax.compiler import xla_flags
 from spherejax.compiler.native import ffi_abi
 
 # Of JAX ---------------------------------------------------------------------------------------------------------------
@@ -27,8 +30,6 @@ def new_context() -> Callable[[bool], Any] | None:
         `jax.make_user_context(False)`; None where JAX has none. Then there is no machine code: a program that was
         traced with it would be taken for the one without.
     """
-    import jax
-
     return jax.make_user_context(False) if hasattr(jax, "make_user_context") else None
 
 
@@ -38,15 +39,14 @@ def is_jit_disabled() -> bool:
     Without the setting, or with another name, False: an operation that is evaluated one by one would then fail with
     JAX's own error.
     """
-    import jax
-
     return bool(jax.config.values.get("jax_disable_jit", False))
 
 
 def is_dropped(variable: Any) -> bool:
     """Whether nothing reads a result of an operation. JAX has no public name for what stands in its place.
 
-    By the name of its type: with another name it is False, and derivatives or outputs are made that nobody reads.
+    By the name of its type: with another name it is False, and derivatives or outputs are made that nobody reads. JAX
+    0.10 makes them only where it takes derivatives in reverse (`tracers_to_jaxpr`).
     """
     return type(variable).__name__ == "DropVar"
 
@@ -62,16 +62,6 @@ def counts_of_scan(parameters: dict[str, Any]) -> tuple[int, int]:
         return parameters["num_consts"], parameters["num_carry"]
     fixed, carried, _ = parameters["ft_in"].unpack()
     return len(fixed), len(carried)
-
-
-def has_backend_started() -> bool:
-    """Whether JAX's backend has started, so that flags come too late. False where JAX does not say: the usual case."""
-    try:
-        from jax._src import xla_bridge
-
-        return xla_bridge.backends_are_initialized()
-    except (ImportError, AttributeError):
-        return False
 
 
 def n_devices(context: Any) -> int:
@@ -93,69 +83,10 @@ function has an argument that nothing reads; `loop_fusion` leaves none."""
 ATTRIBUTES = "mhlo.frontend_attributes"
 """Name under which StableHLO hands such attributes on; with another name they are dropped."""
 
-
-BACKEND_OPTIONS = "--xla_backend_extra_options="
-"""The one flag that takes the list of `LOOP_OPTIONS`: XLA reads one such list only."""
-
-LOOP_OPTIONS = (
-    "xla_cpu_small_while_loop_byte_threshold=1000000000",
-    "xla_cpu_use_multi_output_fusion",
-)
-"""The first one lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
-does so for tiny loops only. The second lets one fusion have several outputs. Together with scalar programs they make a
-right-hand side 15 to 30 times faster; neither helps code that calls LAPACK or multiplies matrices inside the loop.
-Names in this list that XLA does not know are passed over, and runs are slower."""
-
-VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
-"""Lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which takes a
-tenth off a step of a block of lanes. It is a preference: a processor without them is none the worse."""
-
-LIBRARY = "--xla_cpu_experimental_ynn_fusion_type"
-"""Empty, it keeps XLA from handing sums and products of matrices to a library (YNNPACK). It does so also within what is
-to be one kernel (`native.loop_fusion`), and then cannot write it (jaxlib 0.10)."""
-
-JAXLIB_WITH_LIBRARY = (0, 10), (0, 12)
-"""The first and the last jaxlib that is known to have that flag: a flag that XLA does not know ends the process."""
-
-LESS_ALIASING: Mapping[str, Any] = MappingProxyType({"xla_llvm_enable_noalias_metadata": False})
-"""An option for a program of thousands of scalars: LLVM is not told of each pair of them that they do not overlap."""
-
-FAST_COMPILE: Mapping[str, Any] = MappingProxyType({**LESS_ALIASING, "xla_backend_optimization_level": 0})
-"""Options for a program that is compiled soon rather than well. XLA raises an error for an option that it does not
-know: whoever compiles with these compiles without them then."""
-
-
-def with_xla_flags(flags: str) -> str:
-    """The value of XLA_FLAGS with our flags added, but for those that are set.
-
-    Args:
-        flags: the value that the process has.
-    """
-    words = flags.split()
-    if VECTOR_WIDTH not in flags:
-        words.append(f"{VECTOR_WIDTH}=512")
-    if LIBRARY not in flags and _has_library():
-        words.append(f"{LIBRARY}=")
-    missing = ",".join(option for option in LOOP_OPTIONS if option.split("=")[0] not in flags)
-    if not missing:
-        return flags if words == flags.split() else " ".join(words)
-    for position, word in enumerate(words):
-        if word.startswith(BACKEND_OPTIONS):
-            words[position] = f"{word},{missing}"
-            return " ".join(words)
-    return " ".join([*words, BACKEND_OPTIONS + missing])
-
-
-def _has_library() -> bool:
-    first, last = JAXLIB_WITH_LIBRARY
-    return first <= _jaxlib() <= last
-
-
-def _jaxlib() -> tuple[int, ...]:
-    return tuple(int(part) for part in version("jaxlib").split(".")[:2])
-
-
 # The check ------------------------------------------------------------------------------------------------------------
+
+# `program_cache/private.py` has the same loop over parts of its own, and `is_jit_disabled` and `n_devices`, too. The
+# compiler and the cache may be taken out of spherejax alone, so neither imports the other: these lines stand twice.
 
 
 class PrivatePart(NamedTuple):
@@ -173,8 +104,7 @@ class PrivatePart(NamedTuple):
 
 
 def _scan_parameters() -> bool:
-    import jax
-
+    # One carried number, and neither a constant nor a slice: the names alone may still be there with another meaning.
     closed = jax.make_jaxpr(lambda x: jax.lax.scan(lambda c, _: (c * 2, c), x, None, length=2))(1.0)
     (loop,) = (equation for equation in closed.jaxpr.eqns if equation.primitive.name == "scan")
     try:
@@ -185,18 +115,14 @@ def _scan_parameters() -> bool:
 
 def _is_known_jaxlib() -> bool:
     first, last = ffi_abi.KNOWN_JAXLIB
-    return first <= _jaxlib() <= last
+    return first <= xla_flags.installed_jaxlib() <= last
 
 
 def _has_in_core(name: str) -> bool:
-    from jax.extend import core
-
     return hasattr(core, name)
 
 
 def _has_setting(name: str) -> bool:
-    import jax
-
     return name in jax.config.values
 
 
@@ -208,8 +134,7 @@ def _has_bridge() -> bool:
 
 def _takes(options: Mapping[str, Any]) -> bool:
     """Whether XLA takes options of a program."""
-    import jax
-
+    # XLA has no list of its options. It refuses an unknown one when it compiles.
     try:
         jax.jit(lambda x: x + 1.0).lower(1.0).compile(compiler_options=dict(options))
     except jax.errors.JaxRuntimeError:
@@ -230,8 +155,8 @@ def _is_interface_the_same() -> bool:
     if path is None:
         return False
     lines = path.read_text(encoding="utf-8").splitlines()
-    wanted = f"#define XLA_FFI_API_MAJOR {ffi_abi.API_MAJOR}", f"#define XLA_FFI_API_MINOR {ffi_abi.API_MINOR}"
-    return all(line in lines for line in wanted)
+    defines = f"#define XLA_FFI_API_MAJOR {ffi_abi.API_MAJOR}", f"#define XLA_FFI_API_MINOR {ffi_abi.API_MINOR}"
+    return all(line in lines for line in defines)
 
 
 _NO_MACHINE_CODE = "no machine code, with one warning: XLA compiles everything, and first calls take longer"
@@ -267,14 +192,14 @@ PARTS: Sequence[PrivatePart] = (
         _has_bridge,
     ),
     PrivatePart(
-        "options of one program, " + " and ".join(FAST_COMPILE),
+        "options of one program, " + " and ".join(xla_flags.FAST_COMPILE),
         "programs are compiled without them, which takes a quarter longer for large ones",
-        lambda: _takes(FAST_COMPILE),
+        lambda: _takes(xla_flags.FAST_COMPILE),
     ),
     PrivatePart(
-        "a jaxlib of which it is known whether it has " + LIBRARY,
+        "a jaxlib of which it is known whether it has " + xla_flags.LIBRARY,
         "the flag is not set: a kernel with a sum or a product of matrices may fail to compile",
-        _has_library,
+        xla_flags.has_library,
     ),
 )
 

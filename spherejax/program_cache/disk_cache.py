@@ -133,7 +133,8 @@ def is_debugging() -> bool:
     """Whether JAX is set to treat programs otherwise than usual, or has several places to run them in."""
     # A program on disk does what it was compiled for: it checks no NaN, leaks no tracer, and runs on one CPU.
     unusual = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
-    is_debugged = any(getattr(jax.config, name) for name in unusual)
+    # A setting that this version of JAX has under another name may be on.
+    is_debugged = any(getattr(jax.config, name, True) for name in unusual)
     return is_debugged or jax.default_backend() != "cpu" or jax.device_count() > 1
 
 

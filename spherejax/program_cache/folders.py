@@ -21,7 +21,7 @@ MOST_BYTES = 2 * 2**30
 """Size above which the least recently used files are deleted [bytes]."""
 
 LOOKED_AT_AGAIN_AFTER = 3600.0
-"""How often the size of the folder is looked at [s], at the start of a process."""
+"""Time after which a process that starts measures the size of the folder again [s]."""
 
 ENTRIES = "kept"
 """The folder of entries within the cache; see `disk_cache`."""
@@ -111,6 +111,7 @@ def why_not_private(folder: Path, *, with_files: bool = True) -> str:
         return why
     for above in folder.parents:
         status = above.stat()
+        # In a container this owner may be root; what counts is that others may not write.
         if _is_unmapped(status.st_uid) and not _is_open(status):
             continue
         if why := _why_others(above, status, may_enter=not status.st_mode & stat.S_ISVTX):
@@ -144,11 +145,11 @@ def _is_private(group: int) -> bool:
     import pwd
 
     try:
-        user, known = pwd.getpwuid(os.getuid()), grp.getgrgid(group)
+        user, entry = pwd.getpwuid(os.getuid()), grp.getgrgid(group)
     except KeyError:  # a container that does not know its user
         return False
-    is_users = (known.gr_name, group) == (user.pw_name, user.pw_gid)
-    return set(known.gr_mem) <= {user.pw_name, "root"} and (is_users or group == 0)
+    is_users = (entry.gr_name, group) == (user.pw_name, user.pw_gid)
+    return set(entry.gr_mem) <= {user.pw_name, "root"} and (is_users or group == 0)
 
 
 def _user(uid: int) -> str:
@@ -176,7 +177,7 @@ def _is_unmapped(uid: int) -> bool:
 
 
 def _make_room(folder: Path) -> None:
-    """Let go of what has not been used for longest, where the folder has grown too large.
+    """Delete the least recently used files where the folder is larger than `MOST_BYTES`.
 
     JAX has a bound of its own, for which it reads two files for each that is there whenever it writes one.
     """
@@ -184,8 +185,9 @@ def _make_room(folder: Path) -> None:
     try:
         if looked.exists() and time.time() - looked.stat().st_mtime < LOOKED_AT_AGAIN_AFTER:
             return
-        looked.touch()
+        looked.touch()  # first, so that of processes that start together one makes room
         files = [file for part in (ENTRIES, "compiled-*") for file in folder.glob(f"{part}/*")]
+        # The later of both times: file systems may be mounted without times of access, or with coarse ones.
         by_age = sorted((max(of.st_atime, of.st_mtime), of.st_size, file) for file, of in _sized(files))
         total = sum(size for _, size, _ in by_age)
         for _, size, file in by_age:

@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import jax
 import jax.monitoring
+from jax.experimental.compilation_cache import compilation_cache
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
@@ -33,8 +35,6 @@ def n_devices(context: Any) -> int:
 
     One under `jax.shard_map`, where each device has a program of its own, and where JAX does not say.
     """
-    # The compiler asks in the same way (`compiler/private.py`): neither of the two imports the other, so the line
-    # stands twice, and `tests/test_spread_arrays.py` holds both against JAX.
     return getattr(context.module_context.axis_context, "num_devices", 1)
 
 
@@ -61,7 +61,8 @@ def found_by_jax() -> Iterator[Callable[[], bool | None]]:
     """
     _listen()
     # JAX does not return it; its events say it, on the thread that compiles.
-    _compiling.was_found = None if jax.config.values.get("jax_compilation_cache_dir") else False
+    # Without a folder JAX has loaded nothing for certain. A setting of another name is no answer.
+    _compiling.was_found = None if jax.config.values.get("jax_compilation_cache_dir", "unknown") else False
     yield lambda: _compiling.was_found
 
 
@@ -80,13 +81,40 @@ def _heard(event: str, **_: Any) -> None:
 
 # The check ------------------------------------------------------------------------------------------------------------
 
+# The compiler's `private.py` has the same loop over parts of its own, and `is_jit_disabled` and `n_devices`, too. The
+# cache and the compiler may each be taken out of the package alone, so neither imports the other, and these lines stand
+# twice.
+
 
 def _has_settings() -> bool:
     return {"jax_disable_jit", "jax_compilation_cache_dir"} <= set(jax.config.values)
 
 
+def _says_what_it_loads() -> bool:
+    """Whether JAX's events say of a program that it was compiled, or loaded from JAX's compilation cache."""
+    settings = {"jax_compilation_cache_dir": None, "jax_persistent_cache_min_compile_time_secs": 0.0}
+    if not settings.keys() <= jax.config.values.keys():
+        return False
+    before = {name: jax.config.values[name] for name in settings}
+    with TemporaryDirectory() as folder:
+        # In the folder that JAX has already, if it has one: it opens one cache in a process.
+        settings["jax_compilation_cache_dir"] = before["jax_compilation_cache_dir"] or folder
+        try:
+            for name, value in settings.items():
+                jax.config.update(name, value)
+            with found_by_jax() as was_found:
+                jax.jit(lambda x: x + 1.0).lower(1.0).compile()
+            return was_found() is not None
+        finally:
+            for name, value in before.items():
+                jax.config.update(name, value)
+            if not before["jax_compilation_cache_dir"]:
+                compilation_cache.reset_cache()  # or JAX would write to the folder that is deleted now
+
+
 def _says_how_many_devices() -> bool:
     counts = []
+    # Only a lowering rule gets the context. An abstract mesh stands for two devices that this process need not have.
     probe = Primitive("probe")
     probe.def_abstract_eval(lambda x: x)
 
@@ -103,6 +131,7 @@ def _says_how_many_devices() -> bool:
 
 PARTS: Sequence[tuple[str, str, Callable[[], bool]]] = (
     ("settings by name", "errors of JAX's under jax.disable_jit; programs are not written to disk", _has_settings),
+    ("events of the compilation cache", "programs are not written to disk where JAX has a cache", _says_what_it_loads),
     (
         "the number of devices of a program",
         "arrays on several devices end with an error of XLA's",

@@ -16,6 +16,7 @@ from jax.test_util import check_grads
 from spherejax import compiler
 from spherejax.compiler import NotScalarizable, ScalarProgram, linear_algebra, native_code, scalarize
 from spherejax.compiler.emit.llvm import FunctionText
+from spherejax.compiler.runge_kutta import Tableau, explicit
 
 
 def lorenz(t, y, args):
@@ -143,6 +144,36 @@ def test_the_worked_example_of_the_readme_is_what_the_compiler_does():
     assert len(lines) == 8
     for line in lines:
         assert f"  {line}\n" in text
+
+
+def test_the_table_of_files_in_the_readme_has_all_of_them():
+    folder = Path(compiler.__file__).parent
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    table = readme[readme.index("## Where things stand") : readme.index("## A step of a Runge-Kutta method")]
+    named = {name for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for name in re.findall("`(.*?)`", row)}
+    assert [name for name in named if not (folder / name).exists()] == []
+    files = [path.relative_to(folder) for path in folder.rglob("*.py") if path.name != "__init__.py"]
+    assert [path for path in files if not named & {str(path), f"{path.parent}/"}] == []
+
+
+def test_the_recipe_of_the_readme_is_that_of_an_explicit_step(monkeypatch):
+    """Of a program that takes (theta, t, y), with two tangents."""
+    steps = []
+    monkeypatch.setattr(explicit, "can_be_called", lambda step, size: True)
+    monkeypatch.setattr(explicit.machine_code, "native_code_enabled", lambda: True)
+    monkeypatch.setattr(explicit, "all_stages", lambda step, *arguments, **_: steps.append(step) or (None, None))
+    rate = scalarize(lambda theta, t, y: jnp.sin(theta[0] * y) + t, jnp.ones(1), jnp.zeros(()), jnp.ones(2))
+    euler = Tableau.explicit(np.zeros((1, 1)), np.zeros(1), [np.ones(1)])
+    numbers, one = jnp.ones((1, 3)), jnp.ones(3)
+    explicit.explicit_stages(rate, euler, one, one, one, jnp.ones((3, 2, 3)), 1, numbers, (), (jnp.ones((2, 1, 3)), ()))
+    (step,) = steps
+    readme = Path(compiler.__file__).with_name("README.md").read_text(encoding="utf-8")
+    recipe = readme[readme.index("    StepRecipe(") : readme.index("For each stage i")].replace('"', "'")
+    along = step.rows.along
+    assert f"rate=LinePart(f, sources={step.rate.sources})" in recipe
+    assert f"along=LinePart(f', sources={along.sources}, n_rows={along.n_rows})" in recipe
+    assert f"rows=Rows(n={step.rows.n}, arguments={step.rows.arguments}, " in recipe
+    assert (step.ahead, step.solve) == ((), None)
 
 
 def test_what_has_no_rule_is_refused_by_name():

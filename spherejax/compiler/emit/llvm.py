@@ -60,6 +60,7 @@ def head(n_arguments: int, n_results: int) -> str:
 
 def widest_for(*lines: Any) -> int:
     """Numbers in the vectors that these lines may be evaluated with: their values have to fit a frame."""
+    # A power of two: LLVM takes vectors of other sizes to pieces.
     room = max(1, LARGEST_FRAME // (8 * max(1, *(len(line.nodes) for line in lines))))
     return min(LANES_AT_A_TIME, 1 << (room.bit_length() - 1))
 
@@ -278,6 +279,7 @@ class FunctionText:
                 self.values[node] = self._read(node)
             elif self.graph.operations[node] != "constant":
                 self.values[node] = self._node(node)
+        # With its own part: what is not over lanes is written once, ahead of the loop.
         for i, (output, spread) in enumerate(zip(self.line.outputs, self.outputs_spread, strict=True)):
             if bool(spread) == is_wide:
                 for entry, node in enumerate(output.ravel()):

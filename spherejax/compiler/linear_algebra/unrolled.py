@@ -106,6 +106,7 @@ def _eliminate(graph: Graph, lower: Rows, right_side: np.ndarray, smallest_pivot
             x[i] = [graph.sub(a, graph.mul(factor, b)) for a, b in zip(x[i], x[j], strict=True)]
         inverse_pivots.append(inverse_pivot)
         factors.append(below)
+    # D, then L^T from the last row up: the entries of x below row j are final.
     for j in reversed(range(size)):
         x[j] = [graph.mul(a, inverse_pivots[j]) for a in x[j]]
         for i, factor in factors[j].items():
@@ -172,7 +173,7 @@ def _eliminate_general(graph: Graph, matrix: np.ndarray, right_side: np.ndarray)
                     contributed[i] = graph.add(contributed[i], size_of)
             x[i] = graph.sub(x[i], graph.mul(factor, x[j]))
     for j in reversed(range(size)):
-        for k in range(j + 1, size):
+        for k in range(j + 1, size):  # products with structural zeros make no operation
             x[j] = graph.sub(x[j], graph.mul(a[j][k], x[k]))
         x[j] = graph.mul(x[j], inverse_pivots[j])
     solution = np.empty(size, np.int64)

@@ -158,6 +158,7 @@ def function_of(arguments: Sequence[Operand], results: Sequence[Operand], groups
         functions[array.functions("out", groups)] = None
     new_line = "\n"
     body = new_line.join([*taken, call_of(inside, pointers), *given_back])
+    # One group alone begins at run 0; the sum is a copy, for which LLVM has no instruction.
     begin, end = "  %run = add i64 0, 0", ""
     # The last group begins earlier where the width does not divide the number of runs: some runs are made twice, with
     # the same results. A group of fewer runs would be a second function.

@@ -184,7 +184,7 @@ class LoopText:
             return self.scan(parameters, values, avals)
         if name == "cond":
             return self.branch(parameters["branches"], values)
-        if name == "platform_index":
+        if name == "platform_index":  # of `jax.lax.platform_dependent`: this text is for the CPU alone
             platforms = parameters["platforms"]
             here = next(i for i, names in enumerate(platforms) if names is None or "cpu" in names)
             return [self.text.known(np.int64(here))]
@@ -231,6 +231,7 @@ class LoopText:
             return value
         if value.size >= LARGE:
             return self.text.changed(value)
+        # A copy, because the loop writes to its slots, and the value may still be read behind it.
         slot = self.text.array(value.shape, value.kind)
         self.text.copy(value, slot)
         return slot
@@ -277,6 +278,7 @@ class LoopText:
         fixed, begin, columns = values[:n_fixed], values[n_fixed : n_fixed + n_carried], values[n_fixed + n_carried :]
         carried = [self._slot(value) for value in begin]
         rows = [self._room(aval) for aval in avals[n_carried:]]
+        # In memory, as all that is carried; see `loop`.
         counter = text.array((), "i64")
         text.say(f"store i64 0, ptr {counter.name}, align 8")
         if n == 0:  # the loop below looks at its counter after the first turn
@@ -290,6 +292,7 @@ class LoopText:
         outputs = self.program(parameters["jaxpr"], [*fixed, *map(self._held, carried), *slices])
         for row, value in zip(rows, outputs[n_carried:], strict=True):
             if value.size:
+                # At the index of the slices, of which the last one is the first turn where a scan is reversed.
                 place = text.made(f"mul nsw i64 {at}, {value.size}")
                 text.put(row, place, np.arange(value.size), value)
         self._carry(outputs[:n_carried], carried)

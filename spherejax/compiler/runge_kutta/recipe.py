@@ -144,6 +144,7 @@ class Tangents:
     def __init__(self, n: int, moves: Mapping[int, ActiveInputs], begin: int):
         self.n = n
         self.moves: dict[int | str, ActiveInputs] = {**moves}
+        # In the order of `moves`, in which the caller puts the tangents behind the other arguments.
         self.places: dict[int, int] = {argument: begin + i for i, argument in enumerate(moves)}
 
     @property

@@ -126,6 +126,7 @@ class RosenbrockSystems:
             slopes: derivatives of its numbers, of `ahead` too, for a step of sensitivities.
             by: the numbers that these are by; None for all.
         """
+        # Each of them may have no scalar program (an operation without a rule, or too many): then the step has none.
         programs = [rate, self.stage, *(program for program, *_ in self.ahead)]
         programs += [] if self.product is None else [self.product[0]]
         if not machine_code.native_code_enabled() or any(program is None for program in programs):

@@ -54,7 +54,8 @@ def step_text(step: StepRecipe, n_arguments: int, groups: RunGroups) -> tuple[se
         "stage:",
         "  %i = phi i64 [0, %work], [%next, %stage]",
         f"  %row = mul nuw nsw i64 %i, {n}",
-        # Only the increments before this one are read (n = %i): the memory of the others has not been written.
+        # Only the increments before this one are read (n = %i): in a Rosenbrock step the memory of the others has not
+        # been written, and a weight of 0 times NaN would be NaN.
         *_sum("%p.a", "@rows.A", "%row", f"%a{recipe.Y}", "%i", "%moved"),
         *([] if is_explicit else _sum("%p.c", "@rows.C", "%row", "%nothing", "%i", "%right")),
         *_time(groups, is_bent=is_explicit),

@@ -9,7 +9,7 @@ from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 
 LARGE = 10_000
-"""Scalar operations of a right-hand side from which on a run is compiled soon rather than well.
+"""Scalar operations of a right-hand side above which compile time is favoured over run time.
 
 A four-bar has 2,000 of them, a robot arm of nine joints (Panda) 15,000. Where XLA compiles the programs, LLVM takes
 more than half of the time that it needs for so many; not asked to optimise, it saves a quarter to a third of Panda's
