@@ -55,6 +55,6 @@ def test_an_explicit_step_in_one_call(n_runs):
 
     lengths = jnp.array([0.1, 0.3])
     with native_code():
-        one, each = jax.jit(end)(lengths[1], rates), jax.jit(jax.vmap(end, (0, None)))(lengths, rates)
+        one, several = jax.jit(end)(lengths[1], rates), jax.jit(jax.vmap(end, (0, None)))(lengths, rates)
     np.testing.assert_allclose(one, jnp.tile(end_of(rates * 0.3), (2, 1)), rtol=1e-15)
-    np.testing.assert_allclose(each, [jnp.tile(end_of(rates * h), (2, 1)) for h in lengths], rtol=1e-15)
+    np.testing.assert_allclose(several, [jnp.tile(end_of(rates * h), (2, 1)) for h in lengths], rtol=1e-15)

@@ -34,7 +34,7 @@ SLOPE = 3
 BEND, N_MADE = 3, 4
 """Of an explicit step: how time within it is stretched, and how many stages are evaluated. Other arguments follow."""
 
-TIME, MOVED, RIGHT, FOUND = "time", "moved", "right", "found"
+TIME, MOVED, RIGHT, SOLUTION = "time", "moved", "right", "solution"
 """Of a stage: the arguments of f, the right side, and what S gives."""
 
 BEGIN_ROWS, MOVED_ROWS = "begin.rows", "moved.rows"

@@ -1,8 +1,8 @@
-"""The stages of a Rosenbrock step on a mechanism as one call of machine code, with and without sensitivities.
+"""The Rosenbrock step of a scalar program: its recipe and its arguments, with and without sensitivities.
 
-What is called, one after the other: the frozen accelerations and multipliers, the derivatives of the residuals, the
-factors (`linearization`); then, for each stage, the right-hand side and the elimination. Of sensitivities, each of
-these that depends on the state has its derivative beside it, over lanes; the derivative of the matrix times k is
+What is called, one after the other: what the matrix follows from, and its factors; then, for each stage, the right-hand
+side and the solution of the linear system. Of sensitivities, each of these that depends on the state has its derivative
+beside it, over lanes; the derivative of the matrix times k is
 
     (dJ/dy Y + dJ/dp) k = S(c', k),
 
@@ -23,10 +23,10 @@ from spherejax.compiler.primitive import ActiveInputs, StraightLine
 from spherejax.compiler.program import ScalarProgram
 from spherejax.compiler.runge_kutta.call import all_stages, can_be_called
 from spherejax.compiler.runge_kutta.recipe import (
-    FOUND,
     MOVED,
     RIGHT,
     SLOPE,
+    SOLUTION,
     TIME,
     LinePart,
     Rows,
@@ -80,7 +80,7 @@ class RosenbrockSystems:
     Attributes:
         stage: what solves one of them.
         ahead: what is evaluated before it.
-        known: names of what it reads of that.
+        read: names of those results of it that `stage` reads.
         others: further arguments of the call, the same for all steps.
         product: what J k is the derivative of, and places of its arguments; None for the right-hand side.
         place: of its argument that k is a tangent of.
@@ -88,7 +88,7 @@ class RosenbrockSystems:
 
     stage: ScalarProgram | None
     ahead: tuple[tuple[ScalarProgram | None, tuple[int | str, ...], int], ...]
-    known: tuple[str, ...]
+    read: tuple[str, ...]
     others: tuple[Float[np.ndarray, " n"], ...]
     product: tuple[ScalarProgram | None, tuple[int, ...]] | None
     place: int
@@ -101,7 +101,14 @@ class RosenbrockSystems:
         change: ScalarProgram | None,
         seeds: Float[np.ndarray, "k n"],
     ) -> "RosenbrockSystems":
-        """With the derivatives of the residuals along seeds."""
+        """With a matrix that follows from derivatives along seeds.
+
+        Args:
+            stage: of (theta, t, y, gamma h, those derivatives, right side): the solution of a linear system.
+            frozen: of (theta, t, y): two results, at which the derivatives are taken.
+            change: of (theta, t, y, both results, seed): the derivative along a seed; over lanes, one for each.
+            seeds: one in each row.
+        """
         wide = len(seeds) if len(seeds) > 1 else 0
         along = THETA, T, Y, made(0, 0), made(0, 1), OTHER
         ahead = (frozen, (THETA, T, Y), 0), (change, along, wide)
@@ -110,7 +117,12 @@ class RosenbrockSystems:
 
     @classmethod
     def inexact(cls, stage: ScalarProgram | None, product: ScalarProgram | None) -> "RosenbrockSystems":
-        """With a matrix that a program multiplies by."""
+        """With a matrix that a program multiplies by.
+
+        Args:
+            stage: of (theta, t, y, gamma h, right side): the solution of a linear system.
+            product: of (theta, t, y, v): J v.
+        """
         # What it is multiplied with does not matter to what follows from the rest; a vector of its size is at hand.
         return cls(stage, (), (), (), (product, (THETA, T, Y, Y)), 3)
 
@@ -146,7 +158,7 @@ class RosenbrockSystems:
             if program is not None
         ]
         first, rest = self.stage.lines_ahead_and_inside()
-        leading = THETA, T, Y, GAMMA_H, *self.known
+        leading = THETA, T, Y, GAMMA_H, *self.read
         factors = []
         # The factors of the matrix are evaluated ahead of the stages, in the same call: all stages have one matrix.
         if first is not None:
@@ -221,5 +233,5 @@ def _change_of_product(
     coefficients = [f"bend0.{i}" for i in range(1, len(product.values.outputs))]
     wide = [*(True for _ in changes), *(False for _ in coefficients)]
     change = over_lanes(product.slopes, [*changes, *coefficients], wide, tangents.n)
-    values = LinePart(product.values, (FOUND, *(made(at, i) for i in range(n_own, n_values))))
+    values = LinePart(product.values, (SOLUTION, *(made(at, i) for i in range(n_own, n_values))))
     return (LinePart(bent.values, sources), slopes), (values, change)

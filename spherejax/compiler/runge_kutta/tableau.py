@@ -87,7 +87,7 @@ class Tableau(NamedTuple):
                 then the loop has a derivative in reverse.
             in_lanes: whether the last axis are many runs.
         """
-        A, C, c, d = (jnp.asarray(each) for each in (self.A, self.C, self.c, self.d))
+        A, C, c, d = (jnp.asarray(numbers) for numbers in (self.A, self.C, self.c, self.d))
         # For many runs each stage reads only the increments that it has weights for. For one run the branches of the
         # switch would cost more than zeros that are added, in compilation and in reverse.
         arguments = [partial(_moved, row) for row in self.A]

@@ -196,10 +196,10 @@ def _solved_increments(parts: "_Parts", size: int, total: int, groups: RunGroups
 
     def times_gamma(i: int, at: int, kind: str) -> str:
         lines = [
-            vectors.loaded(f"%x{i}", "%found", at, kind),
+            vectors.loaded(f"%x{i}", "%solution", at, kind),
             vectors.spread_out(f"%gamma{i}", "%gamma", kind),
             f"  %g{i} = fmul {kind} %gamma{i}, %x{i}",
-            vectors.stored(f"%g{i}", "%found", at, kind),
+            vectors.stored(f"%g{i}", "%solution", at, kind),
         ]
         return "\n".join(lines)
 
@@ -208,9 +208,9 @@ def _solved_increments(parts: "_Parts", size: int, total: int, groups: RunGroups
         "  %d = load double, ptr %p.d",
         f"  %to = mul nuw nsw i64 %i, {total}",
         # S writes into k itself. Its rows are multiplied with gamma behind the tangents of the matrix, which take
-        # k / gamma: what S has found.
-        "  %found = getelementptr inbounds double, ptr %k, i64 %to",
-        f"  %found.rows = getelementptr inbounds double, ptr %found, i64 {size}",
+        # k / gamma: the solution itself.
+        "  %solution = getelementptr inbounds double, ptr %k, i64 %to",
+        f"  %solution.rows = getelementptr inbounds double, ptr %solution, i64 {size}",
         groups.in_vectors(total, right_side),
         *(part.call for part in parts.solve),
         *_bent_right_side(parts, total - size, groups),
@@ -297,8 +297,8 @@ class _Parts:
         again = None if rows is None else rows.solve
         self.ahead = written(step.ahead, "part", "made")
         self.rates = [rate, *along]
-        self.solve = [] if step.solve is None else [_written(step.solve, "solve", [recipe.FOUND], groups)]
-        self.solve_rows = [] if again is None else [_written(again, "solve.rows", ["found.rows"], groups)]
+        self.solve = [] if step.solve is None else [_written(step.solve, "solve", [recipe.SOLUTION], groups)]
+        self.solve_rows = [] if again is None else [_written(again, "solve.rows", ["solution.rows"], groups)]
         self.bends = [] if rows is None else written(rows.bends, "bend", "bend")
         self.gamma_h = 0 if rows is None else rows.gamma_h
         self.every = [*self.ahead, rate, *self.solve, *along, *self.solve_rows, *self.bends]
