@@ -162,7 +162,7 @@ def _direction(axis: Triple):
     """A unit vector, of NumPy where it is concrete; a traced one is not judged."""
     if shape_of(axis) != (3,):
         raise SceneError(f"Body.cylinder: axis = {axis!r} must be 'x', 'y', 'z', or three numbers in body axes")
-    vector = concretely(lambda given: jnp.asarray(given, jnp.float64), axis)
+    vector = concretely(lambda vector: jnp.asarray(vector, jnp.float64), axis)
     square = vector @ vector
     if is_concrete(square) and not 0 < square < np.inf:
         raise SceneError(f"Body.cylinder: axis = {axis!r} has no direction; give a finite vector other than zero")

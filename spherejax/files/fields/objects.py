@@ -216,8 +216,8 @@ def _unit_givers(cls: type) -> tuple[str, ...]:
 
 def _words_of_parts(cls: type, arguments: Mapping[str, Any]) -> dict[str, str]:
     """Units by name that an object's parts give to its numbers."""
-    given = {name: arguments[name] for name in _unit_givers(cls) if name in arguments}
-    return cls.unit_words(**given) if given else {}  # pyright: ignore[reportAttributeAccessIssue]
+    parts = {name: arguments[name] for name in _unit_givers(cls) if name in arguments}
+    return cls.unit_words(**parts) if parts else {}  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _power_in_unit(value: Any) -> str | None:

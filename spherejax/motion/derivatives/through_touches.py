@@ -77,7 +77,7 @@ def any_jump(system: System) -> Bool[Array, ""] | None:
         if force is None:
             continue
         seen = known_behind(force)
-        at_touch = float(np.max([np.max(np.asarray(known)) for known in seen], initial=0.0))
+        at_touch = float(np.max([np.max(np.asarray(value)) for value in seen], initial=0.0))
         if at_touch > 0:
             raise SceneError(_jump_in_words(name, at_touch))
         if not seen:

@@ -102,9 +102,11 @@ def constraint_jacobian(system: System, t: Scalar, y: Float[Array, " size"]) -> 
     constraints, _ = _constraints(system, t, y)
     n_bodies = len(system.bodies)
     rows = [jnp.zeros((0, n_bodies * VELOCITY_SIZE))]
-    for found in constraints.groups:
+    for row_group in constraints.groups:
         dense = jnp.zeros(())
-        for jacobian, ends in zip(found.rows.jacobians, (found.group.first, found.group.second), strict=True):
+        for jacobian, ends in zip(
+            row_group.rows.jacobians, (row_group.group.first, row_group.group.second), strict=True
+        ):
             # Bodies are counted from 1; the ground, 0, has no column.
             places = np.eye(n_bodies + 1)[np.asarray(ends)][:, 1:]
             dense = dense + jacobian[:, :, None, :] * places[:, None, :, None]
@@ -146,16 +148,16 @@ def joint_reactions(system: System, t: Scalar, y: Float[Array, " size"]) -> dict
 
 def energies(system: System, t: Scalar, y: Float[Array, " size"]) -> Energies:
     """Kinetic, potential and elastic energy."""
-    found = observe(system, t, y)
-    elastic = sum(found.elastic_energy.values(), jnp.zeros(()))
-    return Energies(found.kinetic_energy, found.potential_energy, elastic)
+    observation = observe(system, t, y)
+    elastic = sum(observation.elastic_energy.values(), jnp.zeros(()))
+    return Energies(observation.kinetic_energy, observation.potential_energy, elastic)
 
 
 def constraint_rows(system: System, t: Scalar, y: Float[Array, " size"]) -> dict[str, slice]:
     """Which entries of a vector of constraint equations belong to each joint (static)."""
     places, start = {}, 0
-    for found in _constraints(system, t, y)[0].groups:
-        for name in found.group.names:
-            places[name] = slice(start, start + found.shape[1])
-            start += found.shape[1]
+    for row_group in _constraints(system, t, y)[0].groups:
+        for name in row_group.group.names:
+            places[name] = slice(start, start + row_group.shape[1])
+            start += row_group.shape[1]
     return places

@@ -70,8 +70,8 @@ def energy_by_part(system: System, steps: Steps, scalar: bool | None) -> EnergyB
     in_order = np.concatenate([steps.at_inside, steps.at_ends[:, None]], 1).reshape(n * (k + 1), -1)
     at_all = np.concatenate([steps.y0[None], in_order])
 
-    found = observation_of(structure, scalar, theta, jnp.asarray(ts), jnp.asarray(at_all))
-    seen: Observation = jax.tree.map(np.asarray, found)
+    observed = observation_of(structure, scalar, theta, jnp.asarray(ts), jnp.asarray(at_all))
+    seen: Observation = jax.tree.map(np.asarray, observed)
 
     def total(power: Numeric) -> np.ndarray:
         # Only inner instants are used: at the ends of a step powers may jump, by an impact or a sample.
@@ -97,7 +97,7 @@ def energy_by_part(system: System, steps: Steps, scalar: bool | None) -> EnergyB
             put_in[name] = work + change
         if np.any(change):
             stored[name] = change
-    summed = [sum(each.values(), np.zeros(len(ts))) for each in (put_in, stored, lost)]
+    summed = [sum(histories.values(), np.zeros(len(ts))) for histories in (put_in, stored, lost)]
     return EnergyByPart(ts, put_in, stored, lost, summed[0] - summed[1] - summed[2])
 
 

@@ -168,10 +168,14 @@ class MotionState(eqx.Module):
 
         As of a run (`Trajectory.observation`), without the axis of samples; of a single state.
         """
+        if np.ndim(self.ended):
+            raise SceneError(
+                "observation is of a single state; of many, jax.vmap(lambda state: state.observation)(states)"
+            )
         structure, theta = flatten_by_factor(self.system)
         ts, ys = jnp.asarray(self.t)[None], jnp.asarray(self.y)[None]
-        found = observation_of(structure, self.scalar, jnp.asarray(theta), ts, ys)
-        return jax.tree.map(lambda leaf: leaf[0], found)
+        observed = observation_of(structure, self.scalar, jnp.asarray(theta), ts, ys)
+        return jax.tree.map(lambda leaf: leaf[0], observed)
 
     def _body(self, name: str) -> int:
         names = list(self.known_system.bodies)

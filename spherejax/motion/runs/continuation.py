@@ -16,7 +16,7 @@ from spherejax.motion.integration.status import SimulationError, Status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.scene_cache import PreparedScene, prepared, prepared_system
-from spherejax.motion.runs.simulate import GivenStart, call_of, check_tolerances, checked_times, read_once, reported
+from spherejax.motion.runs.simulate import CarriedStart, call_of, check_tolerances, checked_times, read_once, reported
 from spherejax.motion.start.seam import carried_state
 from spherejax.runtime import require_float64
 
@@ -78,23 +78,23 @@ def continue_from(
     state = run.end if isinstance(run, Trajectory) else run
     options = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps
     with read_once(), captures_explained([] if scene is None else [scene]):
-        found, start = _start(state, scene)
-        made = made_from(state, found, start, _times_from(ts, state, start), *options)
-    return reported(made, throw)
+        prepared_scene, start = _start(state, scene)
+        continued = made_from(state, prepared_scene, start, _times_from(ts, state, start), *options)
+    return reported(continued, throw)
 
 
-def _start(state: Any, scene: Scene | None) -> tuple[PreparedScene, GivenStart]:
+def _start(state: Any, scene: Scene | None) -> tuple[PreparedScene, CarriedStart]:
     """What is simulated, and its start."""
     refuse_failed(state)
     scalar = state.scalar if state.asked is None else state.asked.scalar
     before = state.system
     if scene is None:
-        return prepared_system(before, scalar), GivenStart(state.y, np.zeros(()), reached(state))
+        return prepared_system(before, scalar), CarriedStart(state.y, np.zeros(()), reached(state))
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {shown(scene)} is no scene; give the scene to go on with, or leave it out")
-    found = prepared(scene, before.tracks_work, scalar)
-    y, residual = carried_state(before, found.system(), state.t, state.y)
-    return found, GivenStart(y, residual, reached(state))
+    prepared_scene = prepared(scene, before.tracks_work, scalar)
+    y, residual = carried_state(before, prepared_scene.system(), state.t, state.y)
+    return prepared_scene, CarriedStart(y, residual, reached(state))
 
 
 def refuse_failed(state: Any) -> None:
@@ -125,31 +125,31 @@ def reached(state: MotionState) -> list:
     return [] if is_concrete(state.ended) else [state.ended == Status.SUCCEEDED]
 
 
-def _times_from(ts: Any, state: MotionState, start: GivenStart) -> Any:
+def _times_from(ts: Any, state: MotionState, start: CarriedStart) -> Any:
     """Sample times that begin with the end of the run; a condition of the start where they cannot be looked at."""
     times = checked_times(ts)
     if not (is_concrete(times) and is_concrete(state.t)):
         off = jnp.abs(times[0] - state.t)
         start.conditions.append(off <= ROUNDING * jnp.maximum(jnp.abs(times[0]), jnp.abs(state.t)))
         return times
-    known, end = np.array(times), float(state.t)
-    off, rounding = known[0] - end, ROUNDING * max(abs(known[0]), abs(end))
+    samples, end = np.array(times), float(state.t)
+    off, rounding = samples[0] - end, ROUNDING * max(abs(samples[0]), abs(end))
     if off < -rounding:
         raise SceneError(
-            f"ts begins at {known[0]:.9g} s, before the end of the run, {end:.9g} s, from where it goes on. Give the "
+            f"ts begins at {samples[0]:.9g} s, before the end of the run, {end:.9g} s, from where it goes on. Give the "
             "times behind it"
         )
     if off <= rounding:
-        known[0] = end
-        return jnp.asarray(known)
-    return jnp.asarray(np.concatenate([[end], known]))
+        samples[0] = end
+        return jnp.asarray(samples)
+    return jnp.asarray(np.concatenate([[end], samples]))
 
 
 def made_from(
-    state: MotionState, found: PreparedScene, start: GivenStart, ts: Any, rtol: Any, atol: Any, solver: Any,
+    state: MotionState, prepared_scene: PreparedScene, start: CarriedStart, ts: Any, rtol: Any, atol: Any, solver: Any,
     stepsize_controller: Any, adjoint: Any, derivative_rtol: Any, max_steps: Any,
 ) -> Trajectory:  # fmt: skip
-    """The run from a start that is given; method and tolerances of the state where nothing else is said."""
+    """The run from a start; method and tolerances are those of the state where an argument is None."""
     asked = state.asked
     if rtol is None:
         if asked is None:
@@ -166,7 +166,7 @@ def made_from(
     scalar = state.scalar if asked is None else asked.scalar
     check_tolerances(rtol, atol, derivative_rtol)
     call = call_of(
-        found, start, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, scalar
+        prepared_scene, start, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, scalar
     )
     run = call.run()
     if is_concrete(state.ended):

@@ -397,7 +397,7 @@ class Ode(NamedTuple):
     """An ordinary differential equation dy/dt = f(t, y, args), y(t0) = y0.
 
     Attributes:
-        f: the right-hand side, with what else is known of the equations as methods.
+        f: the right-hand side, with the terms of the equations as methods.
         y0: flat state at the start.
         args: numbers of the scene, a pytree of arrays.
     """
@@ -459,6 +459,7 @@ def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: boo
 @partial(jax.jit, static_argnums=0, inline=True)
 def _evaluated(function: Callable, equations: EquationsOfMotion, t, y, args: System) -> Any:
     """A function of a system as a program; inlined where it is part of another program."""
+    y = y if isinstance(y, tuple) else jnp.asarray(y, jnp.float64)
     _check_state(equations, jnp.shape(y[0] if isinstance(y, tuple) else y))
     sizes = tuple(part.shape[0] for part in y) if isinstance(y, tuple) else None
     program = program_for(function, equations.structure, equations.scalar, sizes, is_quiet=function is not state_rate)
@@ -500,14 +501,14 @@ def _completed(equations: EquationsOfMotion, t: Scalar, args: System, assembly: 
 
 @lru_cache(maxsize=64)
 def _constraint_rows(structure: Structure) -> dict[str, slice]:
-    found = {}
+    rows = {}
 
     def seen(t, y):
         system = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), example_of(structure))
-        found.update(terms.constraint_rows(system, t, y))
+        rows.update(terms.constraint_rows(system, t, y))
 
     jax.eval_shape(seen, jnp.zeros(()), jnp.zeros(example_of(structure).layout.size))
-    return found
+    return rows
 
 
 def _listed(names) -> str:

@@ -185,7 +185,7 @@ def _call(
     )
 
 
-class GivenStart(NamedTuple):
+class CarriedStart(NamedTuple):
     """A start that is the end of a motion: nothing is assembled.
 
     Attributes:
@@ -205,33 +205,33 @@ class GivenStart(NamedTuple):
 
 
 def call_of(
-    found: PreparedScene, given: GivenStart | None, ts, rtol, atol, solver, stepsize_controller, adjoint,
+    prepared_scene: PreparedScene, carried: CarriedStart | None, ts, rtol, atol, solver, stepsize_controller, adjoint,
     derivative_rtol, max_steps, scalar,
 ) -> _Call:  # fmt: skip
     """Check what is asked for and decide what is left open.
 
     Args:
-        found: the scene.
-        given: the start; None to assemble it.
+        prepared_scene: the scene.
+        carried: the start; None to assemble it.
         ts: sample times [s], checked.
         scalar: what the caller said of scalar programs.
         rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps: as of `simulate`.
     """
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
-    path, unknown = found.path, found.unknown
-    choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
+    path, unknown = prepared_scene.path, prepared_scene.unknown
+    choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver)
     if stepsize_controller is None:
-        controller, said = control_of(found, choice.solver, rtol, atol)
+        controller, said = control_of(prepared_scene, choice.solver, rtol, atol)
     else:
         controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
-    start = found.start(ts) if given is None else None
+    start = prepared_scene.start(ts) if carried is None else None
     assembly = None if start is None else start.assembly
-    if given is not None:
-        assembly = given.assembly(example_of(found.structure).layout.n_bodies)
+    if carried is not None:
+        assembly = carried.assembly(example_of(prepared_scene.structure).layout.n_bodies)
     # A state that is traced is one of the traced numbers, so that there are derivatives by it.
-    from_state = given is not None and not is_concrete(given.y)
-    plan = Plan(found.structure, unknown, path.scalar, from_state)
+    from_state = carried is not None and not is_concrete(carried.y)
+    plan = Plan(prepared_scene.structure, unknown, path.scalar, from_state)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
     adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
@@ -246,33 +246,33 @@ def call_of(
     options = Options(
         with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget, at_start, slack
     )
-    if slack is not None and not (by_sensitivities and can_be_a_job(found.structure, options)):
+    if slack is not None and not (by_sensitivities and can_be_a_job(prepared_scene.structure, options)):
         raise SceneError(BESIDE_THE_MOTION)
     if own_control:
         # On every road: `lanes/first_step.py` for lanes, `LandingController.init` for diffrax's loop.
         said = f"{said}; first step by trial (Hairer)"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
-    conditions = [*found.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
-    conditions += found.jump_conditions(ts)
-    if given is not None:
-        conditions += given.conditions
+    conditions = [*prepared_scene.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
+    conditions += prepared_scene.jump_conditions(ts)
+    if carried is not None:
+        conditions += carried.conditions
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
-    values = rows_at(jnp.asarray(found.theta), unknown) if unknown else np.zeros(0)
+    values = rows_at(jnp.asarray(prepared_scene.theta), unknown) if unknown else np.zeros(0)
     begun_with = assembly
-    if from_state and given is not None and assembly is not None:
-        values = jnp.concatenate([jnp.asarray(values), given.y])
-        begun_with = assembly._replace(y=np.zeros(given.y.shape))  # the state is among the values
-    arguments = plan, options, values, found.known, ts, begun_with, values_are_legal
+    if from_state and carried is not None and assembly is not None:
+        values = jnp.concatenate([jnp.asarray(values), carried.y])
+        begun_with = assembly._replace(y=np.zeros(carried.y.shape))  # the state is among the values
+    arguments = plan, options, values, prepared_scene.known, ts, begun_with, values_are_legal
     if not by_sensitivities:
         fixed = without_derivative(ts, f"{type(adjoint).__name__} gives no derivative by sample times. {BY_TIMES}")
-        if kinks_of(found.structure):
+        if kinks_of(prepared_scene.structure):
             values = without_derivative(values, through_kinks(plan, type(adjoint).__name__))
-        outcome_of = integrate.bound(plan, options, values, found.known, fixed, *arguments[5:])
+        outcome_of = integrate.bound(plan, options, values, prepared_scene.known, fixed, *arguments[5:])
     elif unknown or from_state or not is_concrete(ts):
-        outcome_of = partial(integrate_with_sensitivities, *arguments, abrupt_contacts(found.system()))
+        outcome_of = partial(integrate_with_sensitivities, *arguments, abrupt_contacts(prepared_scene.system()))
     else:
         outcome_of = bound_run(*arguments)
-    bound = bound_in_words(found.structure, path.scalar)
+    bound = bound_in_words(prepared_scene.structure, path.scalar)
     explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound]))
     described = None
     if stepsize_controller is None and budget is None:
@@ -288,13 +288,15 @@ def call_of(
                 f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
                 "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
             ) from error
-        return made_of(ts, outcome, found.leaves(), outcome.assembly if assembly is None else own_arrays(assembly))
+        return made_of(
+            ts, outcome, prepared_scene.leaves(), outcome.assembly if assembly is None else own_arrays(assembly)
+        )
 
     def trajectory(ts, outcome: Outcome, leaves: list, assembly: Assembly) -> Trajectory:
         return Trajectory(
             ts=ts,
             ys=outcome.ys,
-            system=found.system_of(leaves),
+            system=prepared_scene.system_of(leaves),
             stats=replace(outcome.stats, explanation=explanation),
             ended=outcome.status,
             t_reached=outcome.t_reached,

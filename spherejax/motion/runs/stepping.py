@@ -35,7 +35,7 @@ from spherejax.motion.runs.continuation import reached, refuse_failed
 from spherejax.motion.runs.scene_cache import prepared, prepared_system, remembered_stepper, split
 from spherejax.motion.runs.simulate import (
     ENOUGH_STEPS,
-    GivenStart,
+    CarriedStart,
     check_tolerances,
     checked_times,
     choice_for,
@@ -98,20 +98,26 @@ def start(
     real_number("t", t)
     ts = checked_times(np.array([t], np.float64) if is_concrete(t) else jnp.asarray(t, jnp.float64)[None])
     with read_once(), captures_explained([scene]):
-        found = prepared(scene, track_work, scalar)
-        choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
-        known = found.start(ts)
-        for change in () if known is None else known.warnings:
+        prepared_scene = prepared(scene, track_work, scalar)
+        choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver)
+        assembled = prepared_scene.start(ts)
+        for change in () if assembled is None else assembled.warnings:
             warnings.warn(change, StartWarning, stacklevel=2)
-        conditions = [*found.conditions, *traced_times(ts), *found.jump_conditions(ts)]
+        conditions = [*prepared_scene.conditions, *traced_times(ts), *prepared_scene.jump_conditions(ts)]
         legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
-        plan = Plan(found.structure, found.unknown, found.path.scalar)
-        values = rows_at(jnp.asarray(found.theta), found.unknown) if found.unknown else np.zeros(0)
-        y, status = _begun(plan, values, found.known, ts, None if known is None else known.assembly, legal)
+        plan = Plan(prepared_scene.structure, prepared_scene.unknown, prepared_scene.path.scalar)
+        values = (
+            rows_at(jnp.asarray(prepared_scene.theta), prepared_scene.unknown)
+            if prepared_scene.unknown
+            else np.zeros(0)
+        )
+        y, status = _begun(
+            plan, values, prepared_scene.known, ts, None if assembled is None else assembled.assembly, legal
+        )
     # A method that is chosen by numbers which are traced is chosen again at each step.
     is_chosen = solver is not None or choice.at_start is None
     asked = Asked(choice.solver, float(rtol), None if atol is None else float(atol), max_steps, is_chosen, scalar)
-    return MotionState.of(found.system(), jnp.asarray(ts)[0], y, status, asked, found.path.scalar)
+    return MotionState.of(prepared_scene.system(), jnp.asarray(ts)[0], y, status, asked, prepared_scene.path.scalar)
 
 
 @cached_jit(what="the start of a motion")
@@ -167,16 +173,16 @@ def advance(state: MotionState, dt: Number, inputs: Inputs | None = None, *, thr
     if not isinstance(inputs, Mapping):
         raise SceneError(f'inputs = {shown(inputs)} is no dictionary; write e.g. {{"motor.offset": 2.0}}')
     with read_once():
-        given = tuple(inputs)
-        stepper = _stepper_of(state, given)
-        values = [_as_value(name, inputs[name], shape) for name, shape in zip(given, stepper.shapes, strict=True)]
+        names = tuple(inputs)
+        stepper = _stepper_of(state, names)
+        values = [_as_value(name, inputs[name], shape) for name, shape in zip(names, stepper.shapes, strict=True)]
         conditions = [*reached(state), *_judged(state, stepper, values)]
-        found = stepper.advanced(state, dt, values, conditions)
-    if is_concrete(found.ended) and int(found.ended) != Status.SUCCEEDED:
+        after = stepper.advanced(state, dt, values, conditions)
+    if is_concrete(after.ended) and int(after.ended) != Status.SUCCEEDED:
         if throw:
-            raise SimulationError(found.diagnosis)
-        warnings.warn(found.diagnosis, SimulationWarning, stacklevel=2)
-    return found
+            raise SimulationError(after.diagnosis)
+        warnings.warn(after.diagnosis, SimulationWarning, stacklevel=2)
+    return after
 
 
 def _check_length(dt: Any) -> None:
@@ -220,11 +226,13 @@ class _Stepper(NamedTuple):
         indices = structure.system(np.arange(theta.shape[0], dtype=np.float64))
         places = tuple(_place_of(state.known_system, name) for name in names)
         entries = [np.asarray(_at(indices, place)).astype(int) for place in places]
-        inputs = [int(i) for each in entries for i in each.ravel()]
+        inputs = [int(i) for entry in entries for i in entry.ravel()]
         if len(set(inputs)) < len(inputs):
             raise SceneError(f"inputs {', '.join(map(repr, names))} name a number twice; name each once")
         # A program for inputs of any value: one for a torque of zero could not be given another.
-        structure = replace(structure, special=tuple(each for each in structure.special if each[0] not in set(inputs)))
+        structure = replace(
+            structure, special=tuple((i, value) for i, value in structure.special if i not in set(inputs))
+        )
         known, traced = split(seen)
         known = np.array(known)
         known[inputs] = 0.0
@@ -239,7 +247,7 @@ class _Stepper(NamedTuple):
         options = Options(solver, controller, diffrax.ForwardMode(), asked.max_steps, None, choice.at_start)
         plan = Plan(structure, unknown, path_of(structure, asked.scalar).scalar)
         reads_time = depends_on_time(plan) or bool(example_of(structure).sampled_forces)
-        shapes = tuple(each.shape for each in entries)
+        shapes = tuple(entry.shape for entry in entries)
         return cls(plan, options, known, traced, order, places, shapes, reads_time)
 
     def advanced(self, state: MotionState, dt: Any, inputs: list, conditions: list) -> MotionState:
@@ -253,7 +261,7 @@ class _Stepper(NamedTuple):
         )
         conditions = [*conditions, *traced_times(ts)]
         legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
-        start = GivenStart(state.y, np.zeros(()), []).assembly(example_of(self.plan.structure).layout.n_bodies)
+        start = CarriedStart(state.y, np.zeros(()), []).assembly(example_of(self.plan.structure).layout.n_bodies)
         values = self._values(state, inputs)
         if all(map(is_concrete, jax.tree.leaves((state, ts, values, legal)))) and not is_tracing():
             outcome = run_of(self.plan, self.options, values, self.known, ts, start, legal)
@@ -280,8 +288,8 @@ class _Stepper(NamedTuple):
             own = [rows_at(jnp.asarray(flatten_by_factor(state.system)[1]), self.traced)]
         parts = [*own, *inputs]
         if all(map(is_concrete, parts)):
-            return np.concatenate([np.ravel(np.asarray(each)) for each in parts])[self.order]
-        return jnp.concatenate([jnp.ravel(jnp.asarray(each, jnp.float64)) for each in parts])[self.order]
+            return np.concatenate([np.ravel(np.asarray(part)) for part in parts])[self.order]
+        return jnp.concatenate([jnp.ravel(jnp.asarray(part, jnp.float64)) for part in parts])[self.order]
 
 
 def _stepper_of(state: MotionState, names: tuple[str, ...]) -> _Stepper:

@@ -61,7 +61,7 @@ def _moves(joint: AbstractPlacedJoint, ts: Numeric) -> bool:
         return False
     instants = np.linspace(float(ts[0]), float(ts[-1]), N_INSTANTS)
     values = [[np.asarray(function(t)) for t in instants] for function in joint.functions_of_time]
-    return any(np.ptp(each, axis=0).max() > 0 for each in values)
+    return any(np.ptp(history, axis=0).max() > 0 for history in values)
 
 
 def _constrains(joint: AbstractPlacedJoint) -> bool:
@@ -73,8 +73,8 @@ def _groups(joints: Iterable[AbstractPlacedJoint]) -> list[set[str]]:
     groups: list[set[str]] = []
     for joint in joints:
         group = set(joint.bodies) - {GROUND}
-        touched = [each for each in groups if each & group]
-        groups = [each for each in groups if not each & group] + [group.union(*touched)]
+        touched = [other for other in groups if other & group]
+        groups = [other for other in groups if not other & group] + [group.union(*touched)]
     return groups
 
 
@@ -93,8 +93,8 @@ def _is_locked(system: System, group: set[str], joints: dict[str, AbstractPlaced
     for _ in range(N_TRIALS):
         trial = draw.normal(size=(len(bodies), VELOCITY_SIZE))
         trial /= np.abs(trial).max()
-        found = program.compute(theta, 0.0, np.concatenate([places.ravel(), (trial * units).ravel()]))
-        left = np.asarray(found)[places.size :].reshape(trial.shape) / units
+        projected = program.compute(theta, 0.0, np.concatenate([places.ravel(), (trial * units).ravel()]))
+        left = np.asarray(projected)[places.size :].reshape(trial.shape) / units
         if not np.abs(left).max() < REMAINING:
             return False
     return True

@@ -22,7 +22,7 @@ def points_beside(scene: Scene, system: System) -> tuple[str, ...]:
     """Sentences about revolute and universal joints near a point of a body that was probably meant; mostly empty.
 
     A joint with one point takes that point on both bodies, wherever they are described: a body that is described 5 cm
-    off keeps these 5 cm, and nothing is left to be closed. It is told by a named point of the body that no joint and
+    off keeps these 5 cm, and nothing is left to be closed. Its sign is a named point of the body that no joint and
     no force element uses, near the joint but not at it, while the joint is at a point of the other body.
 
     Args:
@@ -71,8 +71,8 @@ def _texts(part: Any) -> Iterator[str]:
     if isinstance(part, str):
         yield part
     elif isinstance(part, tuple | list):
-        for each in part:
-            yield from _texts(each)
+        for item in part:
+            yield from _texts(item)
     elif is_dataclass(part):
         for field in fields(part):
             yield from _texts(getattr(part, field.name, None))
@@ -86,7 +86,7 @@ def _met(body: str, system: System) -> list[np.ndarray]:
 
 
 def _is_met(body: str, place: np.ndarray, system: System) -> bool:
-    return any(_distance(place, each) < 1e-9 for each in _met(body, system))
+    return any(_distance(place, met) < 1e-9 for met in _met(body, system))
 
 
 def _size(body: str, points: Any, system: System) -> float:
@@ -98,7 +98,7 @@ def _size(body: str, points: Any, system: System) -> float:
 def _is_at_a_point(body: str, place: Any, named: dict[str, dict[str, np.ndarray]]) -> bool:
     """Whether a place is one of a body's named points, or the ground's, on which nobody needs to name points."""
     points = named.get(body, {}).values()
-    return body == GROUND or any(_distance(place, each) < 1e-9 for each in points)
+    return body == GROUND or any(_distance(place, point) < 1e-9 for point in points)
 
 
 def _distance(a: Any, b: Any) -> float:

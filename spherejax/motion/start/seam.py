@@ -59,8 +59,8 @@ def carried_state(before: System, after: System, t: Any, y: Any) -> CarriedState
     jumps = {name: _jumps(gap, gaps[1].get(name)) for name, gap in gaps[0].items()}
     if all(map(is_concrete, jax.tree.leaves(jumps))):
         _refuse_jumps(jumps, float(t))
-    found = [jnp.zeros(2), *map(jnp.stack, jumps.values())]
-    place, rate = jnp.max(jnp.stack(found), axis=0)
+    largest = [jnp.zeros(2), *map(jnp.stack, jumps.values())]
+    place, rate = jnp.max(jnp.stack(largest), axis=0)
     residual = jnp.maximum(place, jnp.where(rate > RATE_TOLERANCE, rate, 0.0))
     return CarriedState(carried, jax.lax.stop_gradient(residual))
 
@@ -78,10 +78,10 @@ def _refuse_other_parts(before: System, after: System) -> None:
                     f"{'scene' if name in old else 'run'} has not. A run goes on with parts of the same names, whose "
                     "numbers may be others; for other parts simulate a new scene from the state of this run"
                 )
-    old, new = ({slot.joint: slot.names for slot in each.all_slots} for each in (before, after))
+    old, new = ({slot.joint: slot.names for slot in system.all_slots} for system in (before, after))
     for name in [*old, *new]:
         if old.get(name) != new.get(name):
-            had, has = (", ".join(each.get(name, ())) or "nothing" for each in (old, new))
+            had, has = (", ".join(memory.get(name, ())) or "nothing" for memory in (old, new))
             raise SceneError(
                 f"the run cannot go on with this scene: {name!r} remembers {had} in the run and {has} in the scene. "
                 "Give it a model with the same memory; its numbers may be others"
@@ -121,7 +121,7 @@ def _jumps(now: tuple[Any, Any], before: tuple[Any, Any] | None) -> list:
     is_alike = before is not None and np.shape(before[0]) == np.shape(now[0])
     xp: Any = np if all(map(is_concrete, jax.tree.leaves((now, before)))) else jnp
     differences = [a - b for a, b in zip(now, before, strict=True)] if is_alike and before is not None else now
-    return [xp.max(xp.abs(each), initial=0.0) for each in differences]
+    return [xp.max(xp.abs(difference), initial=0.0) for difference in differences]
 
 
 def _refuse_jumps(jumps: dict[str, list], t: float) -> None:

@@ -38,7 +38,7 @@ def energy_by_part(balance: EnergyByPart, title: str = "Energy since the start, 
 
 
 def energy_unit(largest: float) -> tuple[str, float]:
-    """The unit in which energies up to some size are told, and its factor: J from 1 J on, mJ, or uJ below 1 mJ."""
+    """The unit for energies up to some size [J], and its factor: J from 1 J on, mJ, or uJ below 1 mJ."""
     if largest >= 1.0 or largest == 0.0:
         return "J", 1.0
     return ("mJ", 1e3) if largest >= 1e-3 else ("uJ", 1e6)

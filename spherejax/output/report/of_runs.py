@@ -227,11 +227,11 @@ def _energy_by_part(run: Trajectory) -> list[PagePicture | PageTable | PageText]
     unit, factor = energy_unit(largest)
     names = list(dict.fromkeys(name for kind in ends for name in kind))
 
-    def told(value: float | None) -> str:
+    def in_unit(value: float | None) -> str:
         return "" if value is None else f"{factor * value:.5g}"
 
-    rows = [(name, *(told(kind.get(name)) for kind in ends)) for name in names]
-    rows.append(("all together", *(told(sum(kind.values())) for kind in ends)))
+    rows = [(name, *(in_unit(kind.get(name)) for kind in ends)) for name in names]
+    rows.append(("all together", *(in_unit(sum(kind.values())) for kind in ends)))
     left = float(balance.unaccounted[-1])
     caption = (
         f"Energy from the start to t = {float(balance.ts[-1]):.6g} s. Put in, less stored, less lost: "

@@ -23,8 +23,8 @@ from spherejax.physics.forces.base import UNITS, AbstractForce, FindPlace
 from spherejax.physics.forces.coupler import AbstractCoordinate, AbstractStretch
 from spherejax.physics.forces.line import Attachment, two_ends
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants
-from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
-from spherejax.physics.functions.shapes import Constant, finite
+from spherejax.physics.functions.base import AbstractFunction, function_requirements
+from spherejax.physics.functions.shapes import finite, function_or_constant
 from spherejax.physics.memory import MemoryEntry, Scale
 
 
@@ -119,7 +119,7 @@ class Actuator(AbstractMotor):
         offset: Annotated[Number, Unit("{effort}", "N or N m")] = 0.0,
     ):
         self.coordinate = coordinate
-        self.effort = function_of_time(effort)
+        self.effort = function_or_constant(effort)
         self.offset = offset
 
     def _force(self, t: Scalar) -> Scalar:
@@ -225,15 +225,6 @@ class SampledActuator(AbstractMotor, AbstractForceWithMemory):
 def effort_entry(coordinate: AbstractCoordinate) -> tuple[str, Scale]:
     """The unit of an effort that is remembered, and what its errors are judged by."""
     return coordinate.part_units["effort"], "moment" if coordinate.is_angle else "force"
-
-
-def function_of_time(given: Number | Callable) -> AbstractFunction:
-    """A function of time as given; a number as a constant."""
-    if not callable(given):
-        return Constant(given)
-    found = as_function(given)
-    assert found is not None
-    return found
 
 
 def coordinate_requirements(coordinate: AbstractCoordinate) -> list[Requirement]:

@@ -19,13 +19,12 @@ from spherejax.physics.forces.actuators import (
     AbstractMotor,
     coordinate_requirements,
     effort_entry,
-    function_of_time,
 )
 from spherejax.physics.forces.base import Motions
 from spherejax.physics.forces.coupler import AbstractCoordinate, CoordinateMotion
 from spherejax.physics.forces.remembering import AbstractForceWithMemory, ForceAction
 from spherejax.physics.functions.base import AbstractFunction, function_requirements
-from spherejax.physics.functions.shapes import finite
+from spherejax.physics.functions.shapes import finite, function_or_constant
 from spherejax.physics.memory import MemoryEntry, Scale
 
 
@@ -241,7 +240,7 @@ class PID(AbstractController):
         smooth_limits: bool = False,
     ):
         self.coordinate = coordinate
-        self.reference = function_of_time(reference)
+        self.reference = function_or_constant(reference)
         self.proportional = proportional
         self.integral = integral
         self.derivative = derivative

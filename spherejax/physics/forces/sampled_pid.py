@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from spherejax.foundations.legal import non_negative
 from spherejax.foundations.types import Number, Numeric, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.forces.actuators import effort_entry, function_of_time
+from spherejax.physics.forces.actuators import effort_entry
 from spherejax.physics.forces.controllers import (
     AbstractController,
     DerivativeGain,
@@ -25,6 +25,7 @@ from spherejax.physics.forces.controllers import (
 from spherejax.physics.forces.coupler import AbstractCoordinate
 from spherejax.physics.forces.remembering import ForceAction, Sampling
 from spherejax.physics.functions.base import AbstractFunction
+from spherejax.physics.functions.shapes import function_or_constant
 from spherejax.physics.memory import MemoryEntry
 
 
@@ -104,7 +105,7 @@ class SampledPID(AbstractController):
     ):
         self.coordinate = coordinate
         self.period = period
-        self.reference = function_of_time(reference)
+        self.reference = function_or_constant(reference)
         self.proportional = proportional
         self.integral = integral
         self.derivative = derivative

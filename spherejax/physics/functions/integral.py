@@ -22,9 +22,9 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, concretely
 from spherejax.foundations.types import Function, Number, Scalar, Unit
-from spherejax.physics.functions.base import AbstractFunction, as_function, function_requirements
+from spherejax.physics.functions.base import AbstractFunction, function_requirements
 from spherejax.physics.functions.pieces import Piecewise, Sum
-from spherejax.physics.functions.shapes import Constant, finite
+from spherejax.physics.functions.shapes import finite, function_or_constant
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 POINTS, WEIGHTS = (_POINTS + 1.0) / 2.0, _WEIGHTS / 2.0
@@ -78,9 +78,7 @@ class Integral(AbstractFunction):
         until: Annotated[Number | None, Unit("{of_argument}")] = None,
         panels: int = 16,
     ):
-        found = as_function(rate if callable(rate) else Constant(rate))
-        assert found is not None
-        self.rate = found
+        self.rate = function_or_constant(rate)
         self.start = start
         self.origin = origin
         self.until = until

@@ -1,5 +1,6 @@
 """Functions by formula: constants, lines, polynomials, sines, steps and bumps."""
 
+from collections.abc import Callable
 from typing import Annotated
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from spherejax.foundations.legal import above, numeric, positive
 from spherejax.foundations.numerics import horner
 from spherejax.foundations.types import COEFFICIENTS, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions.base import AbstractFunction, room_between
+from spherejax.physics.functions.base import AbstractFunction, as_function, room_between
 
 
 class _KnowsPrimitive(AbstractFunction):
@@ -48,6 +49,13 @@ class Constant(_KnowsPrimitive):
     def requirements(self) -> list[Requirement]:
         """A finite value."""
         return [finite("value", self.value)]
+
+
+def function_or_constant(value: Number | Callable) -> AbstractFunction:
+    """A callable as a function, see `as_function`; a number as a `Constant`."""
+    function = as_function(value if callable(value) else Constant(value))
+    assert function is not None
+    return function
 
 
 class Linear(_KnowsPrimitive):

@@ -35,8 +35,8 @@ def prescribed_by(
         SceneError: for both or neither, for a start without a rate, and for what is not callable.
     """
     if (value is None) == (rate is None):
-        given = "neither" if value is None else "both"
-        raise SceneError(f"give {field}= or rate=, functions of time t [s], not {given}")
+        which = "neither" if value is None else "both"
+        raise SceneError(f"give {field}= or rate=, functions of time t [s], not {which}")
     if value is not None:
         if not (is_concrete(start) and start == 0):
             raise SceneError(f"start= belongs to rate=; {field}= says itself where it starts")
