@@ -8,10 +8,13 @@ import re
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NoReturn
 
 import spherejax as sj
 from spherejax import runtime
+from spherejax.command_line import printing
+from spherejax.command_line.advice import in_options
 
 BAD_REQUEST, FAILED_RUN, INTERRUPTED = 2, 3, 130
 """Exit codes besides 0."""
@@ -52,6 +55,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         _print_any_name()
         warnings.formatwarning = _in_one_line
         runtime.set_up()
+    with printing.worded(partial(in_options, flags=options.flags)):
+        return _run(options, leaves=argv is None)
+
+
+def _run(options: argparse.Namespace, *, leaves: bool) -> int:
+    """Run a command, and say in words what went wrong.
+
+    Args:
+        options: of the command.
+
+    Other args:
+        leaves: whether the process ends with an interrupted command.
+    """
     from spherejax.files.fields.code import described_error, line_of
 
     try:
@@ -60,14 +76,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"spherejax: {_one_line(error)}", file=sys.stderr)
         return BAD_REQUEST
     except sj.SweepError as error:
-        print("\n".join([f"spherejax: {_one_line(error)}", *getattr(error, "__notes__", ())]), file=sys.stderr)
+        print("\n".join([f"spherejax: {_one_line(error)}", *_notes(error)]), file=sys.stderr)
         return FAILED_RUN
     except sj.SimulationError as error:
         print(f"spherejax: the run failed: {_one_line(error)}", file=sys.stderr)
         return FAILED_RUN
     except KeyboardInterrupt as interrupt:
-        print("\n".join(["spherejax: interrupted", *getattr(interrupt, "__notes__", ())]), file=sys.stderr)
-        if argv is None:
+        print("\n".join(["spherejax: interrupted", *_notes(interrupt)]), file=sys.stderr)
+        if leaves:
             _leave(INTERRUPTED)
         return INTERRUPTED
     except (Exception, SystemExit) as error:
@@ -136,6 +152,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.accuracy import add_accuracy
     from spherejax.command_line.catalog import add_list
     from spherejax.command_line.compare import add_compare
+    from spherejax.command_line.completion import PrintCompletion
     from spherejax.command_line.cycle import add_cycle
     from spherejax.command_line.draw import add_draw
     from spherejax.command_line.effects import add_effects
@@ -152,6 +169,7 @@ def parser() -> argparse.ArgumentParser:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = _Parser("spherejax", description=DESCRIPTION, epilog=EPILOG, formatter_class=formatter)
     parser.add_argument("--version", action=_Version)
+    parser.add_argument("--print-completion", action=PrintCompletion)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for add in (
         add_run,
@@ -171,6 +189,8 @@ def parser() -> argparse.ArgumentParser:
         add_list,
     ):
         add(commands)
+    for command in commands.choices.values():
+        command.set_defaults(flags=tuple(command._option_string_actions))
     for command in {parser, *commands.choices.values()}:
         # argparse takes -1e-4 for an option: its own pattern of a negative number knows no exponent.
         command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
@@ -200,7 +220,7 @@ def meant(flags: Sequence[str], parser: argparse.ArgumentParser) -> str:
 def _in_one_line(message: Any, category: type, filename: str, lineno: int, line: str | None = None) -> str:
     """A warning of ours without the place in our code that gives it."""
     if category.__module__.partition(".")[0] == "spherejax":
-        return f"spherejax: warning: {' '.join(str(message).split())}\n"
+        return f"spherejax: warning: {printing.in_words(' '.join(str(message).split()))}\n"
     return _as_python_does(message, category, filename, lineno, line)
 
 
@@ -225,7 +245,11 @@ def _leave(code: int) -> None:
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
+    return printing.in_words(" ".join(str(error).split()))
+
+
+def _notes(error: BaseException) -> list[str]:
+    return [printing.in_words(note) for note in getattr(error, "__notes__", ())]
 
 
 if __name__ == "__main__":

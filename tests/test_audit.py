@@ -22,6 +22,7 @@ from spherejax.motion.integration.audit import (
     suspects,
 )  # fmt: skip
 from spherejax.motion.integration.status import Status
+from spherejax.motion.results.run_flags import flagged_runs
 from spherejax.motion.runs.many import simulate_many
 from spherejax.motion.start.assembly import described_state
 
@@ -298,6 +299,10 @@ def test_a_run_beyond_the_range_of_eq_24_says_so_and_names_the_joint():
     with pytest.warns(sj.OutOfRangeWarning, match=f"{share:.2g}"):
         swept = sj.sweep(pressed, {"modulus": [1e8, 1e11]}, [0.0, 5e-3], record=["onsets.joint"], progress=False)
     assert "beyond the range" in swept.attrs["cautions"]
+    flags = dict(zip(swept["warnings"].flag_meanings.split(), swept["warnings"].flag_masks, strict=True))
+    assert swept["warnings"].values.tolist() == [flags["conformity"], 0]
+    (runs,) = flagged_runs(swept)
+    assert (runs.what, runs.n, runs.ranges(swept)) == ("conformity", 1, {"modulus": (1e8, 1e8)})
     with pytest.warns(sj.OutOfRangeWarning):
         simulate_many(pressed, {"modulus": np.array([1e8, 1e11])}, [0.0, 5e-3])
 

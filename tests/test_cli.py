@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import diffrax
 import numpy as np
@@ -48,6 +49,43 @@ COMMANDS = (
     "export",
     "list",
 )
+
+
+COMPLETED = {
+    "sw": "sweep",
+    "run four-b": "four-bar",
+    "run pyproj": "pyproject.toml",
+    "run four-bar --joint l": "lubricated",
+    "run four-bar --out README": "README.md",
+    "draw four-bar --magn": "--magnify",
+}
+
+
+def test_shell_completes_commands_options_scenes_and_files(tmp_path, capsys):
+    assert cli.main(["--print-completion", "bash"]) == 0
+    script = tmp_path / "completion.bash"
+    script.write_text(capsys.readouterr().out)
+    lines = [
+        f"source {script}",
+        "function=$(complete -p spherejax | sed 's/.*-F \\([^ ]*\\) .*/\\1/')",
+        'of() { COMP_WORDS=(spherejax "$@"); COMP_CWORD=$#; COMPREPLY=()',
+        '$function spherejax "${COMP_WORDS[-1]}" "${COMP_WORDS[-2]}"; echo "${COMPREPLY[*]}"; }',
+        *(f"of {words}" for words in COMPLETED),
+    ]
+    folder = Path(__file__).parent.parent
+    shell = subprocess.run(["bash", "-c", "\n".join(lines)], capture_output=True, text=True, cwd=folder)
+    assert shell.stderr == ""
+    assert shell.stdout.splitlines() == list(COMPLETED.values())
+    assert cli.main(["--print-completion", "zsh"]) == 0
+    script = capsys.readouterr().out
+    assert script.startswith("#compdef spherejax")
+    assert "scenes:scene:(" in script
+
+
+def test_completion_without_its_package_says_what_to_install(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert cli.main(["--print-completion", "bash"]) == 2
+    assert "pip install 'spherejax[completion]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [(), *((name,) for name in COMMANDS)])
@@ -586,7 +624,8 @@ def test_a_model_of_mujoco_is_a_scene_of_the_command_line(tmp_path, capsys):
     assert cli.main(["write", str(path), "--out", str(out)]) == 2
     said = capsys.readouterr().err
     assert "armature: j" in said
-    assert "On the command line: --ignore" in said
+    assert "Leave it out with --ignore armature" in said
+    assert "load_mjcf" not in said
     assert cli.main(["write", str(path), "--ignore", "armature", "--keyframe", "up", "--out", str(out)]) == 0
     np.testing.assert_allclose(sj.load_scene(out).bodies["arm"].quaternion, [np.cos(0.75), 0, np.sin(0.75), 0])
 

@@ -411,7 +411,7 @@ def test_limits_and_friction_are_asked_for_and_made(written):
 
 
 LEFT_OUT = {
-    "actuators": ("", '<actuator><motor name="drive" joint="j"/></actuator>', "actuators: drive"),
+    "actuators": ("", '<actuator><intvelocity name="drive" joint="j" kp="1" actrange="-1 1"/></actuator>', "drive"),
     "armature": ('armature="0.1"', "", "armature: j"),
     "tendons": ("", '<tendon><fixed name="rope" stiffness="3"><joint joint="j" coef="1"/></fixed></tendon>', "rope"),
     "gravcomp": ("BODY gravcomp='1'", "", "gravcomp: arm"),
@@ -425,6 +425,89 @@ LEFT_OUT = {
     ),
     "contacts": ("GEOM", '<worldbody><geom name="floor" type="plane" size="1 1 1"/></worldbody>', "contacts: .*floor"),
 }
+
+
+ACTUATORS = {
+    "motors": '<motor name="a" joint="j" gear="2.5"/><motor name="b" joint="s" gear="-3" ctrllimited="true" '
+    'ctrlrange="-1 1"/>',
+    "servos": '<position name="a" joint="j" kp="30" kv="2" gear="1.5"/><velocity name="b" joint="s" kv="7" gear="-2"/>',
+    "general": '<general name="a" joint="j" gainprm="3" biastype="affine" biasprm="1 -20 -0.5" gear="0.5"/>'
+    '<general name="b" jointinparent="s" gainprm="2" biastype="affine" biasprm="4 0 0"/>',
+    "limits": '<position name="a" joint="j" kp="300" forcelimited="true" forcerange="-2 1" gear="-1"/>'
+    '<motor name="b" joint="s" gear="30"/>',
+}
+CHAIN = (
+    f'<body name="arm" pos="0 0 1" quat="1 .2 0 0"><joint name="j" axis="0 1 0" ref="0.3"/>{INERTIAL}'
+    '<body name="hand" pos="0.3 0 0"><joint name="s" type="slide" axis="1 0 .2" ref="0.05" stiffness="40" '
+    f'actuatorfrclimited="true" actuatorfrcrange="-9 9"/>{INERTIAL}</body></body>'
+)
+
+
+def driven(path: Path, start: dict, controls: dict[str, float]):
+    """MuJoCo's model and data with these controls, and the scene."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = start["qpos"], start["qvel"], list(controls.values())
+    mujoco.mj_forward(model, data)
+    names = dict(zip(("positions", "velocities"), ("qpos", "qvel"), strict=True))
+    given = {what: dict(zip(("j", "s"), start[values], strict=True)) for what, values in names.items()}
+    return model, data, sj.load_mjcf(path, controls=controls, drift=sj.NoDriftControl(), **given)
+
+
+@pytest.mark.parametrize("actuators", ACTUATORS.values(), ids=ACTUATORS)
+@pytest.mark.parametrize("qpos", [(0.9, -0.1), (-0.4, 0.2)], ids=["up", "down"])
+def test_actuators_push_as_in_mujoco(written, actuators, qpos):
+    path = written(model_of(CHAIN, f"<actuator>{actuators}</actuator>"))
+    model, data, scene = driven(path, {"qpos": qpos, "qvel": (0.7, -0.4)}, {"a": 1.3, "b": 1.7})
+    assert set(scene.forces) == {"a", "b", "s"}
+    assert_same(scene, body_accelerations(model, data))
+
+
+def test_servos_move_a_chain_as_in_mujoco(written):
+    actuators = ACTUATORS["servos"].replace('kv="2" gear="1.5"', 'kv="2" gear="1.5" forcerange="-9 9"')
+    path = written(model_of(CHAIN, f"<actuator>{actuators}</actuator>"))
+    start = {"qpos": (0.9, -0.1), "qvel": (0.7, -0.4)}
+    model, data, scene = driven(path, start, {"a": 1.3, "b": 1.7})
+    ts = np.linspace(0.0, 0.5, 6)
+    run = sj.simulate(scene, ts, rtol=1e-9)
+    np.testing.assert_allclose(run.position("hand"), moved(model, data, ts), rtol=0, atol=1e-6)
+
+
+def test_controls_are_those_of_the_keyframe_and_names_are_checked(written):
+    more = '<actuator><motor name="j" joint="j"/></actuator><keyframe><key name="k" qpos="0" ctrl="2"/></keyframe>'
+    path = written(one_joint('<joint name="j" axis="0 1 0" damping="1"/>', more))
+    assert float(sj.load_mjcf(path).forces["j_actuator"].effort(0.0)) == 0.0
+    assert float(sj.load_mjcf(path, keyframe="k").forces["j_actuator"].effort(0.0)) == 2.0
+    assert float(sj.load_mjcf(path, keyframe="k", controls={"j": 3}).forces["j_actuator"].effort(0.0)) == 3.0
+    with pytest.raises(sj.SceneError, match="controls: there is no actuator 'motor'; there are: j"):
+        sj.load_mjcf(path, controls={"motor": 1.0})
+    with pytest.raises(sj.SceneError, match=r"controls\['j'\] = nan must be a finite number"):
+        sj.load_mjcf(path, controls={"j": np.nan})
+    with pytest.raises(sj.SceneError, match="controls= is of actuators, and ignore= leaves these out"):
+        sj.load_mjcf(path, controls={"j": 1.0}, ignore=("actuators",))
+
+
+@pytest.mark.parametrize(
+    ("actuator", "said"),
+    [
+        ('<intvelocity name="x" joint="j" kp="1" actrange="-1 1"/>', "dyntype integrator"),
+        ('<damper name="x" joint="j" kv="1" ctrlrange="0 1"/>', "gaintype affine"),
+        ('<motor name="x" site="hand"/>', "trntype site"),
+        ('<motor name="x" joint="j" armature="0.1"/>', "armature"),
+    ],
+)
+def test_other_actuators_are_refused_by_name_and_reason(written, actuator, said):
+    joint = '<joint name="j" axis="0 1 0"/><site name="hand" pos="0.1 0 0"/>'
+    off = '<motor name="off" joint="j" group="3"/>'
+    options = OFF + '<option actuatorgroupdisable="3"/>'
+    try:
+        path = written(one_joint(joint, f"<actuator>{off}{actuator}</actuator>", options))
+        mujoco.MjModel.from_xml_path(str(path))
+    except ValueError:
+        pytest.skip("this MuJoCo has no such attribute")
+    with pytest.raises(sj.SceneError, match=rf"actuators: x \({said}\).*ignore=\('actuators',\)"):
+        sj.load_mjcf(path)
+    assert not sj.load_mjcf(path, ignore=("actuators",)).forces
 
 
 @pytest.mark.parametrize(("word", "case"), LEFT_OUT.items(), ids=LEFT_OUT)

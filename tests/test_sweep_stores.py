@@ -18,6 +18,7 @@ import zarr
 from sweeping import pendulum
 
 import spherejax as sj
+from spherejax.motion.results.run_flags import flagged_runs
 from spherejax.studies.sweep import lock
 from spherejax.studies.sweep.dataset import SweepAccount
 from spherejax.studies.sweep.grids import Combinations, product
@@ -215,6 +216,26 @@ def test_a_store_of_an_earlier_version_opens_with_a_word(store):
     zarr.open_group(store, mode="r+")["height"][3] = 7.0
     with pytest.warns(sj.StoreWarning), pytest.raises(sj.SceneError, match="chunk 1 is not what was written"):
         sj.open_sweep(store)
+
+
+def test_a_store_without_warnings_goes_on_as_it_is(tmp_path, monkeypatch):
+    path = tmp_path / "format_2.zarr"
+    with monkeypatch.context() as earlier:
+        for module in (sj.studies.sweep.store, sj.studies.sweep.dataset):
+            earlier.delitem(module.COUNTED, "warnings")
+        earlier.setattr(sj.studies.sweep.store, "FORMAT", 2)
+        swept(store=path)
+    zarr.open_group(path, mode="r+")["digest"][1] = 0
+    assert np.all(swept(store=path)["status"] == 0)
+    found = sj.open_sweep(path)
+    assert "warnings" not in found
+    assert flagged_runs(found) == []
+
+
+def test_runs_that_are_missing_are_not_without_warnings(store):
+    assert np.all(sj.open_sweep(store)["warnings"] == 0)
+    zarr.open_group(store, mode="r+")["digest"][1] = 0
+    assert sj.open_sweep(store)["warnings"].values.tolist() == [0, 0, -1, -1]
 
 
 def test_the_seal_is_of_what_is_there(store):

@@ -11,7 +11,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import JOINTS, SOLVERS
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, real, whole
-from spherejax.command_line.printing import print_table, progress
+from spherejax.command_line.printing import print_table, progress, say
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scenes import Chosen, add_scene, chosen, model_name
 
@@ -167,7 +167,7 @@ def print_accuracy(result: sj.WorkPrecision) -> None:
         known = [f"{solver} {seconds:.1f} s" for solver, seconds in compiled.items() if math.isfinite(seconds)]
         print(f"Compiled once for all tolerances: {', '.join(known) or 'nothing'}.")
         for text in (*result.notes[model], result.advice[model]):
-            print(text)
+            say(text)
 
 
 def _write(result: sj.WorkPrecision, folder: Path) -> list[str]:

@@ -13,7 +13,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SUBJECTS
 from spherejax.command_line.models import USED_BY, add_joint_options, all_models_from
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
-from spherejax.command_line.printing import print_table, progress
+from spherejax.command_line.printing import print_table, progress, say
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import with_text
 from spherejax.command_line.scenes import add_scene, chosen, studying
@@ -181,7 +181,7 @@ def print_comparison(comparison: Comparison) -> None:
     for table in comparison.tables:
         print_table(table.title, table.heads, table.rows, numeric=True)
     for remark in comparison.remarks:
-        print(remark)
+        say(remark)
 
 
 AXES = ("x", "y", "z", "rotation.x", "rotation.y", "rotation.z")

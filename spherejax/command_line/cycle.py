@@ -10,6 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import positive_in, real, whole
+from spherejax.command_line.printing import say
 from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
@@ -86,7 +87,7 @@ def find_cycle(options: argparse.Namespace) -> int:
         rtol=options.rtol,
         throw=True,
     )
-    print(cycle)
+    say(cycle)
     if folder is None:
         return 0
     from spherejax.output.io import save

@@ -3,6 +3,7 @@
 import argparse
 
 from spherejax.command_line.models import add_joint_options
+from spherejax.command_line.printing import say
 from spherejax.command_line.scenes import add_scene, chosen
 
 DESCRIPTION = """\
@@ -35,5 +36,5 @@ def show_effects(options: argparse.Namespace) -> int:
     """Print the table of effects."""
     from spherejax.studies.effects import effects
 
-    print(effects(chosen(options).scene(options)))
+    say(effects(chosen(options).scene(options)))
     return 0

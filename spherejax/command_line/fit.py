@@ -12,7 +12,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, real, whole
-from spherejax.command_line.printing import print_table
+from spherejax.command_line.printing import print_table, say
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
@@ -282,7 +282,7 @@ def _deviation(text: str, sigma: str, name: str, scene: sj.Scene) -> float:
 def _print(fitted: sj.Fit, shown: dict[str, ShownNumbers]) -> None:
     from spherejax.studies.fit.report import report
 
-    print(report(fitted, shown))
+    say(report(fitted, shown))
     if len(fitted.courses) > 1:
         told = {name: shown.get(name, ShownNumbers()) for name in fitted.names}
         rows = [

@@ -11,6 +11,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
+from spherejax.command_line.printing import say
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import add_scene, chosen
 
@@ -97,7 +98,7 @@ def find_modes(options: argparse.Namespace) -> int:
 
     linear = sj.linearize(scene, at=options.at, inputs=inputs, outputs=options.output)
     modes = linear.modes()
-    print(modes)
+    say(modes)
     for number in by:
         _print_slopes(modes, number.name, unit_at(scene, number.steps))
     if folder is not None:

@@ -10,6 +10,25 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
+_wording: Callable[[str], str] = str
+
+
+@contextmanager
+def worded(wording: Callable[[str], str]) -> Iterator[None]:
+    """A context in which texts of the library are printed in other words: those of the command that runs."""
+    global _wording
+    before, _wording = _wording, wording
+    try:
+        yield
+    finally:
+        _wording = before
+
+
+def in_words(text: str) -> str:
+    """A text of the library as the command that runs prints it."""
+    return _wording(text)
+
+
 Report = Callable[[str, float], None]
 
 WIDTH_WITHOUT_TERMINAL = 150
@@ -35,8 +54,13 @@ def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]],
         table.add_column(Text(head), justify="right" if numeric and position else "left", overflow="fold")
     for row in rows:
         # Text, for a unit in brackets is no markup.
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(in_words(cell)) for cell in row))
     console().print(table)
+
+
+def say(result: object) -> None:
+    """Print what the library says of a result, its advice in the words of the command line."""
+    print(in_words(str(result)))
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 import spherejax as sj
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, whole
+from spherejax.command_line.printing import say
 from spherejax.command_line.scenes import add_scene, chosen
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.units.units import in_si
@@ -81,7 +82,7 @@ def put_on_rig(options: argparse.Namespace) -> int:
     scene = chosen(options).scene(options)  # before what takes long to import: a wrong name is told at once
     loads = sj.WheelLoads(options.longitudinal, options.lateral, options.aligning, options.driving)
     found = sj.rig(scene, travel, steer=steer, loads=loads)
-    print(found)
+    say(found)
     if folder is not None:
         from spherejax.output.io import save
 

@@ -16,6 +16,7 @@ LOADERS = {".urdf": "load_urdf", ".xml": "load_mjcf", ".mjcf": "load_mjcf"}
 OPTIONS = {
     "base": (".urdf",),
     "keyframe": (".xml", ".mjcf"),
+    "controls": (".xml", ".mjcf"),
     **dict.fromkeys(
         (
             "positions",
@@ -45,6 +46,7 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--base", choices=("ground", "free"), help="whether the base stands or flies (.urdf)")
     group.add_argument("--keyframe", metavar="NAME", help="where the motion starts (.xml)")
+    group.add_argument("--controls", metavar="NAME=VALUE,...", help="of actuators, as MuJoCo's ctrl (.xml)")
     for name, of in (("positions", "shoulder=30deg,finger=1cm"), ("velocities", "shoulder=0.5")):
         group.add_argument(f"--{name}", metavar="NAME=VALUE,...", help=f"of joints at the start, as {of}")
     group.add_argument("--ignore", metavar="WORD,...", help="what to leave out, as friction,mimic or contacts")
@@ -90,15 +92,7 @@ def robot_of(path: Path, options: argparse.Namespace) -> sj.Scene:
         from spherejax.command_line.models import friction_law
 
         given["friction"] = friction_law(options)
-    loader = LOADERS[path.suffix]
-    try:
-        scene = getattr(sj, loader)(path, **given)
-    except sj.SceneError as error:
-        if f"{loader}(" not in str(error):
-            raise
-        raise sj.SceneError(
-            f"{error}. On the command line: --ignore friction,limits, --friction threlfall, --stops turning=500, ..."
-        ) from error
+    scene = getattr(sj, LOADERS[path.suffix])(path, **given)
     for name, of_joints in units.items():
         _check_units(_flag(name), scene, of_joints)
     return scene
@@ -190,6 +184,10 @@ def _stops(flag: str, text: str) -> tuple[dict[str, Any], dict[str, str]]:
     return values, units
 
 
+def _controls(flag: str, text: str) -> dict[str, float]:
+    return {name: number_of(flag, text, value) for name, value in _pairs(flag, text)}
+
+
 def _mimic(flag: str, text: str) -> dict[str, dict[str, float]]:
     found = {}
     for name, value in _pairs(flag, text):
@@ -205,6 +203,7 @@ _READ: dict[str, Callable[[str, str], Any]] = {
     "positions": _of_joints,
     "velocities": _of_joints,
     "ignore": _words,
+    "controls": _controls,
     "fixed": _words,
     "stops": _stops,
     "mimic": _mimic,

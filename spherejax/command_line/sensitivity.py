@@ -12,6 +12,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
+from spherejax.command_line.printing import say
 from spherejax.command_line.scene_numbers import UnitOf, number_at, require_quantities, unit_of_option, units_in
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.shown import sensitivities_in_units
@@ -100,7 +101,7 @@ def find_sensitivities(options: argparse.Namespace) -> int:
         solver=SOLVERS[options.solver]() if options.solver else None,
     )
     result = sensitivities_in_units(result, asked)
-    print(result)
+    say(result)
     if folder is not None:
         make_folder(folder)
         _write(result, folder, options.overwrite)

@@ -14,7 +14,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import USED_BY, add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of, number_of_samples, real, whole
-from spherejax.command_line.printing import print_table
+from spherejax.command_line.printing import print_table, say
 from spherejax.command_line.reports import add_report, check_report, write_report
 from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
@@ -267,6 +267,8 @@ def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
 
 
 def _print(found: Chosen, options: argparse.Namespace, asked: AskedGrid, result, seconds: float) -> None:
+    from spherejax.output.plot.swept import COUNTED
+
     facts = result.attrs
     # Said, because "mu=0,3" is a list of two numbers, where somebody may mean 0.3.
     varied = {asked.shown[key].head(name): np.unique(result[key]) for key, name in asked.names.items()}
@@ -284,40 +286,28 @@ def _print(found: Chosen, options: argparse.Namespace, asked: AskedGrid, result,
     ]
     for name in result.data_vars:
         values = np.asarray(result[name], float)
-        if name not in ("status", "t_reached", "n_steps", "n_rejected") and np.isfinite(values).any():
+        if name not in COUNTED and np.isfinite(values).any():
             rows.append((f"{name} [{result[name].attrs.get('units', '')}]", _range(values)))
     print_table(f"{found.title or found.name}: {', '.join(options.vary)}", ("quantity", "value"), rows)
-    _print_failures(result)
+    _print_flagged(result)
 
 
-def _print_failures(result) -> None:
-    """Why runs failed, for which values, and what to do."""
-    from spherejax.motion.integration.status import REMEDIES, Status
+def _print_flagged(result) -> None:
+    """Which runs failed or left the range of a law, for which values, and what to do."""
+    from spherejax.motion.results.run_flags import flagged_runs
 
-    status = result["status"]
-    rows, remedies = [], []
-    for kind in Status:
-        is_so = np.asarray(status == kind)
-        if kind == Status.SUCCEEDED or not is_so.any():
-            continue
-        words = kind.name.lower().replace("_", " ")
+    flagged = flagged_runs(result)
+    rows = []
+    for runs in flagged:
         where = [
-            " ".join(
-                (
-                    name,
-                    _range(np.asarray(result[name].broadcast_like(status).transpose(*status.dims))[is_so]),
-                    result[name].attrs["units"].removeprefix(PURE),
-                )
-            ).rstrip()
-            for name in map(str, status.coords)
-            if name != "run"
+            f"{name} {_range(np.array(ends))} {result[name].attrs['units'].removeprefix(PURE)}".rstrip()
+            for name, ends in runs.ranges(result).items()
         ]
-        reached = _range(np.asarray(result["t_reached"])[is_so])
-        rows.append((words, f"{int(is_so.sum()):,}", "; ".join(where), reached))
-        remedies.append(f"{words}: {REMEDIES[kind]}.")
+        rows.append((runs.what, f"{runs.n:,}", "; ".join(where), _range(np.array(runs.t_reached))))
     if rows:
-        print_table("failed runs", ("why", "runs", "where", "time reached [s]"), rows)
-        print("\n".join(remedies))
+        title = "runs that failed, or left the range of a law (variable `warnings`)"
+        print_table(title, ("why", "runs", "where", "time reached [s]"), rows)
+        say("\n".join(f"{runs.what}: {runs.text}." for runs in flagged))
 
 
 def _range(values: np.ndarray) -> str:

@@ -15,6 +15,7 @@ import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
 from spherejax.command_line.models import add_joint_options
 from spherejax.command_line.numbers import measured_in, number_of_samples, real, whole
+from spherejax.command_line.printing import say
 from spherejax.command_line.scene_numbers import require_quantities
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.shown import ShownNumbers, WantedQuantity, sensitivities_in_units, shown_in
@@ -136,7 +137,7 @@ def find_tolerances(options: argparse.Namespace) -> int:
         return made
 
     result = _in_units(_study(options, build, spreads, [*dict.fromkeys(one.name for one in asked)]), asked)
-    print(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.ToleranceBudget) else result)
+    say(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.ToleranceBudget) else result)
     if folder is not None:
         _write(result, folder, options.overwrite)
     return 0

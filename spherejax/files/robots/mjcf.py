@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.files.fields.rotations import UNTURNED
+from spherejax.files.robots.mjcf_actuators import actuators_of
 from spherejax.files.robots.mjcf_joints import check_stacks, followed, loops_of, put_together
 from spherejax.files.robots.mjcf_left_out import FINDERS, check_left_out
 from spherejax.files.robots.mjcf_model import CompiledFile, compiled, library, robot_of, start_of
@@ -15,6 +16,7 @@ from spherejax.files.robots.robot import LinkPose, Robot, poses, undotted, with_
 from spherejax.files.robots.robot_bodies import LinkGroups, groups_of
 from spherejax.files.robots.robot_joints import Ways
 from spherejax.files.robots.robot_scene import by_plain_name, check_ignored, check_names, least_of, scene_of
+from spherejax.foundations.errors import SceneError
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import Scene
 from spherejax.physics.bodies import GROUND
@@ -37,6 +39,7 @@ def load_mjcf(
     friction: AbstractFrictionLaw | None = None,
     mimic: Mapping[str, Any] | None = None,
     stops: Mapping[str, Any] | None = None,
+    controls: Mapping[str, float] | None = None,
 ) -> Scene:
     """Read a MuJoCo model (MJCF) as a scene, by MuJoCo's own compiler: `pip install 'spherejax[mjcf]'`.
 
@@ -53,11 +56,13 @@ def load_mjcf(
     force element of its name. Equalities close loops: `connect` is a `Spherical`, `weld` a `Fixed`, both rigid, where
     MuJoCo's give way by `solref` and `solimp`; `joint` is a `Coupler` as stiff as `mimic` says. Equalities that the
     file has switched off are not there. Each body's origin is a point of the body by the body's name, each joint's
-    place by the joint's, each site by the site's.
+    place by the joint's, each site by the site's. Actuators of a hinge or a slide without activation (motors, position
+    and velocity servos, `general` with a fixed gain and no bias or an affine one) are force elements of their names: an
+    `Actuator`, or a `PID` where the effort depends on position or rate.
 
     What has no place in a scene, or is not said in full, is an error that names it, until an argument says what to do
-    with it: contacts between geoms, actuators, tendons, armature, limits, friction, ... Geoms count for inertia alone,
-    which MuJoCo computes. Integrator, time step, solver, the softness of constraints, and what has no mechanics
+    with it: contacts between geoms, other actuators, tendons, armature, limits, friction, ... Geoms count for inertia
+    alone, which MuJoCo computes. Integrator, time step, solver, the softness of constraints, and what has no mechanics
     (sensors, cameras, lights, materials, the user's numbers and texts) are not read.
 
     Args:
@@ -79,6 +84,9 @@ def load_mjcf(
         friction: law of `frictionloss`, as in `load_urdf`.
         mimic: how stiff joint equalities are, as in `load_urdf`.
         stops: how stiff limits are, as in `load_urdf`; None for one leaves it out.
+        controls: MuJoCo's `ctrl` of actuators by name, numbers that last for the whole motion; those that are not named
+            have what the keyframe says, or 0. `ctrlrange`, `forcerange` and the joint's `actuatorfrcrange` hold; of an
+            actuator whose effort is constant they are applied here, and not to an offset that is given to it later.
 
     Raises:
         SceneError: naming file, body or joint, and remedy: for what the compiler refuses, for what would be lost, for a
@@ -91,6 +99,12 @@ def load_mjcf(
     check_left_out(file, ways)
     start = start_of(file, keyframe, positions, velocities)
     robot = robot_of(file, start, {} if "mimic" in ignore else followed(file))
+    if "actuators" not in ignore:
+        driven = actuators_of(file, by_plain_name(controls), keyframe)
+        edges = {name: edge._replace(actuators=driven.get(name, ())) for name, edge in robot.edges.items()}
+        robot = robot._replace(edges=edges)
+    elif controls:
+        raise SceneError(f"{file.path}: controls= is of actuators, and ignore= leaves these out; leave one of both out")
     held = [undotted(name) for name in fixed]
     check_names(robot, file.joints, positions, velocities, held)
     ways.check(robot)

@@ -137,9 +137,9 @@ def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection
     distance and the angle of their axes. Three that meet are a ball in a socket, a hinge and a slide along
     one axis a cylindrical one, a hinge and two slides across it a planar one. Any slides before or behind such
     turns at one point, or behind or before a ball, are a stack of planes and directions that stay; three slides and a
-    ball are a free body. Springs, dampers and stops act along slides that are perpendicular to each other, and about a
-    hinge that is the only one. Friction, couplings, and what acts about one of several hinges are those of single
-    joints: a stack with one of them stays as it is, and its links need mass.
+    ball are a free body. Springs, dampers, stops and actuators act along slides that are perpendicular to each other,
+    and about a hinge that is the only one. Friction, couplings, and what acts about one of several hinges are those of
+    single joints: a stack with one of them stays as it is, and its links need mass.
     """
     edges = dict(robot.edges)
     links = dict(robot.links)
@@ -165,7 +165,7 @@ def put_together(robot: Robot, file: CompiledFile, ways: Ways, fixed: Collection
 
 def _has_force(name: str, edge: Edge, ways: Ways) -> bool:
     has_stop = np.isfinite(edge.lower) and ways.of(ways.stops, name, edge) is not None
-    return bool(edge.damping or edge.stiffness or has_stop)
+    return bool(edge.damping or edge.stiffness or has_stop or edge.actuators)
 
 
 def _is_coupled(edge: Edge, ways: Ways) -> bool:
@@ -198,7 +198,8 @@ def _one_joint(stack: list[Edge]) -> Edge | None:
     if len(turning) + len(sliding) + len(balls) < len(stack):
         return None
     turns = [*turning, *balls]
-    bare = {"damping": 0.0, "friction": 0.0, "stiffness": 0.0, "lower": -np.inf, "upper": np.inf, "follows": None}
+    no_force = {"damping": 0.0, "friction": 0.0, "stiffness": 0.0, "actuators": ()}
+    bare = {**no_force, "lower": -np.inf, "upper": np.inf, "follows": None}
     anchor = (turns or stack)[0].anchor
     whole = stack[0]._replace(child=stack[-1].child, anchor=anchor, **bare)
     if balls or not turning:
@@ -285,7 +286,8 @@ def check_stacks(robot: Robot, file: CompiledFile, ways_to_mass: bool) -> None:
         f"{robot.path}: joints {', '.join(names)} move one body, {_moved(robot, child)!r}, with nothing between them "
         "that has mass, and together they are no joint here: two hinges about different axes, three or a ball at one "
         "point; slides before or behind turns at one point, of a hinge, two at right angles, three, or a ball; without "
-        "friction, and with springs, dampers and stops only along slides at right angles and about a single hinge. "
+        "friction, and with springs, dampers, stops and actuators only along slides at right angles and about a single "
+        "hinge. "
         "Give the links between them a little with load_mjcf(..., least_mass=1e-3, least_moment=1e-6), or hold one "
         f"with fixed=({names[-1]!r},)"
     )

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from spherejax.files.robots.mjcf_actuators import unread
 from spherejax.files.robots.mjcf_model import CompiledFile, library
 from spherejax.files.robots.robot_joints import Ways
 from spherejax.foundations.errors import SceneError
@@ -78,12 +79,6 @@ _ALL, _ONE_WAY, _OTHERS = (
     ("prismatic", "revolute"),
     ("floating", "spherical"),
 )
-
-
-def _actuators(file: CompiledFile) -> Iterator[str]:
-    # In MuJoCo 4 `nu` counts controls, and one actuator may have none.
-    n = max(int(file.model.nu), int(getattr(file.model, "nactuator", 0)))
-    return iter([_named(file, "ACTUATOR", i) for i in range(n)] if file.has("ACTUATION") else [])
 
 
 def _armature(file: CompiledFile) -> Iterator[str]:
@@ -207,7 +202,7 @@ def _pair(file: CompiledFile, first: int, second: int) -> str:
 
 
 FINDERS: dict[str, Callable[[CompiledFile], Iterator[str]]] = {
-    "actuators": _actuators,
+    "actuators": unread,
     "armature": _armature,
     "contacts": _contacts,
     "curves": _curves,

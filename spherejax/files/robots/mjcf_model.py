@@ -132,7 +132,7 @@ def start_of(file: CompiledFile, keyframe: str | None, positions: Mapping, veloc
     q, v = np.array(model.qpos0), np.zeros(model.nv)
     mocap: dict[str, np.ndarray] = {}
     if keyframe is not None:
-        at = _keyframe(file, keyframe)
+        at = keyframe_number(file, keyframe)
         for body in np.flatnonzero(np.asarray(model.body_mocapid) >= 0):
             number = int(model.body_mocapid[body])
             place, turn = (
@@ -164,7 +164,12 @@ def start_of(file: CompiledFile, keyframe: str | None, positions: Mapping, veloc
     return found
 
 
-def _keyframe(file: CompiledFile, name: str) -> int:
+def keyframe_number(file: CompiledFile, name: str) -> int:
+    """MuJoCo's number of a keyframe.
+
+    Raises:
+        SceneError: where there is no such keyframe.
+    """
     mujoco = library()
     names = [mujoco.mj_id2name(file.model, mujoco.mjtObj.mjOBJ_KEY, i) or str(i) for i in range(file.model.nkey)]
     if name not in names:

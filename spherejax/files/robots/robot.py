@@ -10,13 +10,15 @@ as "ground_link", for the ground is the body that does not move.
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from spherejax.files.fields.rotations import product, turn_about, turned
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.physics.bodies import GROUND
+from spherejax.physics.forces.base import AbstractForce
+from spherejax.physics.forces.coupler import AbstractCoordinate
 
 TURNING, SLIDING, FREE = ("revolute", "continuous"), ("prismatic",), ("floating", "planar")
 """Types of joints by how they move; a fixed joint does not."""
@@ -37,6 +39,19 @@ class Link(NamedTuple):
     mass: float
     center: np.ndarray
     inertia: np.ndarray
+
+
+class Drive(Protocol):
+    """An actuator of a joint."""
+
+    @property
+    def name(self) -> str:
+        """The name of its force element."""
+        ...
+
+    def force(self, coordinate: AbstractCoordinate, position: float) -> AbstractForce:
+        """The force element along the joint's coordinate, which is 0 where the joint's position is `position`."""
+        ...
 
 
 class Edge(NamedTuple):
@@ -64,6 +79,7 @@ class Edge(NamedTuple):
         turns: of a stack, those about which it turns, n = 0 to 2; None: it turns freely.
         anchors: of two hinges, a point on the axis of each, where these are nearest, in the child's axes [m].
         slides_on_child: whether the axes of slides turn with the child, rather than stay on the parent.
+        actuators: what drives it.
         parts: single joints that the edge is put together of, by name, for their force elements.
     """
 
@@ -88,6 +104,7 @@ class Edge(NamedTuple):
     turns: np.ndarray | None = None
     anchors: np.ndarray = np.zeros((0, 3))
     slides_on_child: bool = False
+    actuators: tuple[Drive, ...] = ()
     parts: Mapping[str, "Edge"] = MappingProxyType({})
 
 

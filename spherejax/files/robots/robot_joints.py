@@ -210,7 +210,7 @@ def forces_of(
     ways: Ways,
     positions: Mapping[str, float],
 ) -> dict[str, AbstractForce]:
-    """The force elements of a joint: spring and damper, stops, and what couples it to the joint that it mimics."""
+    """The force elements of a joint: spring, damper, stops, actuators, and what couples it to the joint it mimics."""
     edge, axis = robot.edges[name], axes[name]
     if edge.kind not in (*TURNING, *SLIDING):
         return {}
@@ -235,7 +235,19 @@ def forces_of(
                 f'give mimic={{"{word}": {{"stiffness": ...}}}}'
             )
         found[f"{name}_mimic"] = _coupler(name, robot, groups, axes, how)
+    for drive in edge.actuators:
+        taken = {*found, *(f"{joint}{ending}" for joint in robot.edges for ending in ("", "_stop", "_mimic"))}
+        own = f"{drive.name}_actuator" if drive.name in taken else drive.name
+        found[own] = drive.force(_coordinate(name, robot, groups, axes), positions.get(name, 0.0))
     return found
+
+
+def _coordinate(name: str, robot: Robot, groups: LinkGroups, axes: Mapping[str, np.ndarray]) -> Turn | Travel:
+    """How far a joint that turns or slides has moved since the start."""
+    edge = robot.edges[name]
+    if edge.kind in TURNING:
+        return Turn((groups.heads[edge.parent], edge.child), axes[name])
+    return Travel(_ends(name, groups), axes[name])
 
 
 def _ends(name: str, groups: LinkGroups) -> tuple[str, str]:
@@ -275,14 +287,11 @@ def _coupler(
     assert follower.follows is not None
     coordinates = []
     for one in (follower.follows, name):
-        edge, axis = robot.edges[one], axes[one]
-        if edge.kind in TURNING:
-            coordinates.append(Turn((groups.heads[edge.parent], edge.child), axis))
-        elif edge.kind in SLIDING:
-            coordinates.append(Travel(_ends(one, groups), axis))
-        else:
+        edge = robot.edges[one]
+        if edge.kind not in (*TURNING, *SLIDING):
             raise SceneError(
                 f"{robot.path}: joint {name!r} mimics {one!r}, which is {edge.kind}; hold it too, with "
                 f'fixed=({name!r},), or leave mimicry out with ignore=("mimic",)'
             )
+        coordinates.append(_coordinate(one, robot, groups, axes))
     return Coupler(*coordinates, ratio=follower.multiplier, **how)

@@ -23,7 +23,7 @@ from spherejax.output.plot.swept_pairs import mark_failures, pairs_figure
 if TYPE_CHECKING:
     import xarray
 
-COUNTED = ("status", "t_reached", "n_steps", "n_rejected")
+COUNTED = ("status", "t_reached", "n_steps", "n_rejected", "warnings")
 
 
 def figures_of_sweep(swept: "xarray.Dataset", title: str = "") -> dict[str, Figure]:

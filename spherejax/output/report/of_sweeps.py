@@ -6,7 +6,8 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
-from spherejax.motion.integration.status import REMEDIES, Status
+from spherejax.motion.integration.status import Status
+from spherejax.motion.results.run_flags import flagged_runs
 from spherejax.output.plot.swept import COUNTED, figures_of_sweep
 from spherejax.output.report.motion import viewed
 from spherejax.output.report.of_runs import add_sources, add_versions
@@ -40,7 +41,7 @@ def page_of_sweep(swept: "xarray.Dataset", title: str, scene: Scene | None) -> P
     if swept.attrs.get("cautions"):
         page.cautions.append(str(swept.attrs["cautions"]))
     page.add("What was varied", _parameters(swept))
-    page.add("Results", _results(swept), _failures(swept, status))
+    page.add("Results", _results(swept), _flagged(swept))
     figures = figures_of_sweep(swept, title)
     page.add("Figures", *(PagePicture(figure, f"{name} over what was varied") for name, figure in figures.items()))
     page.add("All runs", _table(swept), folded=True)
@@ -84,20 +85,15 @@ def _results(swept: "xarray.Dataset") -> PageTable:
     return PageTable(("quantity", "unit", "least", "largest", "dimensions"), rows, "Over all runs that have a value")
 
 
-def _failures(swept: "xarray.Dataset", status: np.ndarray) -> PageTable:
+def _flagged(swept: "xarray.Dataset") -> PageTable:
     rows = []
-    for kind in Status:
-        is_so = status == kind
-        if kind == Status.SUCCEEDED or not is_so.any():
-            continue
-        where = []
-        for name in _varied(swept):
-            values = np.asarray(swept[name].broadcast_like(swept["status"]).transpose(*swept["status"].dims))[is_so]
-            where.append(f"{name} {' to '.join(_ends(values))}")
-        reached = " to ".join(_ends(np.asarray(swept["t_reached"])[is_so]))
-        words = kind.name.lower().replace("_", " ")
-        rows.append((words, f"{int(is_so.sum()):,}", "; ".join(where), reached, REMEDIES[kind]))
-    return PageTable(("why", "runs", "where", "time reached [s]", "what to do"), rows, "Failed runs")
+    for runs in flagged_runs(swept):
+        where = [f"{name} {' to '.join(_ends(np.array(ends)))}" for name, ends in runs.ranges(swept).items()]
+        reached = " to ".join(_ends(np.array(runs.t_reached)))
+        rows.append((runs.what, f"{runs.n:,}", "; ".join(where), reached, runs.text))
+    return PageTable(
+        ("why", "runs", "where", "time reached [s]", "what to do"), rows, "Runs that failed, or left the range of a law"
+    )
 
 
 def _table(swept: "xarray.Dataset") -> PageTable:

@@ -20,6 +20,7 @@ from spherejax.files.fields.code import modules_in, run_again
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
+from spherejax.motion.results.run_flags import flags_of
 from spherejax.motion.runs.many import many
 from spherejax.motion.runs.one_of_many import LaneMethod
 from spherejax.motion.runs.traced_functions import Build
@@ -57,6 +58,7 @@ class ChunkResult(NamedTuple):
         n_rejected: steps repeated.
         n_lane_steps: steps that the lanes made, those of idle ones included.
         seconds: time that it took [s].
+        warnings: bits of `motion.results.run_flags`: that a run failed, or left the range of a law.
         cautions: what runs were used for beyond the range of their laws, in words; empty for nothing.
     """
 
@@ -67,6 +69,7 @@ class ChunkResult(NamedTuple):
     n_rejected: np.ndarray
     n_lane_steps: int
     seconds: float
+    warnings: np.ndarray
     cautions: str = ""
 
 
@@ -105,6 +108,7 @@ def result_of(kept: Mapping[str, Any], outcome: tuple, chunk: int, n: int, size:
         n_rejected[runs],
         int(n_lane_steps[chunk]),
         seconds,
+        flags_of(status[runs], audit[runs]),
         cautions(audit[runs][status[runs] == Status.SUCCEEDED]),
     )
 

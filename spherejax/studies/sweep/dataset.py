@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from spherejax.motion.integration.status import REMEDIES, Status
 from spherejax.motion.results.dataset import AXES, COMPONENTS
+from spherejax.motion.results.run_flags import FLAGS, MASKS
 from spherejax.studies.sweep.grids import Grid
 from spherejax.studies.sweep.records import PARAMETER, Record
 
@@ -20,6 +21,7 @@ COUNTED = {
     "t_reached": ("s", "time reached"),
     "n_steps": ("1", "steps, kept or repeated"),
     "n_rejected": ("1", "steps repeated"),
+    "warnings": ("1", "what is to be minded of the run; 0: it reached its end within the range of its laws"),
 }
 """What is there of every run: unit and long name."""
 
@@ -58,6 +60,9 @@ def columns_of(record: Record, n_dims: Mapping[str, int]) -> dict[str, RunsColum
         if name == "status":
             attributes["flag_values"] = [int(status) for status in Status]
             attributes["flag_meanings"] = " ".join(status.name.lower() for status in Status)
+        if name == "warnings":
+            attributes["flag_masks"] = list(MASKS.values())
+            attributes["flag_meanings"] = " ".join(FLAGS)
         columns[name] = RunsColumn((), attributes)
     return columns
 

@@ -49,7 +49,7 @@ class Sensitivity:
     by: tuple[str, ...] | None = None
 
 
-TAKEN = ("status", "t_reached", "n_steps", "n_rejected", "digest", "seconds", "n_lane_steps", "time", "run")
+TAKEN = ("status", "t_reached", "n_steps", "n_rejected", "warnings", "digest", "seconds", "n_lane_steps", "time", "run")
 """Names that results and stores of sweeps use themselves."""
 
 PARAMETER = "parameter"

@@ -29,17 +29,23 @@ from spherejax.studies.sweep.dataset import RUN, RunsColumn, SweepAccount
 from spherejax.studies.sweep.failures import StoreWarning, writing
 from spherejax.studies.sweep.grids import SLAB, Grid
 
-COUNTED = {"status": np.int64, "t_reached": np.float64, "n_steps": np.int64, "n_rejected": np.int64}
-"""What is stored of every run besides what was asked for."""
+COUNTED = {
+    "status": np.int64,
+    "t_reached": np.float64,
+    "n_steps": np.int64,
+    "n_rejected": np.int64,
+    "warnings": np.int64,
+}
+"""What is stored of every run besides what was asked for; stores of format 2 and 1 have no `warnings`."""
 
 OF_CHUNKS = {"seconds": np.float64, "n_lane_steps": np.int64, "digest": np.uint64}
 """What is stored of every chunk."""
 
 MARK = "spherejax sweep"
 
-FORMAT = 2
+FORMAT = 3
 """1, which is not written down: digests cover the runs alone. 2: times and lanes of a chunk too, and the description of
-the arrays."""
+the arrays. 3: warnings of each run."""
 
 AT_ONCE = 2**26
 """Bytes that are read at a time to be compared with their digests."""
@@ -88,7 +94,8 @@ class Store:
         Raises:
             SweepError: when it cannot be written; it then counts as missing.
         """
-        runs, values = self.runs_of(chunk), _by_name(result)
+        runs, stored = self.runs_of(chunk), self.names
+        values = {name: array for name, array in _by_name(result).items() if name in stored}
         of_chunk = {"seconds": result.seconds, "n_lane_steps": result.n_lane_steps}
         with writing(self.path, f"chunk {chunk}"):
             for name, array in values.items():
