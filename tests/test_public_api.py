@@ -163,7 +163,7 @@ def test_simulate_takes_scene_and_times_by_position_and_the_rest_by_name():
         "eccentricity_ratio",
         "penetration", "reaction", "mechanical_energy", "kinetic_energy", "potential_energy", "elastic_energy",
         "dissipated_energy", "constraint_violation", "stats", "succeeded", "status", "diagnosis", "mode", "to_xarray",
-        "driving_effort", "driving_power", "constraints",
+        "driving_effort", "driving_power", "constraints", "at",
     ],
 )  # fmt: skip
 def test_trajectory_offers(name):

@@ -38,6 +38,19 @@ def known_behind(tree: Any) -> list[Any]:
     return found
 
 
+def shared_behind(leaf: Any) -> np.ndarray | None:
+    """The array behind tracers of `jax.vmap`, where all lanes have the same; None where they differ, or are hidden."""
+    while leaf is not None and not is_concrete(leaf):
+        inner = _inner(leaf) if hasattr(leaf, "batch_dim") else None
+        if inner is not None and _is_lane(leaf):
+            if not is_concrete(inner):
+                return None
+            rows = np.moveaxis(np.asarray(inner), leaf.batch_dim, 0)
+            inner = rows[0] if len(rows) and np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape)) else None
+        leaf = inner
+    return None if leaf is None else np.asarray(leaf)
+
+
 # The names of these attributes are JAX's own and undocumented. Should a release drop them, numbers are hidden as under
 # `jit`: the same results, by a method that was chosen without looking at them.
 

@@ -450,6 +450,20 @@ def flatten_by_factor(system: System):
     return flatten_system(with_laws_by_factor(system))
 
 
+def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
+    """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
+    known, unknown, start = [], [], 0
+    for leaf in jax.tree.leaves(system):
+        size = int(np.prod(np.shape(leaf)))
+        if is_concrete(leaf):
+            known.append(np.asarray(leaf, np.float64).ravel())
+        else:
+            known.append(np.zeros(size))
+            unknown.extend(range(start, start + size))
+        start += size
+    return np.concatenate(known), tuple(unknown)
+
+
 @lru_cache(maxsize=64)
 def example_of(structure: Structure) -> System:
     """A system of the structure, with shapes for numbers."""

@@ -198,16 +198,17 @@ def _shapes_of(structure: Structure) -> tuple[dict[str, dict], dict[str, dict]]:
 def magnitudes(system: System, t: Scalar, y: Float[Array, " size"], names: tuple[str, ...]) -> Float[Array, " k"]:
     """Magnitudes of quantities at one state: norms of vectors, absolute values of numbers."""
     observation = observe(system, t, y)
-    values = [_at_instant(system, observation, y, quantity(name, system)) for name in names]
+    values = [at_instant(system, observation, y, quantity(name, system)) for name in names]
     return jnp.stack([safe_norm(value) if value.ndim else jnp.abs(value) for value in values])
 
 
 def value_at(system: System, t: Scalar, y: Float[Array, " size"], name: str) -> Array:
     """A quantity at one state: a vector, or a number."""
-    return _at_instant(system, observe(system, t, y), y, quantity(name, system))
+    return at_instant(system, observe(system, t, y), y, quantity(name, system))
 
 
-def _at_instant(system: System, observation: Observation, y, what: Quantity) -> Array:
+def at_instant(system: System, observation: Observation, y: Float[Array, " size"], what: Quantity) -> Array:
+    """A quantity at one state, of which the observables are there already."""
     found = _whole_at_instant(system, observation, y, what)
     return found if what.component is None else found[what.component]
 
@@ -230,4 +231,14 @@ def _whole_at_instant(system: System, observation: Observation, y, what: Quantit
         return getattr(observation, what.kind)[str(what.owner)]
     if what.kind in ("kinetic_energy", "potential_energy", "constraint_violation", "velocity_violation"):
         return getattr(observation, what.kind)
-    raise SceneError(f"the largest {what.name!r} of all steps cannot be kept; keep its samples instead")
+    if what.kind == "penetration":
+        model: Any = getattr(system.joints[str(what.owner)], "model", None)
+        if getattr(model, "clearance", None) is None:
+            raise SceneError(f"joint {what.owner!r} has no clearance: its model is {type(model).__name__}")
+        return safe_norm(observation.eccentricity[str(what.owner)]) - model.clearance
+    if what.kind in ("elastic_energy", "mechanical_energy"):
+        elastic = sum(observation.elastic_energy.values(), jnp.zeros(()))
+        if what.kind == "elastic_energy":
+            return elastic
+        return observation.kinetic_energy + observation.potential_energy + elastic
+    raise SceneError(f"{what.name!r} adds up from the start of a run: it is known at its samples alone")

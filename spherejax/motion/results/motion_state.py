@@ -13,6 +13,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.observables import Observation
+from spherejax.motion.equations.quantities import at_instant, quantity
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.status import REMEDIES, Status
 from spherejax.motion.results.observed import observation_of
@@ -166,16 +167,38 @@ class MotionState(eqx.Module):
     def observation(self) -> Observation:
         """All observables at this instant: accelerations, reactions, parts of joints and forces, energies.
 
-        As of a run (`Trajectory.observation`), without the axis of samples; of a single state.
+        As of a run (`Trajectory.observation`), without the axis of samples; of many states with that of the states.
         """
-        if np.ndim(self.ended):
-            raise SceneError(
-                "observation is of a single state; of many, jax.vmap(lambda state: state.observation)(states)"
-            )
+        if self._are_many_systems:
+            return jax.vmap(lambda state: state.observation)(self)
         structure, theta = flatten_by_factor(self.system)
-        ts, ys = jnp.asarray(self.t)[None], jnp.asarray(self.y)[None]
+        ts, ys = jnp.atleast_1d(jnp.asarray(self.t)), jnp.atleast_2d(jnp.asarray(self.y))
         observed = observation_of(structure, self.scalar, jnp.asarray(theta), ts, ys)
-        return jax.tree.map(lambda leaf: leaf[0], observed)
+        return observed if np.ndim(self.ended) else jax.tree.map(lambda leaf: leaf[0], observed)
+
+    def value(self, name: str) -> Float[Array, "..."]:
+        """A quantity by its name, as `sj.sweep` records it, e.g. `state.value("reaction.elbow.z")` [N].
+
+        Args:
+            name: such as "position.rocker", "acceleration.rocker.x", "penetration.elbow", "kinetic_energy",
+                "shock.length".
+
+        Raises:
+            SceneError: for an unknown name, and for a quantity that counts from the start of a run.
+        """
+        if self._are_many_systems:
+            return jax.vmap(lambda state: state.value(name))(self)
+        system, what = self.system, quantity(name, self.known_system)
+
+        def taken(observation, y):
+            return at_instant(system, observation, y, what)
+
+        return (jax.vmap(taken) if np.ndim(self.ended) else taken)(self.observation, jnp.asarray(self.y))
+
+    @property
+    def _are_many_systems(self) -> bool:
+        """Whether the states have more axes than one, or numbers of the scene of their own."""
+        return np.ndim(self.ended) > 1 or bool(np.ndim(self.ended) and jax.tree.leaves(self.traced))
 
     def _body(self, name: str) -> int:
         names = list(self.known_system.bodies)

@@ -122,7 +122,7 @@ def steps_of(
         capacity = _room_for(n)
     ends, states = np.asarray(log.times[0, :n]), np.asarray(log.states[0, :n])
     repeated = np.asarray(outcome.ys[0])[places]
-    _warn_where_they_part(system, np.asarray(ts)[told], np.asarray(ys)[told], repeated)
+    warn_where_they_part(system, np.asarray(ts)[told], np.asarray(ys)[told], repeated)
     is_reached = ends[:, -1] <= t_reached
     ends, states = ends[is_reached], states[is_reached]
     return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1])
@@ -178,7 +178,7 @@ def _compared(ts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if n == 1:
         raise SceneError("a run of one instant has no steps; give ts an end")
     if n >= COMPARED:
-        told = np.linspace(0, n - 1, COMPARED).round().astype(int)
+        told = compared_samples(ts)
         return told, ts[told], np.arange(COMPARED)
     between = np.full(n - 1, (COMPARED - n) // (n - 1))
     between[: (COMPARED - n) % (n - 1)] += 1
@@ -188,7 +188,21 @@ def _compared(ts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.arange(n), np.concatenate([*parts, ts[-1:]]), places
 
 
-def _warn_where_they_part(system: System, ts, ys, repeated) -> None:
+def compared_samples(ts: np.ndarray) -> np.ndarray:
+    """Indices of the samples at which a repeated run is compared with the first one."""
+    n = len(ts)
+    return np.arange(n) if n <= COMPARED else np.linspace(0, n - 1, COMPARED).round().astype(int)
+
+
+def warn_where_they_part(system: System, ts, ys, repeated, why: str = "the run was repeated to see its steps") -> None:
+    """Warn where a repeated run is another motion.
+
+    Args:
+        system: of both.
+        ts, ys: samples of the run.
+        repeated: flat states of the repeated run at these times.
+        why: what it was repeated for, the beginning of a sentence.
+    """
     models: list[Any] = [system.spherical(name).model for name in system.contact_joints]
     gaps = [float(model.clearance) for model in models]
     limit = APART * min([LENGTH, *gaps])
@@ -198,9 +212,9 @@ def _warn_where_they_part(system: System, ts, ys, repeated) -> None:
     parted = np.flatnonzero(~(distance <= limit) & np.isfinite(ys).all(axis=1))
     if parted.size:
         warnings.warn(
-            f"the run was repeated to see its steps, and from t = {ts[parted[0]]:.6g} s on the repeated motion is "
-            f"another one (positions differ by more than {limit:.1g} m): the motion is chaotic, and both are equally "
-            "right. What is told of its steps from there on is of the repeated one",
+            f"{why}, and from t = {ts[parted[0]]:.6g} s on the repeated motion is another one (positions differ by "
+            f"more than {limit:.1g} m): the motion is chaotic, and both are equally right. What is told of it from "
+            "there on is of the repeated one",
             PartingWarning,
             stacklevel=4,
         )

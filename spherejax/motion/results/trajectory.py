@@ -21,6 +21,7 @@ from spherejax.motion.integration.not_finite import not_finite_part
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
 from spherejax.motion.results.accuracy import POSITIONS, Accuracy
+from spherejax.motion.results.between import states_at
 from spherejax.motion.results.dataset import table_of, to_dataset
 from spherejax.motion.results.energy_parts import EnergyByPart, energy_by_part
 from spherejax.motion.results.global_error import GlobalError, floor_of, usual_limit
@@ -69,6 +70,7 @@ class Trajectory(eqx.Module, Reported):
         scalar: whether scalar programs are used; None: those that are not too large.
         asked: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
         accuracy: what `accuracy=` asked for and what came of it; None where it was not given.
+        is_continued: whether it began with the end of another motion (static).
     """
 
     ts: Float[Array, " n"]
@@ -83,6 +85,7 @@ class Trajectory(eqx.Module, Reported):
     scalar: bool | None = eqx.field(static=True)
     asked: Asked | None = eqx.field(static=True, default=None)
     accuracy: Accuracy | None = None
+    is_continued: bool = eqx.field(static=True, default=False)
 
     def __repr__(self) -> str:
         if not is_concrete(self.ended):
@@ -247,6 +250,37 @@ class Trajectory(eqx.Module, Reported):
             if is_concrete(self.ts) and not np.ndim(self.ended):
                 t = np.asarray(self.ts)[-1]
         return MotionState.of(self.system, t, y, self.ended, self.asked, self.scalar)
+
+    def at(self, t: Float[Array | np.ndarray, "*k"] | float) -> MotionState:
+        """The state at any time of the run, or at many, e.g. `run.at(0.123).position("rocker")`.
+
+            states = run.at([0.1, 0.11, 0.12])
+            states.position("rocker")  # shape (3, 3)
+            states.value("reaction.elbow.z")  # shape (3,)
+            other = sj.continue_from(run.at(0.11), ts, other_scene)
+
+        The run is made once more, by the same method and tolerances, and sampled there: the states are those that a run
+        with these times in `ts` has, within impacts too. It costs that run; ask for all times in one call. Times that
+        are samples cost nothing.
+
+        Args:
+            t: a time [s], or many of shape (k,), in any order. It may be traced, and differentiated.
+
+        Returns:
+            The state, or the states with a leading axis of times. Under `jit`, `vmap` and `grad` a time outside of the
+            run gives a state whose `ended` is `Status.BAD_VALUE`, a time that a failed run has not reached one with the
+            run's status, both NaN.
+
+        Raises:
+            SceneError: for times outside of the run, for many runs (use `jax.vmap`), for a run that cannot be repeated.
+            SimulationError: for a time that a failed run has not reached.
+
+        Limits: `jax.vmap` over times makes one run after the other, with a `SerialRunsWarning`; give them as a vector.
+        In a chaotic motion the repeated run may part from this one, where this one was made within `jax.jit`: a
+        `PartingWarning` says when. The derivative of a run that `sj.continue_from` made has a row for each entry of its
+        start.
+        """
+        return states_at(self, t)
 
     @property
     def state(self) -> State:

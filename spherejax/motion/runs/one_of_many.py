@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
-from spherejax.model.system import compile_scene, example_of, flatten_system
+from spherejax.model.system import compile_scene, example_of, flatten_system, split
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.integrate import Plan, stages_of
@@ -19,7 +19,6 @@ from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of
 from spherejax.motion.integration.lanes import Block, LaneOutcome, LaneProblem
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import tolerances_of, traced_times
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.start.jumps import jump_conditions

@@ -17,7 +17,7 @@ from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
-from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, with_laws_by_factor
+from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, split, with_laws_by_factor
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.jumps import jump_conditions
@@ -181,20 +181,6 @@ def again(make: Callable[..., Any]) -> Callable[..., Any]:
         return make(*arguments)
 
     return made
-
-
-def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
-    """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
-    known, unknown, start = [], [], 0
-    for leaf in jax.tree.leaves(system):
-        size = int(np.prod(np.shape(leaf)))
-        if is_concrete(leaf):
-            known.append(np.asarray(leaf, np.float64).ravel())
-        else:
-            known.append(np.zeros(size))
-            unknown.extend(range(start, start + size))
-        start += size
-    return np.concatenate(known), tuple(unknown)
 
 
 _scenes, _calls, _steppers = LruCache(N_SCENES), LruCache(N_CALLS), LruCache(N_SCENES)

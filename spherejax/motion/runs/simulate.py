@@ -305,6 +305,7 @@ def call_of(
             choice=choice.reason,
             scalar=path.scalar,
             asked=described,
+            is_continued=carried is not None,
         )
 
     made_of = again(trajectory)

@@ -22,7 +22,7 @@ from spherejax.foundations.types import Number
 from spherejax.model.captured import captures_explained
 from spherejax.model.numbers import part_at, place_at, with_entry
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, example_of, flatten_by_factor, flatten_system, with_laws_by_factor
+from spherejax.model.system import System, example_of, flatten_by_factor, flatten_system, split, with_laws_by_factor
 from spherejax.motion.derivatives.sensitivities import depends_on_time, integrate_with_sensitivities
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
@@ -32,7 +32,7 @@ from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.integration.status import SimulationError, SimulationWarning, Status, start_status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.runs.continuation import reached, refuse_failed
-from spherejax.motion.runs.scene_cache import prepared, prepared_system, remembered_stepper, split
+from spherejax.motion.runs.scene_cache import prepared, prepared_system, remembered_stepper
 from spherejax.motion.runs.simulate import (
     ENOUGH_STEPS,
     CarriedStart,

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
-from spherejax.model.system import compile_scene, flatten_system
+from spherejax.model.system import compile_scene, flatten_system, split
 from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
 from spherejax.motion.derivatives.sensitivities import integrate_along
 from spherejax.motion.derivatives.through_touches import check_derivatives
@@ -28,7 +28,6 @@ from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import Build, built
-from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
-from spherejax.model.system import System, compile_scene, flatten_system
+from spherejax.model.system import System, compile_scene, flatten_system, split
 from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import abrupt_contacts
@@ -22,7 +22,6 @@ from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import built
-from spherejax.motion.runs.scene_cache import split
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
