@@ -572,7 +572,10 @@ def test_stiff_methods_find_the_same_motion(solver, law):
 
 @pytest.mark.parametrize("law", ["threlfall", pytest.param("lugre", marks=pytest.mark.slow)])
 def test_linear_systems_of_stiff_methods_hold_the_friction(law):
-    """(I - gamma h J) k = rhs in the mechanism's structure, against J by differentiation of the right-hand side."""
+    """(I - gamma h J) k = rhs in the mechanism's structure, against J by differentiation of the right-hand side.
+
+    But for the row of the work of the constraint forces, on which nothing depends: it is left out of the matrix.
+    """
     model = sj.Ideal(LAWS[law], 0.02, preload=0.01, passes=10)
     system = sj.compile_scene(chain(model, model), track_work=True).system
     structure, theta = flatten_system(system)
@@ -585,7 +588,8 @@ def test_linear_systems_of_stiff_methods_hold_the_friction(law):
     k = np.asarray(systems.factorize(at, jnp.asarray(gamma_h))[0](rhs))
     J = np.asarray(jax.jacfwd(lambda y: rate(theta, t, y))(y))
     expected = np.linalg.solve(np.eye(len(y)) - gamma_h * J, rhs)
-    np.testing.assert_allclose(k, expected, atol=1e-7 * np.max(np.abs(expected)))
+    rows = np.arange(len(y)) != system.layout.size - 1
+    np.testing.assert_allclose(k[rows], expected[rows], atol=1e-7 * np.max(np.abs(expected)))
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import warnings
 
+import jax
 import numpy as np
 import pytest
 
@@ -63,6 +64,18 @@ def test_a_motor_on_locked_bodies_is_named_with_the_count(motor):
     assert "20 constraint equations for the 18 velocities of 3 bodies" in said
     assert "'wrist' 5" in said
     assert doubts(slider_crank(Y, MOTORS[motor])) == ()
+
+
+def test_drivers_are_looked_at_while_a_builder_is_traced():
+    """`sj.sweep` looks at the start while it traces the builder; with a driver it died."""
+    said = []
+
+    def traced(mass):
+        said.extend(doubts(slider_crank(SKEW, MOTORS["driver"])))
+        return mass
+
+    jax.eval_shape(traced, 1.0)
+    assert len(said) == 1
 
 
 def test_what_is_meant_to_stand_still_is_not_named():

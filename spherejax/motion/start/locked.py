@@ -2,8 +2,10 @@
 
 from collections.abc import Iterable
 
+import jax
 import numpy as np
 
+from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.system import System, flatten_system
@@ -56,11 +58,12 @@ def locked_motors(system: System, ts: Numeric, start: Assembly) -> tuple[str, ..
 
 
 def _moves(joint: AbstractPlacedJoint, ts: Numeric) -> bool:
-    """Whether a joint is a driver whose function of time changes within the run."""
-    if not joint.is_driven:
+    """Whether a joint is a driver whose function of time changes within the run; no where its numbers are traced."""
+    if not joint.is_driven or not all(map(is_concrete, jax.tree.leaves(joint.functions_of_time))):
         return False
     instants = np.linspace(float(ts[0]), float(ts[-1]), N_INSTANTS)
-    values = [[np.asarray(function(t)) for t in instants] for function in joint.functions_of_time]
+    with jax.ensure_compile_time_eval():  # sweeps look at the start while they trace the builder
+        values = [[np.asarray(function(t)) for t in instants] for function in joint.functions_of_time]
     return any(np.ptp(history, axis=0).max() > 0 for history in values)
 
 
