@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
-from spherejax.model.system import example_of
+from spherejax.motion.derivatives.pullback import event_of, mixture_of
 from spherejax.motion.derivatives.sensitivities import integrate_rows, names_of_kinks, start_of_rows
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
@@ -46,7 +46,7 @@ from spherejax.motion.integration.integrate import (
 )
 from spherejax.motion.integration.lanes.stages import explicit_tableau
 from spherejax.motion.integration.sampling import samples_of
-from spherejax.motion.integration.sensitivity_rows import delay_weights, linearized
+from spherejax.motion.integration.sensitivity_rows import linearized
 from spherejax.motion.integration.status import SimulationWarning, Status
 from spherejax.motion.solvers.kinks import over_kink
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
@@ -143,7 +143,7 @@ def _differentiable(solver: Any) -> diffrax.AbstractSolver:
 def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal) -> KeptRun:
     rate = program_for(state_rate, plan.structure, plan.scalar)
     began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
-    mixture = _mixture(directions.shape[0])
+    mixture = mixture_of(directions.shape[0])
 
     found = integrate_rows(
         plan,
@@ -160,12 +160,6 @@ def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start
         found.rows[:, 0], ts[0], ends, states, began.slopes, began.assembly, found.status, found.t_reached,
         found.n_steps,
     )  # fmt: skip
-
-
-def _mixture(n_directions: int) -> Float[np.ndarray, "1 k"]:
-    """The direction whose sensitivity is carried along: all directions with random signs, of the size of one."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (1, n_directions))
-    return signs / np.sqrt(n_directions)
 
 
 # Backward -----------------------------------------------------------------------------------------------------------
@@ -210,7 +204,7 @@ def _legs_of(t0: float, ends: np.ndarray, ts: np.ndarray, is_needed: np.ndarray)
 @cached_jit(what="the gradient of a run")
 def _gradients(plan: Plan, solver, values, known, states, legs: _Legs, by_ys):
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    step, event, begun = _step_of(plan, solver, rate), _event_of(plan, rate), _start_of(plan, rate)
+    step, event, begun = _step_of(plan, solver, rate), event_of(plan, rate), _start_of(plan, rate)
     taken = samples_of(plan.structure, plan.scalar)
 
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
@@ -296,29 +290,3 @@ def _start_of(plan: Plan, rate: Program) -> Callable:
         return over_kink(contacts, _evaluated_again(rate), t, y, parameters)[:2]
 
     return begun
-
-
-def _event_of(plan: Plan, rate: Program) -> Callable | None:
-    """What contact onsets and releases at the end of a step do to the state there; None without contacts."""
-    contacts = contacts_of(plan.structure, plan.scalar)
-    if contacts is None or not contacts.onset_entries:
-        return None
-    n_motion = example_of(plan.structure).layout.memory_start
-
-    def event(parameters: Parameters, t, y, end, y_next, is_step):
-        def changed(parameters, y, end):
-            # The motion that the run had itself there, so that it is on the same side of the surface.
-            own = y_next[:n_motion] + (end[:n_motion] - jax.lax.stop_gradient(end[:n_motion]))
-            end = jnp.concatenate([own, end[n_motion:]])
-            updated = contacts.update(parameters, t, y, end)
-            weights = delay_weights(contacts, parameters, t, y, end, updated)
-            flight, contact = (rate.inside(parameters.theta, parameters.ahead, t, each) for each in (end, updated))
-            weights, jump = jax.lax.stop_gradient((weights, flight - contact))
-            here = contacts.crossings(parameters, t, end).value[: contacts.n_contacts]
-            delay = jnp.sum(weights * (here - jax.lax.stop_gradient(here)))  # 0, but for its derivatives
-            return updated + delay * jump
-
-        begins_or_ends = is_step & jnp.any(contacts.is_touching(y) != contacts.is_touching(y_next))
-        return jax.lax.cond(begins_or_ends, changed, lambda parameters, y, end: end, parameters, y, end)
-
-    return event

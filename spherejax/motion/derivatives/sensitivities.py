@@ -19,6 +19,8 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
+from spherejax.motion.derivatives.linear_operation import LinearMap, linear_operation
+from spherejax.motion.derivatives.pullback import pulled_back
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -44,7 +46,7 @@ from spherejax.motion.integration.integrate import (
     with_loop_of,
     wrapped,
 )
-from spherejax.motion.integration.one_run import can_be_a_job, run_of, slopes_as_job
+from spherejax.motion.integration.one_run import RunRequest, can_be_a_job, run_of, slopes_as_job
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import (
     Linearized,
@@ -61,6 +63,7 @@ from spherejax.motion.integration.sensitivity_rows import (
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.program_cache import cached_jit
 
@@ -132,6 +135,36 @@ def integrate_with_sensitivities(
         with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
         return with_slopes
 
+    is_by_one_direction = in_lanes and _goes_back(plan, options)
+
+    def along_one_direction(outcome: Outcome, primals, tangent) -> Any:
+        """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
+        residuals, tree = jax.tree.flatten((primals, outcome.status == Status.SUCCEEDED))
+
+        def forward(leaves, x):
+            (values, arrays, *rest), _ = jax.tree.unflatten(tree, leaves)
+            options = eqx.combine(arrays, others).decided
+            # Errors of sensitivities are judged in the units of the state: the tangent is as large as the numbers.
+            size = jnp.max(jnp.abs(x[0] / plan.scales(values)))
+            size = jnp.where(size > 0, size, 1.0)
+            slopes = slopes_as_job(plan, options, values, (x[0] / size)[None], *rest)
+            return jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0] * size, (slopes.ys, slopes.assembly)))
+
+        def backward(leaves, y):
+            (values, arrays, *rest), has_succeeded = jax.tree.unflatten(tree, leaves)
+            request = RunRequest.of(plan.structure, eqx.combine(arrays, others).decided)
+            slopes = pulled_back(plan, request, values, *rest, *jax.tree.unflatten(image, y))
+            return [jnp.where(has_succeeded, slopes, jnp.nan)]
+
+        def differentiable(leaves, x):
+            _, jacobian = slopes_by(False)(*jax.tree.unflatten(tree, leaves)[0])
+            return jax.tree.leaves(_along(jacobian, x[0]))
+
+        forms, image = jax.tree.flatten((outcome.ys, outcome.assembly))
+        described = tuple(jax.ShapeDtypeStruct(jnp.shape(form), jnp.result_type(form)) for form in forms)
+        linear = LinearMap(forward, backward, differentiable, (jax.ShapeDtypeStruct(*_form(tangent)),), described)
+        return jax.tree.unflatten(image, linear_operation(linear, residuals, [tangent]))
+
     @jax.custom_jvp
     def run(values, arrays, known, ts, start, values_are_legal):
         return run_of(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
@@ -146,11 +179,15 @@ def integrate_with_sensitivities(
             has_touches = bool(example_of(plan.structure).touching_forces)
             jumps = any_jump(plan.structure.system(plan.theta(values, known))) if has_touches else None
             warn_of_rosenbrock(abrupt, options.solver)
-            outcome, jacobian = slopes_by(by_start)(*primals)
             along = _instantiated(tangents[0], values)
-            if by_start:
-                along = jnp.append(along, tangents[3][0])
-            ys_dot, assembly = _along(jacobian, along)
+            if is_by_one_direction and not by_start:
+                outcome = run(*primals)
+                ys_dot, assembly = along_one_direction(outcome, primals, along)
+            else:
+                outcome, jacobian = slopes_by(by_start)(*primals)
+                if by_start:
+                    along = jnp.append(along, tangents[3][0])
+                ys_dot, assembly = _along(jacobian, along)
             if jumps is not None:  # of a function whose numbers `jax.jit` hides, an error can say nothing
                 # A factor: `jnp.where` transposed would be a gradient of zero.
                 ys_dot = ys_dot * jnp.where(jumps, jnp.nan, 1.0)
@@ -171,6 +208,22 @@ def integrate_with_sensitivities(
     run.defjvp(run_jvp, symbolic_zeros=True)
     arrays = jax.lax.stop_gradient(arrays)
     return run(values, arrays, known, ts, start, values_are_legal)
+
+
+MANY = 32
+"""Numbers above which a derivative is taken along one direction, and a gradient back along the steps of the run."""
+
+
+def _goes_back(plan: Plan, options: Options) -> bool:
+    """Whether gradients of a run go back along its steps, in place of rows for all numbers.
+
+    Where a stiffness may be there at once each row has to be controlled by itself; see `adjoint.UNSURE_THROUGH_KINKS`.
+    """
+    return len(plan.unknown) > MANY and is_explicit(options.solver) and not kinks_of(plan.structure)
+
+
+def _form(array: Any) -> tuple:
+    return jnp.shape(array), jnp.result_type(array)
 
 
 def depends_on_time(plan: Plan) -> bool:

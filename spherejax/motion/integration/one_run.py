@@ -73,7 +73,7 @@ def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_le
 def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
     """`run_of` these arguments, to be called again and again."""
     if can_be_a_job(plan.structure, options):
-        request = _Request.of(plan.structure, options)
+        request = RunRequest.of(plan.structure, options)
         given = plan, request, values, known, ts, start, values_are_legal
         return _in_windows(*given) if ts.shape[0] > 2 and _are_known(given) else integrated.bound(*given)
     return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
@@ -88,7 +88,7 @@ def _are_known(given: tuple) -> bool:
     return is_known and given[1].stiff_rest is None and not is_debugging()
 
 
-def _in_windows(plan: Plan, request: "_Request", values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
+def _in_windows(plan: Plan, request: "RunRequest", values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
     """A run of numbers, by programs that are the same for any number of samples."""
     times = np.asarray(ts)
     ends = jnp.asarray(times[[0, -1]])
@@ -195,11 +195,11 @@ def slopes_as_job(
 
     With `by_start` the directions have the first sample time as their last entry.
     """
-    request = _Request.of(plan.structure, options)
+    request = RunRequest.of(plan.structure, options)
     return _with_slopes(plan, request, values, directions, known, ts, start, values_are_legal, by_start)
 
 
-class _Request(eqx.Module):
+class RunRequest(eqx.Module):
     """How to integrate in a lane.
 
     Attributes:
@@ -225,7 +225,7 @@ class _Request(eqx.Module):
     limit: float = eqx.field(static=True, default=math.inf)
 
     @classmethod
-    def of(cls, structure: Structure, options: Options) -> "_Request":
+    def of(cls, structure: Structure, options: Options) -> "RunRequest":
         """From the options of a run that can be a job."""
         solver, rest = eqx.partition(options.solver, eqx.is_array)
         controller: Any = options.controller
@@ -241,9 +241,9 @@ class _Request(eqx.Module):
         return cls(*given, *eqx.partition(options.at_start.solver, eqx.is_array), options.at_start.limit)
 
     @property
-    def of_stiff(self) -> "_Request":
+    def of_stiff(self) -> "RunRequest":
         """The same with the other solver."""
-        return _Request(self.stiff, self.shared, self.own, self.budget, self.stiff_rest, self.slack)
+        return RunRequest(self.stiff, self.shared, self.own, self.budget, self.stiff_rest, self.slack)
 
     def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
         """The run as a job, from the traced numbers."""
@@ -273,7 +273,7 @@ class _Request(eqx.Module):
 
 
 @cached_jit(what="a run", many="runs in lanes", options=options_for)
-def integrated(plan: Plan, request: _Request, values, known, ts, start, values_are_legal) -> Outcome:
+def integrated(plan: Plan, request: RunRequest, values, known, ts, start, values_are_legal) -> Outcome:
     """As `integrate`, in a lane.
 
     Where the method is chosen by numbers that are seen only now, both are compiled, and the run is made by one: a lane
@@ -292,7 +292,7 @@ def integrated(plan: Plan, request: _Request, values, known, ts, start, values_a
 
 
 @cached_jit(what="the start of a run", options=OF_START)
-def started(plan: Plan, request: _Request, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
+def started(plan: Plan, request: RunRequest, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
     """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
     job = request.job(plan, values, known, ends, start, values_are_legal)
     run = begun(request.problem(plan, ends), job.numbers, job.y0, ends, job.may_run, job.status)
@@ -300,7 +300,7 @@ def started(plan: Plan, request: _Request, values, known, ends, start, values_ar
 
 
 @cached_jit(what="a run", options=options_for)
-def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, window, n_turns) -> tuple:
+def gone_on_with(plan: Plan, request: RunRequest, ends, forms: Any, vectors, window, n_turns) -> tuple:
     """Samples of the next window, what else an `Outcome` says at its end but for the assembly, the run's vectors, and
     the numbers of a `WindowProgress`.
 
@@ -317,7 +317,9 @@ def gone_on_with(plan: Plan, request: _Request, ends, forms: Any, vectors, windo
 
 
 @cached_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)
-def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, start, values_are_legal, by_start: bool):
+def _with_slopes(
+    plan: Plan, request: RunRequest, values, directions, known, ts, start, values_are_legal, by_start: bool
+):
     n = values.shape[0]
 
     def job_of_values(values):
@@ -337,6 +339,6 @@ def _with_slopes(plan: Plan, request: _Request, values, directions, known, ts, s
     return JobWithSlopes(_outcome(request, job, made), slopes, assembly)
 
 
-def _outcome(request: _Request, job: Job, made: LaneOutcome) -> Outcome:
+def _outcome(request: RunRequest, job: Job, made: LaneOutcome) -> Outcome:
     stats = statistics(made, stages_of(request.rest))
     return Outcome(made.ys, made.t_reached, made.y_reached, made.status, stats, job.assembly)

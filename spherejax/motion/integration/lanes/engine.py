@@ -256,7 +256,8 @@ class Queue:
         log = None
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
-            log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan))
+            trials = jnp.full((rows[0], 2), jnp.nan)
+            log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan), trials)
         last = self.nothing_last(lanes)
         rows = account.rows(self.n_jobs)
         carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last
@@ -434,8 +435,11 @@ class Queue:
             in_lanes(self.sample)(before.t, before.t_next, bend, dense_info, before.parameters, at) for at in times
         ]
         states = jnp.moveaxis(jnp.stack([*inside, lanes.y]), -1, 0)
+        trials = jnp.stack([before.t_next - before.t, jnp.broadcast_to(bend, before.t.shape)], axis=-1)
         return StepLog(
-            with_rows_at(log.times, row, jnp.stack([*times, lanes.t], axis=-1)), with_rows_at(log.states, row, states)
+            with_rows_at(log.times, row, jnp.stack([*times, lanes.t], axis=-1)),
+            with_rows_at(log.states, row, states),
+            with_rows_at(log.trials, row, trials),
         )
 
     def refilled(self, lanes: Lane, waiting, account) -> tuple:

@@ -82,10 +82,13 @@ class StepLog(NamedTuple):
         times: of the shares of each step that were asked for, and of its end [s], shape (n_jobs, capacity, k + 1).
         states: there; at the end with what its events changed, shape (n_jobs, capacity, k + 1, ...). Rows of steps that
             were not made are NaN.
+        trials: length [s] of the trial step that was kept, which an event inside it may have cut short, and the bend of
+            the time that it was made in (`stages.own_time`), shape (n_jobs, capacity, 2).
     """
 
     times: Float[Array, "n_jobs capacity k+1"]
     states: Float[Array, "n_jobs capacity k+1 ..."]
+    trials: Float[Array, "n_jobs capacity 2"]
 
 
 class Lane(NamedTuple):

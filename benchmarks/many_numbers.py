@@ -1,0 +1,97 @@
+"""Gradients by many numbers: what they cost in values, and what they take to compile.
+
+    python benchmarks/many_numbers.py     # three minutes
+
+A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them; the
+dry four-bar, 0.2 s, by all numbers of its scene but the exponent of its contact. Each in its own process, without a
+cache: processor time of the first call, imports not counted, and the shortest of 15 calls after it.
+"""
+
+import os
+import subprocess
+import sys
+
+from machine import write
+
+CODE = """
+import sys, time, equinox as eqx, jax, jax.numpy as jnp, spherejax as sj
+[getattr(sj, name) for name in sj.__all__]
+ts = jnp.linspace(0.0, 3.0, 31)
+
+class Learned(sj.AbstractForce):
+    network: sj.Network
+    @property
+    def body_names(self):
+        return ("ball",)
+    def wrenches(self, t, motions):
+        ball = motions["ball"]
+        force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
+        return {{"ball": sj.Wrench(jnp.stack([force, 0 * force, 0 * force]), jnp.zeros(3))}}
+
+def by_network(width):
+    numbers = sj.Network(eqx.nn.MLP(2, "scalar", width, 2, activation=jnp.tanh, key=jax.random.key(1)))
+    def loss(network):
+        ball = sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))
+        scene = sj.Scene({{"ball": ball}}, forces={{"law": Learned(network)}}, gravity=(0, 0, 0))
+        return jnp.mean(sj.simulate(scene, ts, rtol=1e-7).position("ball")[:, 0] ** 2)
+    return loss, numbers
+
+def by_scene():
+    scene = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))
+    exponent = lambda scene: scene.joints["coupler_rocker"].model.normal.exponent
+    numbers, rest = eqx.partition(scene, lambda leaf: isinstance(leaf, float) or eqx.is_inexact_array(leaf))
+    numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), numbers)
+    def loss(numbers):
+        whole = eqx.tree_at(exponent, eqx.combine(numbers, rest), exponent(scene))
+        return sj.simulate(whole, jnp.linspace(0.0, 0.2, 21)).position("rocker")[-1, 2]
+    return loss, numbers
+
+loss, numbers = {case}
+ones = jax.tree.map(jnp.ones_like, numbers)
+ways = dict(value=loss, gradient=jax.grad(loss), direction=lambda at: jax.jvp(loss, (at,), (ones,))[1])
+call = jax.jit(ways["{way}"])
+begin = time.process_time()
+jax.block_until_ready(call(numbers))
+first, taken = time.process_time() - begin, []
+for _ in range(15):
+    begin = time.perf_counter()
+    jax.block_until_ready(call(numbers))
+    taken.append(time.perf_counter() - begin)
+print(sum(leaf.size for leaf in jax.tree.leaves(numbers)), first, min(taken))
+"""
+
+CASES = {
+    "network in a force, width 8": "by_network(8)",
+    "network in a force, width 32": "by_network(32)",
+    "network in a force, width 64": "by_network(64)",
+    "dry four-bar, its scene": "by_scene()",
+}
+
+
+def measured(case: str, way: str) -> tuple[int, float, float]:
+    """Count of numbers, processor time of a first call [s], and time of a call [s], in a process of its own."""
+    environment = {**os.environ, "SPHEREJAX_CACHE": "0"}
+    code = CODE.format(case=CASES[case], way=way)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True)
+    count, first, taken = done.stdout.split()[-3:]
+    return int(count), float(first), float(taken)
+
+
+def main() -> None:
+    rows = []
+    for case in CASES:
+        _, _, value = measured(case, "value")
+        for way in ("value", "gradient", "direction"):
+            count, first, taken = measured(case, way)
+            rows.append(
+                {
+                    "case": case, "numbers": count, "what": way, "milliseconds": f"{taken * 1e3:.3f}",
+                    "values": f"{taken / value:.1f}", "first_call_s": f"{first:.1f}",
+                }
+            )  # fmt: skip
+            print(rows[-1], flush=True)
+    write("many_numbers", "python benchmarks/many_numbers.py", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,320 @@
+"""The gradient of a run by many numbers under JAX's transformations: back along the steps of the run, once.
+
+Rows of sensitivities cost in proportion to the numbers: a force with 1,185 weights 3,000 runs. Here a run is made once
+more and keeps its steps y_0, y_1, ...; then lambda_n, the derivatives of what is wanted by y_n, follow from the last to
+the first,
+
+    (lambda_n, mu_n) = (d(y_n+1, samples in the step)/d(y_n, numbers))^T (lambda_n+1, derivatives by these samples),
+
+and the sum of all mu_n are the derivatives by the numbers. Samples inside a step are the method's own interpolation
+between its stages, as in the run itself, so each step is evaluated once, with all of its samples.
+
+The repeated run carries one sensitivity along, by a mixture of all numbers, whose error is controlled with the state's:
+its steps are then short enough for derivatives, behind contact onsets as well (`sensitivity_rows`).
+
+Steps are kept in a fixed room, for a compiled program cannot ask how many there will be. A run that needs more is cut:
+forward to its end, with the state at the beginning of each stretch, then stretch by stretch from the last to the first,
+each made once more. A stretch that is made again from the same state takes the same steps to the last bit.
+
+Limits: explicit methods; the errors of the derivatives are controlled along the mixture, not one by one.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from spherejax.model.system import example_of
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import Program, program_for
+from spherejax.motion.integration.compiling import in_machine_code, options_for
+from spherejax.motion.integration.integrate import (
+    Parameters,
+    Plan,
+    beginning,
+    contacts_of,
+    correction_for,
+    parameters_from,
+)
+from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
+from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
+from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
+from spherejax.motion.integration.one_run import RunRequest
+from spherejax.motion.integration.sampling import samples_of
+from spherejax.motion.integration.sensitivity_rows import delay_weights
+from spherejax.motion.integration.status import Status
+from spherejax.physics.forces.remembering import SAME_INSTANT
+from spherejax.program_cache import cached_jit
+
+ROOM = 1024
+"""Steps of a stretch. A program fills the room with NaN when it begins: 1 MB for a four-bar, 0.1 ms."""
+
+MIXTURE_SLACK = 0.1
+"""Errors of the one sensitivity that stands for all are allowed to be this share of those of rows for each number.
+
+A ball that forty sines drive through four impacts with friction: gradients are right to 2e-5 with 1, to 1.5e-6 with
+0.1 at an rtol of 1e-8 and 1e-9, where rows for all numbers have 1e-7. It takes a third more steps."""
+
+N_STRETCHES = 4096
+"""So many of them, four million steps; the gradient of a run with more is NaN."""
+
+
+class _Sweep(NamedTuple):
+    """What has been summed on the way back.
+
+    Attributes:
+        by_state: lambda, the derivatives by the state at the end of the coming step.
+        by_numbers: those by the parameters of the right-hand side.
+        sample: index of the last sample whose derivatives have not been added.
+    """
+
+    by_state: Float[Array, " size"]
+    by_numbers: Any
+    sample: Int[Array, ""]
+
+
+class _Stretches(NamedTuple):
+    """The loop over stretches.
+
+    Attributes:
+        at: index of the coming one.
+        goes_back: whether the end of the run has been reached.
+        is_sound: whether no stretch has failed.
+        times, rows: where each begins [s], and state and sensitivity there.
+        sweep: of those behind.
+    """
+
+    at: Int[Array, ""]
+    goes_back: Bool[Array, ""]
+    is_sound: Bool[Array, ""]
+    times: Float[Array, " n"]
+    rows: Float[Array, "n 2 size"]
+    sweep: _Sweep
+
+
+@cached_jit(what="the gradient of a run", options=options_for)
+def pulled_back(
+    plan: Plan,
+    request: RunRequest,
+    values: Float[Array, " p"],
+    known: Float[Array, " n_numbers"],
+    ts: Float[Array, " n"],
+    start: Any,
+    values_are_legal: Any,
+    by_ys: Float[Array, "n size"],
+    by_assembly: Any,
+) -> Float[Array, " p"]:
+    """The derivatives of a number by the traced numbers; NaN where the run fails.
+
+    Args:
+        plan, request, values, known, ts, start, values_are_legal: as of `one_run.integrated`; the method is explicit.
+        by_ys, by_assembly: its derivatives by the sampled states, and by how the start was assembled.
+    """
+    given = plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly
+    # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes. What lies between
+    # them is not joined (`native_run`): of the way back through a contact XLA (JAX 0.10) cannot compile a branch then.
+    with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan, request.rest)):
+        return _pulled_back(*given)
+
+
+def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly) -> Array:
+    scale = jnp.asarray(plan.scales(values))
+
+    def job_of_values(values):
+        return request.job(plan, values, known, ts, start, values_are_legal)
+
+    job, _ = with_slopes(job_of_values, values, jnp.asarray(mixture_of(values.shape[0]) * scale))
+    job = job._replace(numbers=job.numbers._replace(slack=request.slack * MIXTURE_SLACK))
+    kind = JobKind(plan.structure, plan.scalar, request.rest, True, moving=plan.unknown)
+    problem = kind.problem(ts, request.of_all)._replace(max_steps=ROOM)
+
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
+    back = _StepsBack(plan, request, rate, parameters, ts, by_ys)
+    n = jnp.asarray(ts.shape[0] - 1)
+    sweep = _Sweep(jnp.zeros(job.y0.shape[1:]), jax.tree.map(jnp.zeros_like, parameters), n)
+    stretches = _Stretches(
+        jnp.zeros((), jnp.int64),
+        jnp.array(False),
+        jnp.asarray(job.may_run),
+        jnp.zeros(N_STRETCHES).at[0].set(ts[0]),
+        jnp.zeros((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
+        sweep,
+    )
+    found = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)
+    # Samples at the start are the start.
+    is_first = (jnp.arange(ts.shape[0]) <= found.sweep.sample)[:, None]
+    by_start = found.sweep.by_state + jnp.sum(jnp.where(is_first, by_ys, 0.0), axis=0)
+
+    def start_of(values):
+        return beginning(plan, plan.theta(values, known), ts[0], plan.start(values, start))
+
+    _, to_start = jax.vjp(start_of, values)
+    along_run, at_start = to_values(found.sweep.by_numbers)[0], to_start((by_assembly, by_start))[0]
+    return jnp.where(found.is_sound, along_run + at_start, jnp.nan)
+
+
+def _goes_on(stretches: _Stretches) -> Bool[Array, ""]:
+    return (stretches.at >= 0) & stretches.is_sound
+
+
+def _with_stretch(problem: LaneProblem, job: Job, t_end, back: "_StepsBack", stretches: _Stretches) -> _Stretches:
+    """A stretch is made: on the way to the end its own end is noted, on the way back its steps are gone back."""
+    at = stretches.at
+    t, rows = stretches.times[at], stretches.rows[at]
+    ends = jnp.stack([t, t_end])
+    own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, stretches.is_sound, job.status))
+    numbers, first, may_run, status = own
+    outcome, log = steps_in_lanes(problem, numbers, first, ends, may_run, status, Block(), ROOM, ())
+    n_steps, is_full = outcome.n_accepted[0], outcome.status[0] == Status.TOO_MANY_STEPS
+    is_sound = (outcome.status[0] == Status.SUCCEEDED) | (is_full & (n_steps > 0))
+    notes = is_full & ~stretches.goes_back
+    is_sound = is_sound & ~(notes & (at + 1 == N_STRETCHES))
+    goes_back = is_sound & ~notes
+
+    def gone_back(sweep):
+        return back.along(log, n_steps, t, rows[0], sweep)
+
+    sweep = jax.lax.cond(goes_back, gone_back, lambda sweep: sweep, stretches.sweep)
+    coming = jnp.minimum(at + 1, N_STRETCHES - 1)
+    return _Stretches(
+        jnp.where(notes, at + 1, at - 1),
+        stretches.goes_back | goes_back,
+        is_sound,
+        stretches.times.at[coming].set(jnp.where(notes, outcome.t_reached[0], stretches.times[coming])),
+        stretches.rows.at[coming].set(jnp.where(notes, outcome.y_reached[0], stretches.rows[coming])),
+        sweep,
+    )
+
+
+class _StepsBack:
+    """The way back along steps; lives while a program is traced."""
+
+    def __init__(self, plan: Plan, request: RunRequest, rate: Program, parameters: Parameters, ts, by_ys):
+        self.parameters, self.ts, self.by_ys = parameters, ts, by_ys
+        self.rate = lambda t, y, parameters: rate.inside(parameters.theta, parameters.ahead, t, y)
+        self.correct, self.event = correction_for(plan), event_of(plan, rate)
+        self.taken = samples_of(plan.structure, plan.scalar)
+        self.has_contacts = contacts_of(plan.structure, plan.scalar) is not None
+        solver: Any = eqx.combine(request.solver, request.rest)
+        self.interpolation = solver.interpolation_cls
+        self.tableau = explicit_tableau(solver.tableau, len(solver.tableau.b_sol), [solver.tableau.b_sol])
+
+    def along(self, log: StepLog, n_steps, t0, y0, sweep: _Sweep) -> _Sweep:
+        """Back along the steps of a stretch that begins at t0 [s] in the state y0."""
+        ends, states = log.times[0, :, -1], log.states[0, :, -1, 0]
+
+        def one_step_back(carry):
+            i, sweep = carry
+            is_first = i == 0
+            before = jnp.maximum(i - 1, 0)
+            t, y = jnp.where(is_first, t0, ends[before]), jnp.where(is_first, y0, states[before])
+            size, bend = log.trials[0, i, 0], log.trials[0, i, 1]
+            return i - 1, self._step_back(t, y, ends[i], states[i], size, bend, sweep)
+
+        return jax.lax.while_loop(lambda carry: carry[0] >= 0, one_step_back, (n_steps - 1, sweep))[1]
+
+    def _step_back(self, t, y, t_next, y_next, size, bend, sweep: _Sweep) -> _Sweep:
+        """Back along one step, that was kept from a trial step of a size [s], made in a bent time."""
+        # An event ended it early: the rest of the trial step is no part of it, nor is the rest of its bent time.
+        whole, size = size, t_next - t
+        if self.has_contacts:
+            part = jnp.clip(own_time(size / whole, bend), 0.0, 1.0)
+            bend = jnp.clip(bend * part**2 * whole / size, -1.0, 1.0)
+        else:
+            bend = None
+
+        def made(parameters, y):
+            k = self.tableau.stages(lambda t, y: self.rate(t, y, parameters), t, size, size, y, bend=bend)
+            end = y + self.tableau.sums_of(k)[0]
+            inside = {"y0": y, "y1": end, "k": k}
+            end = end if self.correct is None else self.correct(parameters, t_next, end)
+            end = end if self.event is None else self.event(parameters, t_next, y, end, y_next, jnp.array(True))
+            return end if self.taken is None else self.taken.update(parameters, t_next, end), inside
+
+        (_, inside), back = jax.vjp(made, self.parameters, y)
+        at_end = t_next - SAME_INSTANT * jnp.abs(t_next)
+        ts, last = self.ts, self.ts.shape[0] - 1
+
+        def is_at_end(carry):
+            _, i = carry
+            return (i >= 0) & (ts[jnp.clip(i, 0, last)] >= at_end)
+
+        def with_end(carry):
+            by_state, i = carry
+            return by_state + self.by_ys[i], i - 1
+
+        def is_inside(carry):
+            *_, i = carry
+            return (i >= 0) & (ts[jnp.clip(i, 0, last)] > t)
+
+        def with_inside(carry):
+            by_numbers, by_inside, i = carry
+            # Most losses look at few of the samples, or at few times.
+            return (
+                *jax.lax.cond(
+                    jnp.any(self.by_ys[i] != 0),
+                    partial(self._sample_back, t, size, bend, inside),
+                    lambda i, by_numbers, by_inside: (by_numbers, by_inside),
+                    i,
+                    by_numbers,
+                    by_inside,
+                ),
+                i - 1,
+            )
+
+        by_end, i = jax.lax.while_loop(is_at_end, with_end, (sweep.by_state, sweep.sample))
+        none = jax.tree.map(jnp.zeros_like, inside)
+        by_numbers, by_inside, i = jax.lax.while_loop(is_inside, with_inside, (sweep.by_numbers, none, i))
+        more, by_state = back((by_end, by_inside))
+        return _Sweep(by_state, jax.tree.map(jnp.add, by_numbers, more), i)
+
+    def _sample_back(self, t, size, bend, inside, i, by_numbers, by_inside):
+        """The derivatives by one sample, carried on to the stages of its step and to the parameters."""
+        at = self.ts[i]
+
+        def sampled(parameters, inside):
+            share = jnp.clip((at - t) / size, 0.0, 1.0)
+            share = share if bend is None else own_time(share, bend)
+            y = self.interpolation(t0=t, t1=t + size, **inside).evaluate(t + share * size)
+            return y if self.correct is None else self.correct(parameters, at, y)
+
+        more, by_these = jax.vjp(sampled, self.parameters, inside)[1](self.by_ys[i])
+        return jax.tree.map(jnp.add, by_numbers, more), jax.tree.map(jnp.add, by_inside, by_these)
+
+
+def mixture_of(n_directions: int) -> Float[np.ndarray, "1 k"]:
+    """The direction whose sensitivity is carried along: all directions with random signs, of the size of one."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (1, n_directions))
+    return signs / np.sqrt(n_directions)
+
+
+def event_of(plan: Plan, rate: Program) -> Callable | None:
+    """What contact onsets and releases at the end of a step do to the state there; None without contacts."""
+    contacts = contacts_of(plan.structure, plan.scalar)
+    if contacts is None or not contacts.onset_entries:
+        return None
+    n_motion = example_of(plan.structure).layout.memory_start
+
+    def event(parameters: Parameters, t, y, end, y_next, is_step):
+        def changed(parameters, y, end):
+            # The motion that the run had itself there, so that it is on the same side of the surface.
+            own = y_next[:n_motion] + (end[:n_motion] - jax.lax.stop_gradient(end[:n_motion]))
+            end = jnp.concatenate([own, end[n_motion:]])
+            updated = contacts.update(parameters, t, y, end)
+            weights = delay_weights(contacts, parameters, t, y, end, updated)
+            flight, contact = (rate.inside(parameters.theta, parameters.ahead, t, each) for each in (end, updated))
+            weights, jump = jax.lax.stop_gradient((weights, flight - contact))
+            here = contacts.crossings(parameters, t, end).value[: contacts.n_contacts]
+            delay = jnp.sum(weights * (here - jax.lax.stop_gradient(here)))  # 0, but for its derivatives
+            return updated + delay * jump
+
+        begins_or_ends = is_step & jnp.any(contacts.is_touching(y) != contacts.is_touching(y_next))
+        return jax.lax.cond(begins_or_ends, changed, lambda parameters, y, end: end, parameters, y, end)
+
+    return event

@@ -1,0 +1,175 @@
+"""Derivatives of runs by more numbers than rows of sensitivities are for.
+
+Closed forms of an oscillator that forty sines drive, along one direction and back along the steps; through contact,
+gradients against derivatives along directions, which are integrated beside the run, with their errors controlled.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spherejax as sj
+from spherejax.motion.derivatives import pullback
+from spherejax.motion.derivatives.sensitivities import MANY
+
+N = MANY + 8
+FREQUENCIES = jnp.arange(1, N + 1) / 7.0
+STIFFNESS, MASS = 9.0, 0.7
+TS = jnp.linspace(0.0, 2.0, 9)
+STRENGTHS = jnp.asarray(np.random.default_rng(3).normal(size=N))
+
+
+def sines(strengths, t):
+    return jnp.sum(strengths * jnp.sin(FREQUENCIES * t)) / N
+
+
+def driven(strengths) -> sj.Scene:
+    """m x'' = -k x + sum of a_i sin(w_i t) / n, at rest at the start."""
+
+    def force(t, motions):
+        x = motions["ball"].position[0]
+        return jnp.stack([sines(strengths, t) - STIFFNESS * x, 0 * x, 0 * x])
+
+    return sj.Scene(
+        {"ball": sj.Body(MASS, (1e-3,) * 3)}, forces={"drive": sj.AppliedWrench("ball", force)}, gravity=(0.0, 0.0, 0.0)
+    )
+
+
+def places(strengths, **options):
+    return sj.simulate(driven(strengths), TS, rtol=1e-9, **options).position("ball")[:, 0]
+
+
+def exact_slopes():
+    """dx/da_i = (sin(w_i t) - w_i / w0 sin(w0 t)) / (m n (w0^2 - w_i^2)), shape (samples, n)."""
+    own, w, t = np.sqrt(STIFFNESS / MASS), np.asarray(FREQUENCIES), np.asarray(TS)[:, None]
+    return (np.sin(w * t) - w / own * np.sin(own * t)) / (MASS * N * (own**2 - w**2))
+
+
+WEIGHTS = jnp.asarray([0.0, 1.0, 0.0, -2.0, 0.5, 0.0, 0.0, 3.0, 1.5])
+
+
+def wanted(strengths, **options):
+    return WEIGHTS @ places(strengths, **options)
+
+
+@pytest.mark.parametrize("way", [pytest.param("now", marks=pytest.mark.slow), "jit"])
+def test_a_gradient_by_many_numbers(way):
+    gradient = jax.grad(wanted) if way == "now" else jax.jit(jax.grad(wanted))
+    np.testing.assert_allclose(gradient(STRENGTHS), np.asarray(WEIGHTS) @ exact_slopes(), rtol=1e-7, atol=1e-10)
+
+
+def test_a_derivative_along_one_direction():
+    direction = jnp.asarray(np.random.default_rng(4).normal(size=N))
+    for size in (1.0, 1e9, 0.0):
+        _, slope = jax.jvp(places, (STRENGTHS,), (size * direction,))
+        np.testing.assert_allclose(slope, exact_slopes() @ (size * direction), rtol=1e-6, atol=1e-9 * size)
+
+
+@pytest.mark.slow
+def test_a_jacobian_in_both_modes():
+    for jacobian in (jax.jacfwd(places)(STRENGTHS), jax.jacrev(places)(STRENGTHS)):
+        np.testing.assert_allclose(jacobian, exact_slopes(), rtol=1e-6, atol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", ["vmap of grad", "grad of vmap", "jvp of vmap"])
+def test_many_runs(order):
+    several = jnp.stack([STRENGTHS, -0.3 * STRENGTHS, 0.0 * STRENGTHS])
+    exact = np.asarray(WEIGHTS) @ exact_slopes()
+    if order == "vmap of grad":
+        slopes = jax.vmap(jax.grad(wanted))(several)
+    elif order == "grad of vmap":
+        slopes = jax.grad(lambda rows: jnp.sum(jax.vmap(wanted)(rows)))(several)
+    else:
+        along = jnp.ones_like(several)
+        slope = jax.jvp(jax.vmap(wanted), (several,), (along,))[1]
+        np.testing.assert_allclose(slope, np.full(3, exact.sum()), rtol=1e-6)
+        return
+    np.testing.assert_allclose(slopes, np.broadcast_to(exact, several.shape), rtol=1e-6, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_second_derivatives_go_by_rows():
+    """x is linear in the strengths; a square of it is not."""
+
+    def square(strengths):
+        return places(strengths)[-1] ** 2
+
+    last = exact_slopes()[-1]
+    along = jax.jvp(jax.grad(square), (STRENGTHS,), (jnp.ones(N),))[1]
+    np.testing.assert_allclose(along, 2 * last * last.sum(), rtol=1e-5, atol=1e-10)
+
+
+def test_a_run_that_fails_has_no_gradient():
+    with pytest.warns(sj.SimulationWarning, match="max_steps"):
+        gradient = jax.grad(lambda strengths: wanted(strengths, max_steps=3))(STRENGTHS)
+    assert np.isnan(gradient).all()
+
+
+def bouncing(strengths) -> sj.Scene:
+    """A ball in a socket, thrown at its wall and driven there by forty sines."""
+
+    def force(t, motions):
+        x = motions["ball"].position[0]
+        return jnp.stack([0.1 * sines(strengths, t), 0.05 * sines(strengths[::-1], t), 0 * x])
+
+    joint = sj.Spherical("ground.socket", "ball.center", sj.Dry(1e-3, friction=sj.Threlfall()), starts_concentric=False)
+    ball = sj.Body(0.1, (1e-4,) * 3, velocity=(0.2, 0.05, 0.0), points={"center": (0.0, 0.0, 0.0)})
+    drive = sj.AppliedWrench("ball", force)
+    return sj.Scene({"ball": ball}, {"joint": joint}, {"drive": drive}, ground_points={"socket": (0.0, 0.0, 0.0)})
+
+
+def end_of_bounces(strengths):
+    run = sj.simulate(bouncing(strengths), jnp.linspace(0.0, 0.05, 4), rtol=1e-9)
+    return 1e3 * jnp.sum(run.position("ball")[:, 0]) + run.velocity("ball")[-1, 1]
+
+
+@pytest.mark.slow
+def test_through_contact_the_gradient_is_the_derivative_along_every_direction():
+    run = sj.simulate(bouncing(STRENGTHS), jnp.array([0.0, 0.05]))
+    assert int(run.stats.n_onsets[0]) >= 3
+    gradient = jax.grad(end_of_bounces)(STRENGTHS)
+    assert np.abs(gradient).max() > 5e-5
+    for seed in range(3):
+        direction = jnp.asarray(np.random.default_rng(seed).normal(size=N))
+        slope = jax.jvp(end_of_bounces, (STRENGTHS,), (direction,))[1]
+        assert float(gradient @ direction) == pytest.approx(float(slope), abs=1e-5 * float(jnp.linalg.norm(gradient)))
+
+
+@pytest.mark.slow
+def test_a_run_with_more_steps_than_there_is_room_for_is_cut(monkeypatch):
+    whole = jax.grad(end_of_bounces)(STRENGTHS)
+    monkeypatch.setattr(pullback, "ROOM", 32)  # of some 500 steps
+    pullback.pulled_back.clear()
+    cut = jax.grad(end_of_bounces)(STRENGTHS)
+    pullback.pulled_back.clear()
+    # Each stretch finds a first step of its own.
+    np.testing.assert_allclose(cut, whole, atol=1e-5 * np.abs(whole).max())
+
+
+@pytest.mark.slow
+def test_by_all_numbers_of_a_mechanism_with_contact():
+    """Rows for all numbers, whose errors are controlled one by one, are the reference: the exponent brings them."""
+    scene = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))
+
+    def exponent_of(scene: Any) -> Any:
+        return scene.joints["coupler_rocker"].model.normal.exponent
+
+    numbers, rest = eqx.partition(scene, lambda leaf: isinstance(leaf, float) or eqx.is_inexact_array(leaf))
+    leaves, tree = jax.tree.flatten(numbers)
+    leaves = [jnp.asarray(leaf, jnp.float64) for leaf in leaves]
+
+    def height(leaves, exponent=None):
+        whole = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
+        whole = eqx.tree_at(exponent_of, whole, exponent_of(scene) if exponent is None else exponent)
+        return sj.simulate(whole, jnp.array([0.0, 0.1]), rtol=1e-9).position("rocker")[-1, 2]
+
+    back = jax.tree.leaves(jax.jit(jax.grad(height))(leaves))
+    rows = jax.tree.leaves(jax.jit(jax.grad(height))(leaves, 1.5 + 0 * leaves[0].ravel()[0]))
+    largest = max(float(jnp.max(jnp.abs(leaf))) for leaf in rows)
+    for one, other in zip(back, rows, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6 * largest)
