@@ -655,7 +655,7 @@ def test_python_fmu_tells_a_start_that_the_joints_change(tmp_path):
 @pytest.mark.slow
 def test_python_fmu_reproduces_simulate_and_says_why_it_stops(tmp_path):
     """Of a film, whose method is stiff; FMPy is its host."""
-    film = pendulum(sj.Lubricated(1e-3, viscosity=4.0))
+    film = pendulum(sj.Lubricated(1e-4, viscosity=0.4))
     path = sj.export_fmu(
         film, tmp_path / "film.fmu", kind="python", inputs=PUSH, outputs=OUTPUTS, parameters="bodies.rod.mass"
     )
@@ -667,7 +667,7 @@ def test_python_fmu_reproduces_simulate_and_says_why_it_stops(tmp_path):
         sj.export_fmu(film, tmp_path / "b.fmu", kind="python", outputs=OUTPUTS, solver=diffrax.Dopri8())
     found = run_by(path, 0.06, start_values={"bodies.rod.mass": 0.8, PUSH: 0.5})
     scene = eqx.tree_at(
-        lambda s: s.bodies["rod"].mass, pendulum(sj.Lubricated(1e-3, viscosity=4.0), (0.5, 0.0, 0.0)), 0.8
+        lambda s: s.bodies["rod"].mass, pendulum(sj.Lubricated(1e-4, viscosity=0.4), (0.5, 0.0, 0.0)), 0.8
     )
     run = sj.simulate(scene, found["time"])
     assert "Rodas" in run.choice
