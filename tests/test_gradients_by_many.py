@@ -8,6 +8,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -173,3 +174,40 @@ def test_by_all_numbers_of_a_mechanism_with_contact():
     largest = max(float(jnp.max(jnp.abs(leaf))) for leaf in rows)
     for one, other in zip(back, rows, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6 * largest)
+
+
+class Learned(sj.AbstractForce):
+    """A force along x by place and speed, of a network."""
+
+    network: sj.Network
+
+    @property
+    def body_names(self):
+        return ("ball",)
+
+    def wrenches(self, t, motions):
+        ball = motions["ball"]
+        force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
+        return {"ball": sj.Wrench(jnp.stack([force, 0 * force, 0 * force]), jnp.zeros(3))}
+
+
+@pytest.mark.slow
+def test_by_the_weights_of_a_network_that_is_built_within_the_transformation():
+    module = eqx.nn.MLP(2, "scalar", 8, 2, activation=jnp.tanh, key=jax.random.key(1))
+
+    def wanted(module):
+        scene = sj.Scene(
+            {"ball": sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))},
+            forces={"law": Learned(sj.Network(module))},
+            gravity=(0, 0, 0),
+        )
+        return jnp.mean(sj.simulate(scene, TS, rtol=1e-9).position("ball")[:, 0] ** 2)
+
+    gradient = eqx.filter_jit(eqx.filter_grad(wanted))(module)
+    weights, rest = eqx.partition(module, eqx.is_inexact_array)
+    flat, unflatten = jax.flatten_util.ravel_pytree(weights)
+    assert flat.size > MANY
+    along = jnp.asarray(np.random.default_rng(0).normal(size=flat.size))
+    ahead, back = (wanted(eqx.combine(unflatten(flat + h * along), rest)) for h in (1e-5, -1e-5))
+    slope = jax.flatten_util.ravel_pytree(gradient)[0] @ along
+    assert float(slope) == pytest.approx(float(ahead - back) / 2e-5, rel=1e-6)
