@@ -527,7 +527,7 @@ def test_a_traced_tolerance_that_cannot_be_is_the_status_of_its_lane(option, val
 def test_diagnosis_names_the_lane_and_the_remedy():
     runs = jax.jit(jax.vmap(lambda c: sj.simulate(FOUR_BAR(sj.Dry(clearance=c)), TS)))(jnp.array([1e-4, -1e-4]))
     assert list(np.asarray(runs.succeeded)) == [True, False]
-    for word in ("lane 1", "not legal", "clearance", "alone"):
+    for word in ("lane 1", "not valid", "clearance", "alone"):
         assert word in runs.diagnosis
     assert "lane 0" not in runs.diagnosis
     with pytest.raises(sj.SimulationError, match="lane 1"):

@@ -108,7 +108,7 @@ def fitted():
 
 @pytest.fixture(scope="module")
 def sharp(fitted):
-    return fitted, sj.posterior(fitted, n_samples=400, n_chains=3, n_warmup=75, seed=1, progress=False)
+    return fitted, sj.posterior(fitted, n_samples=400, n_chains=3, n_warmup=75, rng=1, progress=False)
 
 
 @pytest.mark.slow
@@ -175,7 +175,7 @@ def test_bounds_and_priors_against_quadrature():
     start = {"stiffness": STIFFNESS, "damping": sj.Parameter(DAMPING, lower=0.0, upper=highest)}
     problem = problem_of(mount, start, [measured(noise, seed=3)], noise)
     found = sj.posterior(
-        problem, priors={"stiffness": prior}, n_samples=800, n_chains=3, n_warmup=100, seed=2, progress=False
+        problem, priors={"stiffness": prior}, n_samples=800, n_chains=3, n_warmup=100, rng=2, progress=False
     )
     assert found.n_divergences == 0
     k, b = np.meshgrid(np.linspace(1.4e4, 3e4, 321), np.linspace(0.0, highest, 402)[1:-1], indexing="ij")

@@ -268,7 +268,7 @@ def test_what_the_data_cannot_tell_is_named():
 
 
 def test_several_starts():
-    fit = sj.fit_stiffness(built, START, measurements(), noise=NOISE, starts=3, seed=1)
+    fit = sj.fit_stiffness(built, START, measurements(), noise=NOISE, starts=3, rng=1)
     assert len(fit.courses) == 3
     assert fit.best.cost <= min(course.cost for course in fit.courses)
     assert fit.succeeded

@@ -1,6 +1,7 @@
 """`sj.fit`: measurements from files and data sets, and what makes no sense is refused before anything is computed."""
 
 import re
+from types import SimpleNamespace
 
 import fitting
 import jax
@@ -10,6 +11,7 @@ import pytest
 from fitting import INSTANTS, SENSOR, START, oscillation, oscillator, seen
 
 import spherejax as sj
+from spherejax.studies.fit.columns import shown_units_of
 from spherejax.studies.fit.reading import measured_from
 
 
@@ -55,6 +57,17 @@ def test_tables_have_units_gaps_and_comments(tmp_path):
     read = measured_from(str(path))
     np.testing.assert_allclose(read.ts, [1e-3, 2e-3, 3e-3, 4e-3])
     np.testing.assert_allclose(read.values["position.ball.x"], [1.1, np.nan, np.nan, 1.05])
+    assert read.shown_in == {"position.ball.x": "mm"}
+    with pytest.raises(sj.SceneError, match="shown_in names 'x', which was not measured"):
+        sj.Measured(read.ts, read.values, shown_in={"x": "mm"})
+
+
+def test_pictures_of_fits_have_the_units_of_the_measurements():
+    values = {"position.ball": np.zeros((2, 3)), "reaction.joint.z": np.zeros(2)}
+    measured = sj.Measured([0.0, 1.0], values, shown_in={"position.ball": "mm"})
+    observables = [SimpleNamespace(unit="m"), SimpleNamespace(unit="N")]
+    experiment = SimpleNamespace(measured=measured, frame=SimpleNamespace(observables=observables))
+    assert shown_units_of(experiment) == [("mm", pytest.approx(1e-3))] * 3 + [("N", 1.0)]
 
 
 TABLES = {

@@ -292,7 +292,7 @@ def test_illegal_numbers_are_refused_with_a_word(instance):
     with pytest.raises(FMICallException) as refused:
         instance.slave.exitInitializationMode()
     assert refused.value.status == 3
-    assert "not legal" in instance.logged[-1]
+    assert "not valid" in instance.logged[-1]
 
 
 def test_a_step_that_fails_is_discarded_and_leaves_the_state(instance):

@@ -1,5 +1,6 @@
 """Sweeps: lanes that never idle, grids, records, stores that are gone on with, executors."""
 
+import inspect
 import os
 import shutil
 import subprocess
@@ -104,14 +105,44 @@ def test_grids():
     assert grid.values["a"].tolist() == [1, 1, 1, 2, 2, 2]
     assert grid.values["b"].tolist() == [3, 4, 5, 3, 4, 5]
     assert zipped({"a": [1.0, 2.0], "b": [3.0, 4.0]}).n_runs == 2
-    sample = random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, seed=3, logarithmic=["a"])
+    sample = random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, rng=3, logarithmic=["a"])
     assert abs(np.mean(np.log10(sample.values["a"])) - 1) < 0.1
     assert np.all((sample.values["b"] >= 0) & (sample.values["b"] <= 1))
-    again = random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, seed=3, logarithmic=["a"])
+    again = random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, rng=3, logarithmic=["a"])
     assert sample.fingerprint == again.fingerprint
-    assert sample.fingerprint != random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, seed=4).fingerprint
+    assert sample.fingerprint != random_samples({"a": (1.0, 100.0), "b": (0.0, 1.0)}, 1000, rng=4).fingerprint
     even = sobol_samples({"a": (0.0, 1.0)}, 64).values["a"]
     assert np.all(np.histogram(even, 8, (0, 1))[0] == 8)
+
+
+def test_random_numbers_come_from_a_number_a_generator_or_anew():
+    ranges = {"a": (1.0, 2.0)}
+    for samples in (sj.random_samples, sj.sobol_samples):
+        first = samples(ranges, 4, rng=3).values["a"]
+        np.testing.assert_array_equal(samples(ranges, 4, rng=np.random.default_rng(3)).values["a"], first)
+        assert np.any(samples(ranges, 4, rng=None).values["a"] != first)
+        with pytest.warns(DeprecationWarning, match="seed= is called rng="):
+            np.testing.assert_array_equal(samples(ranges, 4, seed=3).values["a"], first)
+        with pytest.raises(TypeError, match="give one of both"):
+            samples(ranges, 4, seed=3, rng=3)
+        with pytest.raises(sj.SceneError, match=r"rng = 'x' must be a whole number"):
+            samples(ranges, 4, rng="x")
+
+
+def test_no_public_function_has_a_seed():
+    calls = [getattr(sj, name) for name in sj.__all__ if name != "RandomRoad"]  # whose seed is a number of the scene
+    with_rng = [call for call in calls if callable(call) and "rng" in _arguments(call)]
+    assert len(with_rng) == 9
+    assert not [call for call in calls if callable(call) and "seed" in _arguments(call)]
+    with pytest.warns(DeprecationWarning, match="seed= is called rng="):
+        assert sj.GrowingHorizon(seed=3) == sj.GrowingHorizon(rng=3)
+
+
+def _arguments(call) -> set[str]:
+    try:
+        return set(inspect.signature(call).parameters)
+    except (TypeError, ValueError):
+        return set()
 
 
 @pytest.mark.parametrize(

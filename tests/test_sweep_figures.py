@@ -8,6 +8,7 @@ from sweeping import pendulum
 import spherejax as sj
 from spherejax.cli import main
 from spherejax.command_line.shown import ShownNumbers, in_units
+from spherejax.command_line.sweep_check import changes, check_runs
 from spherejax.motion.integration.status import Status
 from spherejax.output.plot.swept import figures_of_sweep
 from spherejax.output.plot.swept_axes import outliers
@@ -141,25 +142,43 @@ def test_the_command_tells_why_runs_failed(tmp_path, capsys, monkeypatch):
     scene, out = tmp_path / "pendulum.toml", tmp_path / "masses.zarr"
     sj.save_scene(pendulum(), scene)
     command = ["sweep", str(scene), "--vary", "bob.mass=-1,0.5,2", "--t1", "0.1", "--samples", "3", "--chunk", "2"]
+    command += ["--check", "2"]
     assert main([*command, "--solver", "dopri8", "--record", "final position.bob", "--out", str(out)]) == 0
     captured = capsys.readouterr()
     told = captured.out
     # Where nobody watches there is no bar; on a slow machine a line every ten seconds.
     assert all(line.startswith("spherejax: sweep: ") for line in captured.err.splitlines())
-    assert len(told.splitlines()) < 30
+    assert len(told.splitlines()) < 36
     assert "runs that failed" in told
     assert "bob_mass -1 to -1" in told
-    assert "bad value: a physical number is not legal" in told
+    assert "2 runs at the tolerances 1e-07 and 1e-08" in told
+    assert "bad value: a physical number is not valid" in told
     result = sj.open_sweep(out)
     assert result["status"].values.tolist() == [Status.BAD_VALUE, 0, 0]
     assert result["warnings"].values.tolist() == [1, 0, 0]
     assert sorted(path.name for path in (tmp_path / "masses").iterdir()) == ["final_position_bob.png", "n_steps.png"]
     failed = result.assign(status=0 * result["status"] + Status.BAD_VALUE)
     monkeypatch.setattr(sj, "sweep", lambda *arguments, **options: failed)
-    last = ["--record", "final position.bob", "--no-pictures", "--out", str(tmp_path / "none.nc")]
+    last = ["--check", "0", "--record", "final position.bob", "--no-pictures", "--out", str(tmp_path / "none.nc")]
     assert main([*command, *last]) == 3
     assert "all 3 runs failed" in capsys.readouterr().err
     assert (tmp_path / "none.nc").exists()
+
+
+def test_a_check_of_the_tolerance_tells_the_largest_change_and_its_run():
+    result = swept(zipped({"a": np.linspace(1.0, 2.0, 9)}))
+    runs = check_runs(4, 9)
+    assert runs == [0, 3, 5, 8]
+    again = result.isel(run=runs).copy(deep=True)
+    again["peak"][1] *= 1.1
+    again["motion"][1, 4] += 1e-3
+    peak, motion = changes(result, again, runs, ["peak", "motion"])
+    before = float(result["peak"][3])
+    assert (peak.run, peak.values, peak.unit) == (3, (before, pytest.approx(1.1 * before)), "N")
+    assert peak.share == pytest.approx(0.1 * before / float(result["peak"].max()))
+    assert (motion.run, motion.largest) == (3, pytest.approx(1e-3))
+    again["status"][:] = Status.BAD_VALUE
+    assert changes(result, again, runs, ["peak"]) == []
 
 
 def test_an_outlier_leaves_the_colors_to_the_others_and_is_told():

@@ -49,7 +49,7 @@ def test_samples_follow_their_distributions(draw):
 
 
 def test_ranges_give_the_numbers_that_they_always_gave():
-    found = sj.random_samples({"a": (0.25, 3.0), "b": (1e-6, 1e-3)}, 50, seed=3, logarithmic=["b"]).values
+    found = sj.random_samples({"a": (0.25, 3.0), "b": (1e-6, 1e-3)}, 50, rng=3, logarithmic=["b"]).values
     points = np.random.default_rng(3).random((50, 2))
     np.testing.assert_array_equal(found["a"], 0.25 + points[:, 0] * (3.0 - 0.25))
     np.testing.assert_array_equal(found["b"], np.exp(np.log(1e-6) + points[:, 1] * np.log(1e-3 / 1e-6)))

@@ -238,7 +238,9 @@ def _measured(path: str, options: argparse.Namespace) -> sj.Measured:
     from spherejax.studies.fit.reading import from_file
 
     read = from_file(Path(path).expanduser(), _columns(options))
-    return read if options.t0 is None else sj.Measured(read.ts, read.values, name=read.name, t0=options.t0)
+    if options.t0 is None:
+        return read
+    return sj.Measured(read.ts, read.values, name=read.name, t0=options.t0, shown_in=read.shown_in)
 
 
 def _columns(options: argparse.Namespace) -> dict[str, str] | None:

@@ -6,7 +6,7 @@ import argparse
 import re
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,12 @@ from spherejax.command_line.reports import add_report, check_report, write_repor
 from spherejax.command_line.scene_numbers import UnitOf, require_quantities, unit_of_option, units_in, with_number
 from spherejax.command_line.scenes import Chosen, add_scene, chosen
 from spherejax.command_line.shown import ShownNumbers, WantedQuantity, in_units, shown_in, wanted
+from spherejax.command_line.sweep_check import print_check
 from spherejax.foundations.errors import one_of
 from spherejax.foundations.units.units import PURE
+
+DEFAULT_RTOL = 1e-7
+"""Relative tolerance of a step where none is given."""
 
 DESCRIPTION = """\
 Simulate a mechanism for many parameters, on all cores. What is varied is an option of the studied
@@ -74,7 +78,20 @@ def add_sweep(commands) -> None:
     how.add_argument(
         "--t1", type=measured_in("s"), default=0.2, metavar="S", help="length of the motion [s] (default: 0.2)"
     )
-    how.add_argument("--rtol", type=real, default=1e-7, help="relative tolerance of a step (default: 1e-7)")
+    how.add_argument(
+        "--rtol",
+        type=real,
+        default=DEFAULT_RTOL,
+        help="relative tolerance of a step (default: 1e-7, where `run` has 1e-8: a fourth to a third fewer steps; "
+        "--check N tells what that changes)",
+    )
+    how.add_argument(
+        "--check",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="make N runs once more at a tenth of the tolerance, and print what changes (default: 0)",
+    )
     how.add_argument(
         "--derivative-rtol",
         type=real,
@@ -116,20 +133,24 @@ def sweep_scene(options: argparse.Namespace) -> int:
     unit_of = units_in(scene, found.studied)
     asked = asked_of(options, unit_of)  # a unit of another dimension is refused
     grid = asked.grid(options)
+
+    def runs_of(grid: sj.Grid, rtol: float, **where: Any):
+        return sj.sweep(
+            build,
+            grid,
+            np.linspace(0.0, options.t1, number_of_samples(options.samples)),
+            record=[one.name for one in recorded],
+            rtol=rtol,
+            derivative_rtol=options.derivative_rtol,
+            max_steps=options.max_steps,
+            solver=SOLVERS[options.solver]() if options.solver else None,
+            workers=options.workers,
+            **where,
+        )
+
     begin = time.perf_counter()
-    result = sj.sweep(
-        build,
-        grid,
-        np.linspace(0.0, options.t1, number_of_samples(options.samples)),
-        record=[one.name for one in recorded],
-        rtol=options.rtol,
-        derivative_rtol=options.derivative_rtol,
-        max_steps=options.max_steps,
-        solver=SOLVERS[options.solver]() if options.solver else None,
-        workers=options.workers,
-        chunk=options.chunk,
-        store=path if path.suffix == ".zarr" else None,
-    )
+    store = path if path.suffix == ".zarr" else None
+    result = in_si = runs_of(grid, options.rtol, chunk=options.chunk, store=store)
     seconds = time.perf_counter() - begin
     if path.suffix != ".zarr":
         from spherejax.output.io import save
@@ -140,6 +161,9 @@ def sweep_scene(options: argparse.Namespace) -> int:
     for one, name in zip(recorded, list(result.data_vars), strict=False):
         result = result.assign({name: one.shown(result[name].attrs["units"]).of(result[name])})
     _print(found, options, asked, result, seconds)
+    if options.check:
+        kept = list(in_si.data_vars)[: len(recorded)]
+        print_check(in_si, list(map(str, kept)), options.check, grid, options.rtol, runs_of)
     pictures = [] if options.no_pictures else _draw(result, found, path)
     write_report(options, result, f"{found.title or found.name}: {', '.join(options.vary)}", scene)
     print(f"wrote {path}" + (f" and {len(pictures)} pictures beside it" if pictures else ""))
@@ -175,7 +199,7 @@ class AskedGrid(NamedTuple):
         """All runs."""
         if options.draws is None:
             return sj.product(self.values)
-        return sj.sobol_samples(self.ranges, options.draws, seed=options.seed, logarithmic=self.logarithmic)
+        return sj.sobol_samples(self.ranges, options.draws, rng=options.seed, logarithmic=self.logarithmic)
 
 
 def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> AskedGrid:
@@ -283,6 +307,7 @@ def _print(found: Chosen, options: argparse.Namespace, asked: AskedGrid, result,
         ("steps", f"{int(result['n_steps'].sum()):,}"),
         ("lane efficiency", f"{facts['lane_efficiency']:.3f}"),
         ("method", str(facts["method"])),
+        ("relative tolerance of a step", _tolerance(options)),
     ]
     for name in result.data_vars:
         values = np.asarray(result[name], float)
@@ -290,6 +315,12 @@ def _print(found: Chosen, options: argparse.Namespace, asked: AskedGrid, result,
             rows.append((f"{name} [{result[name].attrs.get('units', '')}]", _range(values)))
     print_table(f"{found.title or found.name}: {', '.join(options.vary)}", ("quantity", "value"), rows)
     _print_flagged(result)
+
+
+def _tolerance(options: argparse.Namespace) -> str:
+    if options.check or options.rtol != DEFAULT_RTOL:
+        return f"{options.rtol:g}"
+    return f"{options.rtol:g}, the default; --check 4 makes four runs at a tenth of it, and tells what changes"
 
 
 def _print_flagged(result) -> None:

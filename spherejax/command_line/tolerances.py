@@ -150,7 +150,7 @@ def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any], obs
         return sj.tolerance_budget(build, spreads, ts, observables=observables, **how)
     n = RUNS[options.method] if options.runs is None else options.runs
     study = sj.sobol_indices if options.method == "sobol" else sj.monte_carlo
-    return study(build, spreads, ts, record=observables, n=n, seed=options.seed, **how)
+    return study(build, spreads, ts, record=observables, n=n, rng=options.seed, **how)
 
 
 def _in_units(result: Any, asked: Sequence[WantedQuantity]) -> Any:

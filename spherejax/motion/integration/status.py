@@ -58,7 +58,7 @@ REMEDIES = {
         "Check the forces at that instant, loosen rtol, or soften the contact or film"
     ),
     Status.BAD_VALUE: (
-        "a physical number is not legal (for instance a clearance that is not positive), or the sample times do "
+        "a physical number is not valid (for instance a clearance that is not positive), or the sample times do "
         "not increase, or do not begin where the run that goes on ended. Simulate this lane alone, outside jit and "
         "vmap, to get the error that names the joint and the value"
     ),

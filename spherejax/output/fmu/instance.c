@@ -152,7 +152,7 @@ static bool values_are_legal(Instance *c) {
     }
   AT(legal, legal_ahead, &none, &is_legal);
   if (is_legal > 0) return true;
-  say(c, ERROR, "a number is not legal, for instance a mass or a clearance that is not positive: %s",
+  say(c, ERROR, "a number is not valid, for instance a mass or a clearance that is not positive: %s",
       "sj.simulate with the same values names it");
   return false;
 }

@@ -19,17 +19,21 @@ from spherejax.output.plot.symbols import symbol_strokes
 HEIGHT = 0.26
 """Height of the row [inch]."""
 
+LEAD_COLOR, LEAD_DASHES = "0.6", (0, (4, 3))
+"""Of the line from a joint to the panel that magnifies it."""
+
 _SIZE, _GAP = 0.065, 0.22
 """Radius of a symbol, and room between entries [inch]."""
 
 
-def draw_key(ax: Axes, mechanism: Mechanism, *, bodies: bool) -> None:
+def draw_key(ax: Axes, mechanism: Mechanism, *, bodies: bool, magnified: bool = False) -> None:
     """Rows with the symbol and the name of each kind of joint, in a panel of their own.
 
     Args:
         ax: the panel, whose layout is final.
         mechanism: what is drawn.
         bodies: whether bodies are named too, where nothing else names them.
+        magnified: whether a dashed line leads from a joint to a panel that magnifies it.
     """
     ax.set_axis_off()
     camera = camera_from(-50.0, 22.0, np.zeros(3))
@@ -44,6 +48,9 @@ def draw_key(ax: Axes, mechanism: Mechanism, *, bodies: bool) -> None:
         if joint.kind in ("PointOnPlane", "ParallelAxes"):
             axes = [np.array([0.0, 0.0, 1.0])] * len(axes)
         entries[name] = symbol_strokes(joint, ends, axes, camera, _SIZE)
+    if magnified:
+        lead = _SIZE * np.array([[-2.4, 0.0], [2.4, 0.0]])
+        entries["from a joint to its magnification"] = [Stroke(lead, edge=LEAD_COLOR, width=0.7, dashes=LEAD_DASHES)]
     _write(ax, entries)
 
 

@@ -17,6 +17,7 @@ from matplotlib.path import Path
 from spherejax.foundations.errors import SceneError
 from spherejax.output.plot.camera import Camera, world_directions
 from spherejax.output.plot.elements import FORCE_COLOR
+from spherejax.output.plot.key import LEAD_COLOR, LEAD_DASHES
 from spherejax.output.plot.mechanism import Mechanism, MechanismPose
 from spherejax.output.plot.space import SpaceView, Triad
 from spherejax.output.plot.strokes import CIRCLE, INK, arrow_outline
@@ -195,7 +196,7 @@ class MagnifiedView:
         self.ax.set_title(f"{self.motion.name}, magnified {times:,.0f} times", fontsize=8.5)
         self.link = ConnectionPatch(
             (0.0, 0.0), (-self.motion.radius, 0.0), view.ax.transData, self.ax.transData,
-            color="0.6", lw=0.7, ls=(0, (4, 3)), zorder=-1,
+            color=LEAD_COLOR, lw=0.7, ls=LEAD_DASHES, zorder=-1,
         )  # fmt: skip
         self.ax.figure.add_artist(self.link)
         self.view = view
@@ -236,9 +237,11 @@ class MagnifiedView:
         if c is None:
             first = f"|e| = {factor * distance:.3g} {unit}  (circle: largest |e|)"
         else:
-            first = f"|e| = {factor * distance:.4f} {unit} = {distance / c:.3f} c, {'contact' if touches else 'flight'}"
+            state = "contact (black arrow: normal)" if touches else "flight"
+            first = f"|e| = {factor * distance:.4f} {unit} = {distance / c:.3f} c, {state}"
         size = 0.0 if force is None else float(np.linalg.norm(force))
-        second = f"force on the ball: {size:.3g} N (arrow: its direction)" if size > 0 else "no force on the ball"
+        arrow = "brown arrow" if touches else "arrow"
+        second = f"force on the ball: {size:.3g} N ({arrow}: its direction)" if size > 0 else "no force on the ball"
         return first if force is None else f"{first}\n{second}"
 
     def _on_paper(self, eccentricity: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ class Sheet:
         self._say(pose)
         self._settle(pose)
         if bottom is not None:
-            key.draw_key(bottom, mechanism, bodies=len(poses) > 1)
+            key.draw_key(bottom, mechanism, bodies=len(poses) > 1, magnified=bool(self.joints))
 
     @property
     def moving_artists(self) -> list[Artist]:

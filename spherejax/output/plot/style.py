@@ -255,9 +255,13 @@ def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 97.0,
         note(ax, f"axis clipped; peaks from {lowest:.3g} to {highest:.3g}")
 
 
+ABOVE_RIGHT, ABOVE_LEFT = (1.0, 1.01), (0.0, 1.01)
+"""Places of remarks above a panel without a title on that side, where they cover no curve."""
+
+
 def note(ax: Axes, text: str, *, place: tuple[float, float] = (0.99, 0.02)) -> None:
-    """A small remark in a corner of a panel, on white so that curves do not run through it."""
-    horizontal, vertical = ("right" if place[0] > 0.5 else "left"), ("top" if place[1] > 0.5 else "bottom")
+    """A small remark above a panel, or in a corner of it, on white so that curves do not run through it."""
+    horizontal, vertical = ("right" if place[0] > 0.5 else "left"), ("top" if 0.5 < place[1] <= 1.0 else "bottom")
     ax.text(
         *place,
         text,

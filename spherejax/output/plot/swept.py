@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, legend_below, new_figure, note
+from spherejax.output.plot.style import ABOVE_LEFT, LAW_COLORS, legend_below, new_figure, note
 from spherejax.output.plot.swept_axes import (
     at_the_bottom,
     beyond,
@@ -132,7 +132,7 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
         if n_failed:
             ax.set_title(f"crosses: {n_failed} failed runs", loc="right", fontsize=8)
         if np.isnan(grid).sum() > n_failed:
-            note(ax, f"{int(np.isnan(grid).sum())} runs without a value are left white")
+            note(ax, f"{int(np.isnan(grid).sum())} runs without a value are left white", place=ABOVE_LEFT)
         if listed:
             # Below the axis: a remark in the panel would cover runs.
             ax.text(0.0, -0.17, listed, transform=ax.transAxes, va="top", fontsize=7, color="0.25")

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from spherejax.output.plot.style import LAW_COLORS, legend_under, new_figure, note, ordered_colors
+from spherejax.output.plot.style import ABOVE_RIGHT, LAW_COLORS, legend_under, new_figure, note, ordered_colors
 from spherejax.output.plot.swept_axes import label, with_unit
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def _fan(ax: Axes, swept, values) -> None:
         ax.fill_between(swept["time"], *band, color=LAW_COLORS[0], alpha=alpha, lw=0, label=share)
     ax.plot(swept["time"], np.median(runs, axis=1), color="black", lw=1.1, label="median")
     if not is_whole.all():
-        note(ax, f"{int(np.sum(~is_whole))} runs that failed are left out")
+        note(ax, f"{int(np.sum(~is_whole))} runs that failed are left out", place=ABOVE_RIGHT)
 
 
 def _is_whole(runs: np.ndarray) -> np.ndarray:

@@ -14,8 +14,10 @@ from spherejax.studies.bayes.priors import Prior
 from spherejax.studies.bayes.sampling import blackjax_or_error, draw, whitening
 from spherejax.studies.fit.fit_result import Fit
 from spherejax.studies.fit.problem import Problem
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 
 
+@rng_was_seed
 def posterior(
     fitted: Fit | Problem,
     *,
@@ -24,7 +26,7 @@ def posterior(
     n_chains: int = 4,
     n_warmup: int = 200,
     target_acceptance: float = 0.8,
-    seed: int = 0,
+    rng: Rng = 0,
     progress: bool | Callable[[int], None] = True,
 ) -> Posterior:
     """Draw from the posterior distribution of the parameters of a fit.
@@ -44,7 +46,7 @@ def posterior(
         n_chains: chains; they run on all cores.
         n_warmup: draws before, in which the length of the steps adapts.
         target_acceptance: probability of acceptance that the steps adapt to; larger means shorter steps.
-        seed: of all random numbers.
+        rng: of all random numbers, a whole number or a generator; None: others each time.
         progress: shown in terminals and notebooks (True), not at all (False), or a function of the draws made.
 
     Returns:
@@ -86,7 +88,7 @@ def posterior(
             n_warmup=n_warmup,
             n_samples=n_samples,
             target=target_acceptance,
-            seed=seed,
+            seed=rng if isinstance(rng, int) else int(generator(rng).integers(2**31)),
             report=report,
         )
     return Posterior(

@@ -14,6 +14,7 @@ from spherejax.studies.design.constrained import Constrained, Interrupted, Searc
 from spherejax.studies.design.design_result import Design, design_of
 from spherejax.studies.design.measures import Function
 from spherejax.studies.design.problem import Build, DesignProblem, checked_limits
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 
 SHARPNESSES = (10.0, 50.0, 250.0)
 """Exponents of smooth peaks, round by round: first the broad outline of the histories, in the end their peaks."""
@@ -34,6 +35,7 @@ class _Begun(NamedTuple):
     interrupted: bool
 
 
+@rng_was_seed
 def optimize(
     build: Build,
     start: Mapping[str, Any],
@@ -46,7 +48,7 @@ def optimize(
     sharpnesses: tuple[float, ...] = SHARPNESSES,
     tolerance: float = 1e-4,
     max_iterations: int = 50,
-    seed: int = 0,
+    rng: Rng = 0,
     rtol: float = 1e-8,
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
@@ -77,7 +79,7 @@ def optimize(
         sharpnesses: exponents of smooth peaks, one for each round.
         tolerance: how closely limits are kept, as a share of the limit, and how little the last iteration gains.
         max_iterations: of one round.
-        seed: of the other starts.
+        rng: of the other starts, a whole number or a generator.
         rtol, atol, solver, max_steps: as in `simulate`.
         progress: print a line for each round.
 
@@ -99,7 +101,7 @@ def optimize(
     if not first.succeeded:
         raise SceneError(f"the run of the start failed: {first.diagnosis} Begin with another design, or a looser rtol")
     task = Constrained(problem, first, list(allowed.values()), [names.index(name) for name in allowed], tolerance)
-    begun = _searched(task, _starts(problem, starts, seed), sharpnesses, max_iterations, progress)
+    begun = _searched(task, _starts(problem, starts, rng), sharpnesses, max_iterations, progress)
     return design_of(task, begun.searches, begun.interrupted, allowed, time.perf_counter() - began)
 
 
@@ -114,10 +116,10 @@ def _searched(task: Constrained, starts, sharpnesses, max_iterations: int, progr
     return _Begun(searches, False)
 
 
-def _starts(problem: DesignProblem, n: int, seed: int) -> np.ndarray:
+def _starts(problem: DesignProblem, n: int, rng: Rng) -> np.ndarray:
     """Unknowns where each search begins, the first as given."""
     low, high = problem.bounds.T
     low = np.where(np.isfinite(low), low, problem.u0 - SPREAD)
     high = np.where(np.isfinite(high), high, problem.u0 + SPREAD)
-    others = np.random.default_rng(seed).uniform(low, high, (n - 1, problem.u0.size))
+    others = generator(rng).uniform(low, high, (n - 1, problem.u0.size))
     return np.concatenate([np.asarray(jnp.asarray(problem.u0))[None], others])

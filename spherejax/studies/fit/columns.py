@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from spherejax.foundations.units.units import factor_of
 from spherejax.studies.fit.experiment import Experiment
 from spherejax.studies.fit.observables import labels_of
 
@@ -21,6 +22,17 @@ def units_of(experiment: Experiment) -> list[str]:
     """Units of the components; empty where they are not known."""
     observables = zip(experiment.frame.observables, widths_of(experiment), strict=True)
     return [observable.unit for observable, width in observables for _ in range(width)]
+
+
+def shown_units_of(experiment: Experiment) -> list[tuple[str, float]]:
+    """Units in which pictures show the components, and what numbers in them are multiplied by to be in SI units."""
+    shown = []
+    observables = zip(experiment.measured.values, experiment.frame.observables, widths_of(experiment), strict=True)
+    for name, observable, width in observables:
+        unit = experiment.measured.shown_in.get(name)
+        factor = 1.0 if unit is None else factor_of(unit, observable.unit or None)
+        shown += [(observable.unit if unit is None else unit, factor)] * width
+    return shown
 
 
 def tables_of(experiments, residuals: np.ndarray) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spherejax.foundations.errors import SceneError
-from spherejax.studies.fit.columns import columns_of, units_of
+from spherejax.studies.fit.columns import columns_of, shown_units_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,7 +53,8 @@ def _components(fit) -> list:
     found = []
     for i, experiment in enumerate(fit.problem.experiments):
         several = f"{experiment.measured.name}: " if len(fit.problem.experiments) > 1 else ""
-        for column, (name, unit) in enumerate(zip(columns_of(experiment), units_of(experiment), strict=True)):
+        named = zip(columns_of(experiment), shown_units_of(experiment), strict=True)
+        for column, (name, (unit, factor)) in enumerate(named):
             there = experiment.is_measured[:, column]
             if not there.any():
                 continue
@@ -61,5 +62,6 @@ def _components(fit) -> list:
             predicted = measured + fit.tables[i][there, column] * fit.problem.noise[i][there, column]
             label = f"{several}{name} [{unit}]" if unit else f"{several}{name}"
             noise = fit.noise[i][there, column]
-            found.append(FittedComponent(label, experiment.measured.ts[there], measured, predicted, noise))
+            values = (each / factor for each in (measured, predicted, noise))
+            found.append(FittedComponent(label, experiment.measured.ts[there], *values))
     return found

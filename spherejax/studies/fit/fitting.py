@@ -18,6 +18,7 @@ from spherejax.studies.fit.problem import MAX_STEPS, Problem, problem_of
 from spherejax.studies.fit.progress import reporting
 from spherejax.studies.fit.reading import experiments_from
 from spherejax.studies.fit.record import Grown, Horizon, Whole
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 
 SPREAD = np.log(10.0)
 """Further starts lie within this of the first in each unknown: a factor of ten for positive parameters."""
@@ -26,6 +27,7 @@ REWEIGHTINGS = 4
 """How often the noise is estimated anew from the residuals, at most."""
 
 
+@rng_was_seed
 def fit(
     build: Build,
     start: Mapping[str, Any],
@@ -42,7 +44,7 @@ def fit(
     max_steps: int = MAX_STEPS,
     level: float = 0.95,
     determined_within: float = 0.01,
-    seed: int = 0,
+    rng: Rng = 0,
     progress: bool | Callable[[FitProgress], None] = True,
 ) -> Fit:
     """Estimate parameters of a scene from measurements of its motion.
@@ -74,7 +76,7 @@ def fit(
         level: of the confidence intervals in the report.
         determined_within: a combination of parameters that the data leave with a larger standard deviation (relative,
             of positive parameters) is named as undetermined.
-        seed: of the further starts.
+        rng: of the further starts, a whole number or a generator.
         progress: shown in terminals and notebooks and not in logs (True), not at all (False), or a function that is
             given what `studies.fit.methods.FitProgress` holds.
 
@@ -88,7 +90,7 @@ def fit(
     method = LevenbergMarquardt() if method is None else method
     experiments = experiments_from(measured, columns)
     problem = problem_of(build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps)
-    us = _starts(problem, starts, seed)
+    us = _starts(problem, starts, rng)
     with interrupts_kept(), reporting(progress, problem, method.max_iterations) as report:
         watch = FitWatch(report, problem, method.max_iterations)
         problem, courses = _minimized(problem, method, horizon or Grown(), us, watch)
@@ -141,9 +143,9 @@ def _deviation(errors: np.ndarray, values: np.ndarray, share: float) -> float:
     return max(float(np.sqrt(np.mean(there**2) / share)), 1e-12 * float(np.max(np.abs(values))), 1e-300)
 
 
-def _starts(problem: Problem, n: int, seed: int) -> np.ndarray:
+def _starts(problem: Problem, n: int, rng: Rng) -> np.ndarray:
     """Unknowns where each start begins, the first as given."""
     if n < 1:
         raise SceneError(f"starts = {n} must be at least 1")
-    away = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (n - 1, problem.u0.size))
+    away = generator(rng).uniform(-SPREAD, SPREAD, (n - 1, problem.u0.size))
     return problem.u0 + np.concatenate([np.zeros((1, problem.u0.size)), away])

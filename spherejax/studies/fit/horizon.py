@@ -20,6 +20,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.studies.fit.methods import Course, Ending, Method
 from spherejax.studies.fit.problem import Problem
 from spherejax.studies.fit.record import Held, Watching, no_worse_than_starts, of_the_whole
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 
 SMALLEST_SIZE = 1e-6
 """Residuals below this share of what was measured are errors of the runs: measurements without noise have no less."""
@@ -37,7 +38,7 @@ class GrowingHorizon:
         spread: how far away these are, in each unknown (of positive parameters: a factor of exp(spread) or less).
         held: in the fits of parts an unknown counts as known to this standard deviation around where the fit began
             (of a positive parameter: of its logarithm), so that what a short part does not show stays where it is.
-        seed: of the restarts.
+        rng: of the restarts, a whole number or a generator.
     """
 
     first: float | None = None
@@ -45,7 +46,7 @@ class GrowingHorizon:
     restarts: int = 8
     spread: float = 0.8
     held: float = 3.0
-    seed: int = 0
+    rng: Rng = 0
 
     def __post_init__(self):
         for name in ("explained", "spread", "held") + (("first",) if self.first is not None else ()):
@@ -76,6 +77,9 @@ class GrowingHorizon:
         return courses
 
 
+GrowingHorizon.__init__ = rng_was_seed(GrowingHorizon.__init__)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 class _HorizonPart(NamedTuple):
     """A fit of a part of the record.
 
@@ -99,7 +103,7 @@ class _Growth:
         self.horizon, self.problem, self.method, self.fitted = horizon, problem, method, fitted
         self.start, self.size = u, 1.0 if noise_is_known else 0.0
         self.instants = np.unique(np.concatenate([instants_of(each) for each in problem.experiments]))
-        self.random = np.random.default_rng(horizon.seed)
+        self.random = generator(horizon.rng)
         self.gone: Course | None = None
 
     def course(self) -> Course:

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from spherejax.foundations.checks import is_concrete
-from spherejax.foundations.errors import SceneError
+from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.forms import visible
 from spherejax.motion.runs.many import Build
 from spherejax.motion.runs.times import seconds_of
@@ -33,6 +33,8 @@ class Measured:
         name: of the experiment.
         t0: when the motion starts [s], with the scene as `build` describes it.
         functions: from a `Trajectory` to an array with a leading axis of samples, by name.
+        shown_in: units in which pictures show the values, by observable, e.g. `{"position.rocker.z": "mm"}`; of a file
+            those that it names. Others are shown in SI units.
     """
 
     ts: np.ndarray
@@ -42,6 +44,7 @@ class Measured:
     name: str | None
     t0: float
     functions: dict[str, Function]
+    shown_in: dict[str, str]
 
     def __init__(
         self,
@@ -53,12 +56,14 @@ class Measured:
         name: str | None = None,
         t0: float = 0.0,
         functions: Mapping[str, Function] | None = None,
+        shown_in: Mapping[str, str] | None = None,
     ):
         _refuse_traced(ts, values)
         times = _times(ts, t0)
         given = {
             "ts": times, "values": {key: _column(key, value, times.size) for key, value in values.items()},
             "noise": noise, "build": build, "name": name, "t0": float(t0), "functions": dict(functions or {}),
+            "shown_in": dict(shown_in or {}),
         }  # fmt: skip
         for key, value in given.items():
             object.__setattr__(self, key, value)
@@ -79,7 +84,7 @@ class Measured:
 
 
 def _replaced(measured: Measured, **changes) -> Measured:
-    given = {field: getattr(measured, field) for field in ("noise", "build", "name", "t0", "functions")}
+    given = {field: getattr(measured, field) for field in ("noise", "build", "name", "t0", "functions", "shown_in")}
     return Measured(measured.ts, measured.values, **{**given, **changes})
 
 
@@ -140,6 +145,11 @@ def _check(measured: Measured) -> None:
         raise SceneError("nothing was measured: give values by observable, e.g. {'position.rocker.z': values}")
     if not measured.n_values:
         raise SceneError(f"nothing was measured: all values of {', '.join(measured.values)} are missing (NaN)")
+    unshown = [name for name in measured.shown_in if name not in measured.values]
+    if unshown:
+        raise SceneError(
+            f"shown_in names {unshown[0]!r}, which was not measured; {one_of(measured.values, unshown[0])}"
+        )
     unused = [name for name in measured.functions if name not in measured.values]
     if unused:
         raise SceneError(

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.motion.equations.quantities import OF_BODIES, OF_JOINTS, OF_THE_WHOLE
 from spherejax.output.io import load
 from spherejax.studies.fit.measured import Measured
-from spherejax.studies.fit.table import read_table
+from spherejax.studies.fit.table import MeasuredTable, read_table
 
 if TYPE_CHECKING:
     import xarray
@@ -55,15 +56,17 @@ def from_file(path: Path, columns: Mapping[str, str] | None = None) -> Measured:
         raise SceneError(f"columns= names the columns of CSV files, and {path.name!r} is netCDF: rename its variables")
     given = load(path) if path.suffix == ".nc" else read_table(path, columns)
     try:
-        return (_from_dict(given) if isinstance(given, dict) else from_dataset(given)).named(path.stem)
+        is_table = isinstance(given, MeasuredTable)
+        return (_from_dict(given.columns, given.units) if is_table else from_dataset(given)).named(path.stem)
     except SceneError as error:
         raise SceneError(f"{path.name}: {error}") from error
 
 
-def _from_dict(given: Mapping[str, Any]) -> Measured:
+def _from_dict(given: Mapping[str, Any], units: Mapping[str, str] = MappingProxyType({})) -> Measured:
     if TIME not in given:
         raise SceneError(f"measured has no {TIME!r} [s]; it has {', '.join(map(repr, given)) or 'nothing'}")
-    return Measured(given[TIME], {name: values for name, values in given.items() if name != TIME})
+    values = {name: column for name, column in given.items() if name != TIME}
+    return Measured(given[TIME], values, shown_in={name: unit for name, unit in units.items() if name != TIME})
 
 
 def from_dataset(given: "xarray.Dataset") -> Measured:

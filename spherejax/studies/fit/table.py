@@ -13,6 +13,7 @@ import csv
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,20 @@ TIMES = {"time", "t"}
 WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
 
 
-def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str, np.ndarray]:
-    """Columns by name, in SI units, `time` among them.
+class MeasuredTable(NamedTuple):
+    """A table of measurements.
+
+    Attributes:
+        columns: by name, in SI units, `time` among them.
+        units: in which the file has those that are not in SI units, by name.
+    """
+
+    columns: dict[str, np.ndarray]
+    units: dict[str, str]
+
+
+def read_table(path: Path, columns: Mapping[str, str] | None = None) -> MeasuredTable:
+    """The columns of a table.
 
     Args:
         path: of the file.
@@ -42,7 +55,7 @@ def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str
     chosen = list(range(len(head)))
     if columns is not None:
         head, chosen = _renamed(head, columns, path, number)
-    names, factors = _columns(head, path, number)
+    names, factors, units = _columns(head, path, number)
     rows = []
     for number, cells in lines[1:]:
         if len(cells) != len(lines[0][1]):
@@ -57,7 +70,8 @@ def read_table(path: Path, columns: Mapping[str, str] | None = None) -> dict[str
     missing = np.isnan(table[:, names.index("time")])
     if missing.any():
         raise SceneError(f"{path.name}:{lines[1 + int(np.argmax(missing))][0]}: the time is missing")
-    return {name: column for name, column in zip(names, table.T, strict=True) if not name.endswith("_violation")}
+    kept = {name: column for name, column in zip(names, table.T, strict=True) if not name.endswith("_violation")}
+    return MeasuredTable(kept, {name: unit for name, unit in units.items() if name in kept})
 
 
 def lines_of(path: Path) -> list[tuple[int, list[str]]]:
@@ -97,9 +111,9 @@ def _renamed(head: list[str], columns: Mapping[str, str], path: Path, number: in
     return renamed, chosen
 
 
-def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.ndarray]:
-    """Names of the columns, and what their numbers are multiplied by."""
-    names, factors = [], []
+def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.ndarray, dict[str, str]]:
+    """Names of the columns, what their numbers are multiplied by, and the units of those that are not in SI units."""
+    names, factors, units = [], [], {}
     for cell in head:
         found = WITH_UNIT.match(cell)
         name, unit = (found["name"], found["unit"].strip()) if found else (cell, "")
@@ -118,11 +132,13 @@ def _columns(head: list[str], path: Path, number: int) -> tuple[list[str], np.nd
         names.append(name)
         try:
             factors.append(_factor(name, unit))
+            if factors[-1] != 1.0:
+                units[name] = unit
         except UnitError as error:
             raise SceneError(f"{path.name}:{number}: column {name!r}: {error}") from error
     if "time" not in names:
         raise SceneError(f"{path.name}:{number}: no column is named time; there are {', '.join(map(repr, names))}")
-    return names, np.array(factors)
+    return names, np.array(factors), units
 
 
 def _factor(name: str, unit: str) -> float:

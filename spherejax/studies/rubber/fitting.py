@@ -22,6 +22,7 @@ from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
 from spherejax.studies.fit.problem import Evaluation
 from spherejax.studies.fit.statistics import Knowledge, Undetermined
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 from spherejax.studies.rubber.measured import MeasuredStiffness, measured_stiffness
 from spherejax.studies.rubber.stiffness import DynamicStiffness, checked, dynamic_stiffness, unit_vector
 
@@ -32,6 +33,7 @@ SPREAD = np.log(10.0)
 """Further starts lie within a factor of ten of the first."""
 
 
+@rng_was_seed
 def fit_stiffness(
     build: Callable[..., Bushing | AbstractElastomer],
     start: Mapping[str, Any],
@@ -44,7 +46,7 @@ def fit_stiffness(
     method: LevenbergMarquardt | None = None,
     starts: int = 1,
     determined_within: float = 0.1,
-    seed: int = 0,
+    rng: Rng = 0,
 ) -> "StiffnessFit":
     """Estimate numbers of a bushing from its measured dynamic stiffness and loss angle.
 
@@ -66,7 +68,7 @@ def fit_stiffness(
         starts: how many starts; the first is `start`, the others lie around it, up to a factor of ten away.
         determined_within: a combination of parameters that the data leave with a larger relative standard deviation
             is named as undetermined.
-        seed: of the further starts.
+        rng: of the further starts, a whole number or a generator.
 
     Returns:
         The estimates, and how far they can be trusted; prints as a report.
@@ -87,7 +89,7 @@ def fit_stiffness(
     if starts < 1:
         raise SceneError(f"starts = {starts} must be at least 1")
     u0 = unknowns.unknowns_of(values)
-    away = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (starts - 1, u0.size))
+    away = generator(rng).uniform(-SPREAD, SPREAD, (starts - 1, u0.size))
     us = u0 + np.concatenate([np.zeros((1, u0.size)), away])
     method = LevenbergMarquardt() if method is None else method
     courses = method.minimize(problem, us, noise_is_known=is_known)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import visible
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 from spherejax.studies.sweep.spreads import Scattered, Spread, scattered
 
 SLAB = 2**20
@@ -133,24 +134,26 @@ def zipped(values: Mapping[str, Any]) -> Grid:
     return Grid(lists, {}, "zipped")
 
 
-def random_samples(ranges: Mapping[str, Spread], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
+@rng_was_seed
+def random_samples(ranges: Mapping[str, Spread], n: int, *, rng: Rng = 0, logarithmic: Sequence[str] = ()) -> Grid:
     """Independent samples.
 
     Args:
         ranges: of each parameter the least and largest value (uniform), a `sj.Tolerance`, or a distribution of
             scipy.stats.
         n: number of runs.
-        seed: of the random numbers; the same seed gives the same runs.
+        rng: of the random numbers: a whole number gives the same runs each time; a generator, or None for other runs.
         logarithmic: names of parameters whose logarithm is uniform.
 
     Raises:
         SceneError: for a range that is none, or a logarithm of what is not positive.
     """
-    points = np.random.default_rng(seed).random((_positive(n), len(_named(ranges))))
+    points = generator(rng).random((_positive(n), len(_named(ranges))))
     return _within(ranges, points, logarithmic, "random")
 
 
-def sobol_samples(ranges: Mapping[str, Spread], n: int, *, seed: int = 0, logarithmic: Sequence[str] = ()) -> Grid:
+@rng_was_seed
+def sobol_samples(ranges: Mapping[str, Spread], n: int, *, rng: Rng = 0, logarithmic: Sequence[str] = ()) -> Grid:
     """Samples of a scrambled Sobol sequence, which fill ranges and distributions evenly; best with a power of two.
 
     Arguments and errors as `random_samples`.
@@ -159,7 +162,7 @@ def sobol_samples(ranges: Mapping[str, Spread], n: int, *, seed: int = 0, logari
     """
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(len(_named(ranges)), rng=seed)
+    sequence = qmc.Sobol(len(_named(ranges)), rng=generator(rng))
     exponent = int(np.ceil(np.log2(_positive(n))))
     return _within(ranges, sequence.random_base2(exponent)[:n], logarithmic, "sobol")
 

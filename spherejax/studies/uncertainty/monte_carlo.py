@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.forms import whole_number
 from spherejax.motion.runs.many import Build
+from spherejax.studies.random_numbers import Rng, rng_was_seed
 from spherejax.studies.sweep.grids import random_samples
 from spherejax.studies.sweep.records import Wanted
 from spherejax.studies.sweep.run import sweep
@@ -100,6 +101,7 @@ class Scatter:
         return {name: figure for name, figure in {**fans, **counts}.items() if name in (*in_time, *dropped)}
 
 
+@rng_was_seed
 def monte_carlo(
     build: Build,
     spreads: Mapping[str, Spread],
@@ -107,7 +109,7 @@ def monte_carlo(
     *,
     record: Wanted,
     n: int = 1000,
-    seed: int = 0,
+    rng: Rng = 0,
     **options: Any,
 ) -> Scatter:
     """Runs whose numbers are drawn as they scatter, independently of each other.
@@ -120,7 +122,7 @@ def monte_carlo(
     Other args:
         record: what is kept of each run, as in `sj.sweep`.
         n: number of runs, at least two.
-        seed: of the random numbers.
+        rng: of the random numbers, a whole number or a generator; None: others each time.
         options: of `sj.sweep`: rtol, atol, solver, max_steps, block, chunk, workers, executor, store, progress.
 
     Returns:
@@ -135,7 +137,7 @@ def monte_carlo(
     """
     scattered_numbers(spreads)
     n = whole_number("n", n, "It counts the runs.", least=2)
-    runs = along_time(sweep(build, random_samples(spreads, n, seed=seed), ts, record=record, **options))
+    runs = along_time(sweep(build, random_samples(spreads, n, rng=rng), ts, record=record, **options))
     outputs = outputs_of(runs)
     good = usable(runs, outputs)
     left = f"{int(good.sum())} of {n} runs are left"

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.motion.runs.many import Build
+from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 from spherejax.studies.sweep.grids import zipped
 from spherejax.studies.sweep.records import Wanted
 from spherejax.studies.sweep.run import sweep
@@ -129,6 +130,7 @@ class SobolIndices:
         return "\n".join([*heads, *([self.note] if self.note else [])])
 
 
+@rng_was_seed
 def sobol_indices(
     build: Build,
     spreads: Mapping[str, Spread],
@@ -136,7 +138,7 @@ def sobol_indices(
     *,
     record: Wanted,
     n: int = 256,
-    seed: int = 0,
+    rng: Rng = 0,
     **options: Any,
 ) -> SobolIndices:
     """Which share of the variance of an output each number makes, alone and together with others.
@@ -154,7 +156,7 @@ def sobol_indices(
     Other args:
         record: what is kept of each run, as in `sj.sweep`.
         n: base samples, a power of two.
-        seed: of the scrambled Sobol sequence and of the resampling.
+        rng: of the scrambled Sobol sequence and of the resampling, a whole number or a generator.
         options: of `sj.sweep`: rtol, atol, solver, max_steps, block, chunk, workers, executor, store, progress.
 
     Returns:
@@ -171,7 +173,7 @@ def sobol_indices(
     n = whole_number("n", n, "It counts the base samples.")
     if n < 2 or n & (n - 1):
         raise SceneError(f"sobol_indices: n = {n} must be a power of two, at least 2: Sobol's points fill the space so")
-    A, B = _base(numbers, n, seed)
+    A, B = _base(numbers, n, rng)
     p = len(numbers)
     # All of A, all of B, then A with one number after the other taken from B.
     mixed = [np.where(np.arange(p)[:, None] == k, B, A) for k in range(p)]
@@ -183,28 +185,28 @@ def sobol_indices(
     base = np.flatnonzero(np.all(good.reshape(p + 2, n), axis=0))
     left = f"{len(base)} of {n} base samples have no failed run"
     note = tell_of_failures("sobol_indices", runs, good, left, is_enough=len(base) > 1, stacklevel=2)
-    shares = tuple(_shares(output, p, n, base, seed) for output in outputs)
+    shares = tuple(_shares(output, p, n, base, rng) for output in outputs)
     return SobolIndices(tuple(numbers), shares, runs, n, note)
 
 
-def _base(numbers: list[Scattered], n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _base(numbers: list[Scattered], n: int, rng: Rng) -> tuple[np.ndarray, np.ndarray]:
     """Two independent samples of all numbers, each of shape (p, n)."""
     from scipy.stats import qmc
 
     p = len(numbers)
-    points = qmc.Sobol(2 * p, rng=seed).random(n).T
+    points = qmc.Sobol(2 * p, rng=generator(rng)).random(n).T
     A = np.stack([number.at(points[k]) for k, number in enumerate(numbers)])
     return A, np.stack([number.at(points[p + k]) for k, number in enumerate(numbers)])
 
 
-def _shares(output: Output, p: int, n: int, base: np.ndarray, seed: int) -> Shares:
+def _shares(output: Output, p: int, n: int, base: np.ndarray, rng: Rng) -> Shares:
     """Indices of an output from the base samples that can be used."""
     values = np.moveaxis(output.flat.reshape(p + 2, n, -1), -1, 1)  # (p + 2, entries, n)
-    rng = np.random.default_rng(seed)
+    draws = generator(rng)
     # SciPy asks for a power of two: where samples are left out, others count twice.
-    whole = base if len(base) == n else np.concatenate([base, rng.choice(base, n - len(base))])
+    whole = base if len(base) == n else np.concatenate([base, draws.choice(base, n - len(base))])
     first, total = _indices(values[..., whole])
-    resampled = np.stack([_indices(values[..., rng.choice(base, n)]) for _ in range(RESAMPLES)])
+    resampled = np.stack([_indices(values[..., draws.choice(base, n)]) for _ in range(RESAMPLES)])
     first_error, total_error = resampled.std(0, ddof=1)
     deviation = values[:2][..., base].transpose(1, 0, 2).reshape(len(first), -1).std(1)
     return Shares(output, first, total, first_error, total_error, deviation)
