@@ -16,8 +16,8 @@ from spherejax import runtime
 from spherejax.command_line import printing
 from spherejax.command_line.advice import in_options
 
-BAD_REQUEST, FAILED_RUN, INTERRUPTED = 2, 3, 130
-"""Exit codes besides 0."""
+BAD_REQUEST, FAILED_RUN, INTERRUPTED, READER_GONE = 2, 3, 130, 141
+"""Exit codes besides 0; the last one is that of a process which the signal SIGPIPE ends."""
 
 DESCRIPTION = """Multibody simulation with ideal, dry, lubricated and bushing spherical joints.
 
@@ -37,7 +37,6 @@ starts faster the second time; SPHEREJAX_CACHE names another folder, and SPHEREJ
 """
 
 
-@runtime.interrupts_kept()
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
@@ -45,8 +44,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments; those of the process when None.
 
     Returns:
-        The exit code: 0 done, 2 for a request that makes no sense, 3 for a failed run, 130 when interrupted.
+        The exit code: 0 done, 2 for a request that makes no sense, 3 for a failed run, 130 when interrupted, 141 when
+        the reader of the output has gone.
     """
+    try:
+        code = _main(argv)
+        sys.stdout.flush()  # a short output is written here, and its reader may have gone
+        return code
+    except BrokenPipeError:
+        # `spherejax list --kinds | head`: what is still in the buffer goes nowhere, without a second error at the end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_GONE
+
+
+@runtime.interrupts_kept()
+def _main(argv: Sequence[str] | None) -> int:
     try:
         options = _read(parser(), argv)
     except SystemExit as stop:  # argparse has printed the help or the error

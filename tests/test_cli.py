@@ -3,6 +3,7 @@
 import argparse
 import csv
 import gc
+import os
 import re
 import subprocess
 import sys
@@ -80,6 +81,18 @@ def test_shell_completes_commands_options_scenes_and_files(tmp_path, capsys):
     script = capsys.readouterr().out
     assert script.startswith("#compdef spherejax")
     assert "scenes:scene:(" in script
+
+
+@pytest.mark.parametrize("words", [["list", "--kinds"], ["--help"]])
+def test_a_reader_that_goes_early_gets_no_traceback(words):
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "spherejax", *words]
+    ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert ended.stderr == ""
+    # argparse passes over the error itself where Python's output is not buffered.
+    assert ended.returncode == 141 or words == ["--help"]
 
 
 def test_completion_without_its_package_says_what_to_install(capsys, monkeypatch):

@@ -41,7 +41,13 @@ def console(*, errors: bool = False) -> Console:
 
     stream = sys.stderr if errors else sys.stdout
     width = None if stream.isatty() else WIDTH_WITHOUT_TERMINAL
-    return Console(file=stream, width=width, highlight=False)
+
+    class PipedConsole(Console):
+        def on_broken_pipe(self) -> None:
+            """Leave it to the command, which has an exit code for it; rich would end the process with 1."""
+            raise BrokenPipeError
+
+    return PipedConsole(file=stream, width=width, highlight=False)
 
 
 def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: bool = False) -> None:
