@@ -159,7 +159,21 @@ from .studies.compare import compare
 from .studies.cycles import Branch, Cycle, CycleWarning, SweptSine, continuation, steady_cycle, swept_sine
 from .studies.design import Design, optimize, smooth_peak
 from .studies.effects import effects
-from .studies.fit import Descent, Fit, GrowingHorizon, LevenbergMarquardt, Measured, Parameter, Whole, fit
+from .studies.fit import (
+    Cauchy,
+    Descent,
+    Differentiator,
+    Fit,
+    GrowingHorizon,
+    Huber,
+    LevenbergMarquardt,
+    LowPass,
+    Measured,
+    Parameter,
+    Sensor,
+    Whole,
+    fit,
+)
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
 from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig, rig_samples
 from .studies.roads import load_road
@@ -230,6 +244,7 @@ __all__ = [
     "Bump",
     "BumpStop",
     "Bushing",
+    "Cauchy",
     "Circle",
     "Comparison",
     "Constant",
@@ -246,6 +261,7 @@ __all__ = [
     "Cylindrical",
     "Descent",
     "Design",
+    "Differentiator",
     "Distance",
     "DistanceDriver",
     "Dop853",
@@ -271,6 +287,7 @@ __all__ = [
     "Guembel",
     "Hertz",
     "HingeElastomer",
+    "Huber",
     "HuntCrossley",
     "HuntCrossleyDissipation",
     "Ideal",
@@ -285,6 +302,7 @@ __all__ = [
     "Linearization",
     "LinearizationWarning",
     "LongBearing",
+    "LowPass",
     "LuGre",
     "Lubricated",
     "Material",
@@ -347,6 +365,7 @@ __all__ = [
     "SceneFile",
     "Sensitivities",
     "Sensitivity",
+    "Sensor",
     "SerialRunsWarning",
     "ShearFactors",
     "ShockAbsorber",

@@ -200,15 +200,17 @@ def test_command_fits_a_scene_file_to_a_table(tmp_path, capsys):
     write_scene(tmp_path)
     words = ["fit", tmp_path / "ball.toml", "--measured", tmp_path / "ball.csv", "--noise", "0.1 mm"]
     words += ["--start", "forces.spring.stiffness", "--start", "forces.spring.damping=300 N s/km:0.01:100"]
-    words += ["--report", tmp_path / "fit.html"]
+    words += ["--report", tmp_path / "fit.html", "--validate", tmp_path / "ball.csv"]
     assert main([*map(str, words), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
     assert "forces.spring.damping [N s/km]" in re.sub("<[^>]*>", "", (tmp_path / "fit.html").read_text())
     assert "forces.spring.stiffness [N/m]" in told
+    assert "Prediction of 80 values that were not fitted" in told
     assert "forces.spring.damping [N s/km]" in told
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {
-        "estimates.csv", "report.txt", "fit.nc", "fit.png", "residuals.png", "history.png", "correlation.png"
+        "estimates.csv", "report.txt", "fit.nc", "fit.png", "residuals.png", "history.png", "correlation.png",
+        "validation.png",
     }  # fmt: skip
     rows = (tmp_path / "out" / "estimates.csv").read_text().splitlines()
     name, value, deviation, low, high, _, unit = rows[1].split(",")
@@ -311,7 +313,7 @@ def test_traced_times_and_values_are_refused_with_what_to_do():
         sj.Measured(INSTANTS, {SENSOR: factor * np.ones(len(INSTANTS))})
 
     for transform in (jax.grad, jax.jit):
-        with pytest.raises(sj.SceneError, match=r"instants .* traced.*sj\.simulate.*clock offset"):
+        with pytest.raises(sj.SceneError, match=r"instants .* traced.*clock offset.*sj\.Sensor.*sj\.simulate"):
             transform(late)(0.01)
         with pytest.raises(sj.SceneError, match=f"{SENSOR!r} are traced"):
             transform(scaled)(2.0)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spherejax.studies.fit.judgement import _colour
+from spherejax.studies.fit.judgement import _colour, _poor
 from spherejax.studies.fit.statistics import whiteness_of
 
 
@@ -19,7 +19,8 @@ def autoregressive(factor, lag, n=600, seed=3):
 
 def said(residuals):
     """The warning of a fit with these residuals of one observable, or none."""
-    return "".join(_colour(SimpleNamespace(residuals={"data": {"height": np.asarray(residuals)}})))
+    knowledge = SimpleNamespace(widening=np.ones(1))
+    return "".join(_colour(SimpleNamespace(residuals={"data": {"height": np.asarray(residuals)}}, knowledge=knowledge)))
 
 
 def test_white_noise_is_taken_for_what_it_is():
@@ -58,3 +59,22 @@ def test_the_correlation_that_was_found_is_said(factor, lag, words):
 def test_residuals_that_say_nothing_have_no_warning(residuals):
     assert said(residuals) == ""
     assert whiteness_of(np.asarray(residuals)).probability == 1.0
+
+
+@pytest.mark.parametrize(("size", "is_known", "is_told"), [(0.5, True, True), (0.5, False, True), (0.1, False, False)])
+def test_a_model_that_explains_little_of_the_motion_is_told(size, is_known, is_told):
+    """Residuals like a slow wave, of this share of a motion with the standard deviation 1; the noise is 0.01 of it."""
+    t = np.linspace(0, 10, 400)
+    wave = np.sin(t) / np.sqrt(np.mean(np.sin(t) ** 2))
+    noise = 0.01 if is_known else size
+    experiment = SimpleNamespace(
+        is_measured=np.ones((400, 1), bool),
+        data=(np.cos(20 * t) / np.std(np.cos(20 * t)))[:, None],
+        measured=SimpleNamespace(name="data"),
+    )
+    problem = SimpleNamespace(experiments=[experiment], noise_is_known=is_known)
+    residuals = {"data": {"height": size / noise * wave}}
+    words = "".join(_poor(SimpleNamespace(problem=problem, residuals=residuals, noise=[np.full((400, 1), noise)])))
+    assert (f"{100 * size:.0f} percent of height (data)" in words) is is_told
+    white = {"data": {"height": np.random.default_rng(0).normal(size=400)}}
+    assert not _poor(SimpleNamespace(problem=problem, residuals=white, noise=[np.full((400, 1), size)]))

@@ -32,10 +32,14 @@ intervals (estimates.csv), the report, everything else (fit.nc), and pictures.
 EPILOG = """examples:
   spherejax fit four-bar --joint bushing --measured rocker.csv --start stiffness=1e4 --start damping=1e-2 \\
       --noise 1e-6 --out fit/
+  spherejax fit four-bar --joint bushing --measured one.csv --validate other.csv --start stiffness=1e4 --out fit/
   spherejax fit scene.toml --measured drop.csv --start joints.elbow.model.clearance=1e-4:1e-5:1e-3 --out fit/
 """
 
 FILES = ("estimates.csv", "report.txt", "fit.nc")
+
+LOSSES = {"huber": lambda: sj.Huber(), "cauchy": lambda: sj.Cauchy()}
+"""Robust losses by name; made when they are asked for, for importing them takes long."""
 
 
 def add_fit(commands) -> None:
@@ -56,6 +60,14 @@ def add_fit(commands) -> None:
         required=True,
         metavar="FILE",
         help="table (.csv) or netCDF file (.nc); may be repeated: several experiments with the same mechanism",
+    )
+    given.add_argument(
+        "--validate",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="table or netCDF file that is not fitted but predicted: how large the errors are, against the noise and "
+        "the residuals; may be repeated",
     )
     given.add_argument(
         "--noise",
@@ -84,6 +96,11 @@ def add_fit(commands) -> None:
     wanted.add_argument("--starts", type=whole, default=1, metavar="N", help="further starts around it (default: 1)")
     how = parser.add_argument_group("how")
     how.add_argument("--whole", action="store_true", help="begin with the whole record, not with its first parts")
+    how.add_argument(
+        "--loss",
+        choices=LOSSES,
+        help="how much outliers count (default: by their squares); huber for a few, cauchy for gross errors",
+    )
     how.add_argument("--max-iterations", type=whole, default=100, metavar="N", help="steps (default: 100)")
     how.add_argument("--level", type=real, default=0.95, help="of the confidence intervals (default: 0.95)")
     how.add_argument("--rtol", type=real, default=1e-8, help="relative tolerance of a step (default: 1e-8)")
@@ -113,14 +130,18 @@ def fit_scene(options: argparse.Namespace) -> int:
     from spherejax.studies.fit import Ending, Whole  # it takes long: names and units have been judged
 
     start = {name: sj.Parameter(own[name]) if begin is None else begin.parameter for name, begin in asked.items()}
-    measured = [_measured(path, options) for path in options.measured]
+    measured, held_out = (
+        [_measured(path, options) for path in paths] for paths in (options.measured, options.validate)
+    )
     if folder is not None:
         make_folder(folder)
     fitted = sj.fit(
         _builder(found, options),
         start,
         measured,
-        noise=_noise(options, scene, measured),
+        validate=held_out or None,
+        noise=_noise(options, scene, [*measured, *held_out]),
+        loss=LOSSES[options.loss]() if options.loss else None,
         method=sj.LevenbergMarquardt(max_iterations=options.max_iterations),
         starts=options.starts,
         horizon=Whole() if options.whole else None,

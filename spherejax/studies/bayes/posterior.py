@@ -13,7 +13,7 @@ from spherejax.studies.bayes.density import log_density_of, priors_for
 from spherejax.studies.bayes.priors import Prior
 from spherejax.studies.bayes.sampling import blackjax_or_error, draw, whitening
 from spherejax.studies.fit.fit_result import Fit
-from spherejax.studies.fit.problem import Problem
+from spherejax.studies.fit.problem import NO_LIKELIHOOD, Problem
 from spherejax.studies.random_numbers import Rng, generator, rng_was_seed
 
 
@@ -67,6 +67,8 @@ def posterior(
     fit = fitted if isinstance(fitted, Fit) else None
     problem = fit.problem if fit is not None else fitted
     assert isinstance(problem, Problem)
+    if problem.loss is not None:
+        raise SceneError(f"the posterior needs a likelihood: {NO_LIKELIHOOD.format(loss=problem.loss)}")
     notes = []
     if not problem.noise_is_known:
         if fit is None:

@@ -5,6 +5,7 @@ import numpy as np
 from spherejax.foundations.units.units import factor_of
 from spherejax.studies.fit.experiment import Experiment
 from spherejax.studies.fit.observables import labels_of
+from spherejax.studies.fit.sensor import unit_of
 
 
 def widths_of(experiment: Experiment) -> list[int]:
@@ -20,18 +21,24 @@ def columns_of(experiment: Experiment) -> list[str]:
 
 def units_of(experiment: Experiment) -> list[str]:
     """Units of the components; empty where they are not known."""
-    observables = zip(experiment.frame.observables, widths_of(experiment), strict=True)
-    return [observable.unit for observable, width in observables for _ in range(width)]
+    units = zip(units_of_channels(experiment).values(), widths_of(experiment), strict=True)
+    return [unit for unit, width in units for _ in range(width)]
+
+
+def units_of_channels(experiment: Experiment) -> dict[str, str]:
+    """Unit of each channel's readings; empty where it is not known."""
+    channels = zip(experiment.measured.values, experiment.frame.observables, strict=True)
+    return {name: unit_of(experiment.measured.sensors.get(name), observable.unit) for name, observable in channels}
 
 
 def shown_units_of(experiment: Experiment) -> list[tuple[str, float]]:
     """Units in which pictures show the components, and what numbers in them are multiplied by to be in SI units."""
     shown = []
-    observables = zip(experiment.measured.values, experiment.frame.observables, widths_of(experiment), strict=True)
-    for name, observable, width in observables:
+    channels = zip(units_of_channels(experiment).items(), widths_of(experiment), strict=True)
+    for (name, own), width in channels:
         unit = experiment.measured.shown_in.get(name)
-        factor = 1.0 if unit is None else factor_of(unit, observable.unit or None)
-        shown += [(observable.unit if unit is None else unit, factor)] * width
+        factor = 1.0 if unit is None else factor_of(unit, own or None)
+        shown += [(own if unit is None else unit, factor)] * width
     return shown
 
 

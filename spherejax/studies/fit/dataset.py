@@ -18,6 +18,7 @@ def to_dataset(fit) -> "xarray.Dataset":
     Dimensions: `parameter` (arrays flattened), `other_parameter`, `bound` (low, high), `direction` (of the singular
     values), `step` (accepted steps of the best start), `start`; for each experiment `i` a time `time_i` and a component
     `observable_i`, with `measured_i`, `predicted_i`, `residual_i` (over the noise) and `noise_i` (standard deviations).
+    With `validate=` errors of prediction by `prediction`, a component of a record.
     """
     import xarray
 
@@ -50,6 +51,16 @@ def to_dataset(fit) -> "xarray.Dataset":
         variables[f"predicted_{i}"] = (both, measured + residual * fit.problem.noise[i], facts)
         variables[f"residual_{i}"] = (both, residual * fit.problem.noise[i] / deviation, {"units": "1"})
         variables[f"noise_{i}"] = (both, deviation, facts)
+    if fit.validation is not None:
+        errors = fit.validation.errors
+        coordinates["prediction"] = [f"{one.record}: {one.component}" for one in errors]
+        for field in ("rms", "largest", "noise", "expected", "of_fit", "motion"):
+            numbers = np.array([getattr(one, field) for one in errors])
+            variables[f"prediction_{field}"] = (
+                "prediction",
+                numbers,
+                {"units": json.dumps([one.unit for one in errors])},
+            )
     return xarray.Dataset(variables, coordinates, _attributes(fit))
 
 

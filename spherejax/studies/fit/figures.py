@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def figures_of(fit, title: str = "") -> "dict[str, Figure]":
-    """Pictures by name: `fit`, `residuals`, `correlation` (of several parameters), `history`.
+    """Pictures by name: `fit`, `residuals`, `correlation` (of several parameters), `history`, `validation`.
 
     Args:
         fit: the fit.
@@ -23,12 +23,16 @@ def figures_of(fit, title: str = "") -> "dict[str, Figure]":
     if not fit.best.us:
         raise SceneError(f"there is nothing to draw: {fit.diagnosis}")
     title = title or f"Fit of {', '.join(fit.names)}"
-    components = _components(fit)
+    components = _components(fit.problem, fit.tables, fit.noise)
     drawn = {
         "fit": fit_figure(components, f"{title}: measurements and model"),
         "residuals": residuals_figure(components, f"{title}: residuals"),
         "history": _history(fit, title, history_figure),
     }
+    if fit.validation is not None:
+        problem = fit.validation.problem
+        predicted = _components(problem, fit.validation.tables, problem.noise)
+        drawn["validation"] = fit_figure(predicted, f"{title}: prediction of records that were not fitted")
     if len(fit.names) > 1:
         drawn["correlation"] = correlation_figure(fit.correlation, fit.names, f"{title}: correlations")
     return drawn
@@ -46,22 +50,27 @@ def _n_until(fit, end: float) -> int:
     return max(sum(int(np.sum(each.is_measured[each.measured.ts <= end])) for each in experiments), 1)
 
 
-def _components(fit) -> list:
-    """Measured components of all experiments."""
+def _components(problem, tables, noise) -> list:
+    """Measured components of all experiments of a problem.
+
+    Args:
+        problem: whose experiments they are.
+        tables: prediction minus measurement over the noise of the problem.
+        noise: standard deviations.
+    """
     from spherejax.output.plot.fitted import FittedComponent
 
-    found = []
-    for i, experiment in enumerate(fit.problem.experiments):
-        several = f"{experiment.measured.name}: " if len(fit.problem.experiments) > 1 else ""
+    components = []
+    for i, experiment in enumerate(problem.experiments):
+        several = f"{experiment.measured.name}: " if len(problem.experiments) > 1 else ""
         named = zip(columns_of(experiment), shown_units_of(experiment), strict=True)
         for column, (name, (unit, factor)) in enumerate(named):
             there = experiment.is_measured[:, column]
             if not there.any():
                 continue
             measured = experiment.data[there, column]
-            predicted = measured + fit.tables[i][there, column] * fit.problem.noise[i][there, column]
+            predicted = measured + tables[i][there, column] * problem.noise[i][there, column]
             label = f"{several}{name} [{unit}]" if unit else f"{several}{name}"
-            noise = fit.noise[i][there, column]
-            values = (each / factor for each in (measured, predicted, noise))
-            found.append(FittedComponent(label, experiment.measured.ts[there], *values))
-    return found
+            shown = (values / factor for values in (measured, predicted, noise[i][there, column]))
+            components.append(FittedComponent(label, experiment.measured.ts[there], *shown))
+    return components

@@ -17,15 +17,18 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import built
 from spherejax.motion.runs.simulate import simulate
 from spherejax.studies.fit.columns import columns_of, tables_of
+from spherejax.studies.fit.correlation import ChannelResiduals, correlated_errors
 from spherejax.studies.fit.dataset import to_dataset
 from spherejax.studies.fit.figures import figures_of
 from spherejax.studies.fit.growth import Growth, growth_of
 from spherejax.studies.fit.judgement import diagnosis_of, warnings_of
+from spherejax.studies.fit.losses import pseudo_errors, robust_scale
 from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.page import page_of
 from spherejax.studies.fit.problem import Problem
 from spherejax.studies.fit.report import report
 from spherejax.studies.fit.statistics import Knowledge, Undetermined
+from spherejax.studies.fit.validation import Validation
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -47,6 +50,7 @@ class Fit(Reported):
         seconds: how long it took [s], compilation included.
         build: from parameters to the scene.
         notes: what else is to be said about it, sentences.
+        validation: prediction of the records of `validate=`, prints as a table; None without, or after a failed start.
     """
 
     problem: Problem
@@ -56,6 +60,7 @@ class Fit(Reported):
     seconds: float
     build: Any
     notes: tuple[str, ...] = ()
+    validation: Validation | None = None
 
     # The estimates ------------------------------------------------------------------------------------------------
 
@@ -88,9 +93,10 @@ class Fit(Reported):
     def best_possible(self) -> dict[str, Any]:
         """The smallest standard deviations that an unbiased estimate can have (Cramer-Rao), for the stated noise.
 
-        Where the noise was not stated, for that which was estimated.
+        Where the noise was not stated, for that which was estimated. Errors are taken for independent.
         """
-        return self._by_name(replace(self.knowledge, degrees_of_freedom=np.inf).standard_deviations)
+        independent = replace(self.knowledge, variance=self._stated_variance, correlated=None)
+        return self._by_name(independent.standard_deviations)
 
     def interval(self, level: float = 0.95) -> dict[str, Any]:
         """Confidence intervals by name: (low, high) of numbers, arrays (..., 2) of arrays.
@@ -133,18 +139,51 @@ class Fit(Reported):
         """
         if not self.best.us:
             raise SimulationError(f"nothing was estimated: {self.diagnosis}")
-        freedom = np.inf if self.problem.noise_is_known else max(self.degrees_of_freedom, 1)
-        return Knowledge(self.problem.unknowns, self.u, self.best.jacobian, self._stated_variance, freedom)
+        jacobian = self.problem.raw_jacobian(self.best.residuals, self.best.jacobian)
+        pseudo = pseudo_errors(self.problem.loss, self._errors, self.problem.unknowns.size)
+        freedom, variance = float(max(self.degrees_of_freedom, 1)), self._stated_variance
+        is_stated = self.problem.noise_is_known and self.problem.loss is None
+        if self.problem.loss is not None:
+            variance = float(pseudo.errors @ pseudo.errors) / freedom * pseudo.factor
+        correlated = correlated_errors(
+            pseudo.errors * np.sqrt(pseudo.factor), jacobian, self._channels, variance, is_known=is_stated
+        )
+        if correlated is not None:
+            freedom = correlated.degrees_of_freedom
+        elif is_stated:
+            freedom = np.inf
+        return Knowledge(self.problem.unknowns, self.u, jacobian, variance, freedom, correlated)
+
+    @property
+    def _channels(self) -> list[ChannelResiduals]:
+        """Which residuals are consecutive values of one component."""
+        several = len(self.problem.experiments) > 1
+        channels, first = [], 0
+        for i, experiment in enumerate(self.problem.experiments):
+            is_measured = experiment.is_measured
+            numbers = np.zeros(is_measured.shape, int)
+            numbers[is_measured] = first + np.arange(int(is_measured.sum()))
+            first += int(is_measured.sum())
+            for column, name in enumerate(columns_of(experiment)):
+                there = is_measured[:, column]
+                whole = f"{name} of {experiment.measured.name}" if several else name
+                channels.append(ChannelResiduals(whole, numbers[there, column], (i, there.tobytes())))
+        return channels
 
     @property
     def _stated_variance(self) -> float:
         return 1.0 if self.problem.noise_is_known else self.reduced_chi_square
 
+    @cached_property
+    def _errors(self) -> np.ndarray:
+        """Prediction minus measurement over the noise of the problem."""
+        return self.problem.raw(self.best.residuals)
+
     # How it went ----------------------------------------------------------------------------------------------------
 
     @property
     def cost(self) -> float:
-        """Half the sum of squares of the weighted residuals."""
+        """Half the sum of squares of the weighted residuals, or the sum of their robust losses."""
         return self.best.cost
 
     @property
@@ -154,8 +193,14 @@ class Fit(Reported):
 
     @property
     def reduced_chi_square(self) -> float:
-        """Sum of squares of the weighted residuals over the degrees of freedom: about 1 where all is as stated."""
-        return 2 * self.cost / max(self.degrees_of_freedom, 1)
+        """Sum of squares of the weighted residuals over the degrees of freedom: about 1 where all is as stated.
+
+        With a robust loss the square of the standard deviation that normal errors with their median magnitude have.
+        """
+        freedom = max(self.degrees_of_freedom, 1)
+        if self.problem.loss is not None and self.best.us:
+            return robust_scale(self._errors, freedom / max(self.problem.n_residuals, 1)) ** 2
+        return 2 * self.cost / freedom
 
     @property
     def succeeded(self) -> bool:
@@ -233,7 +278,7 @@ class Fit(Reported):
     @cached_property
     def tables(self) -> list[np.ndarray]:
         """Prediction minus measurement over the noise of the problem, (n, m) by experiment; NaN: not measured."""
-        return tables_of(self.problem.experiments, self.best.residuals)
+        return tables_of(self.problem.experiments, self._errors)
 
     @cached_property
     def noise(self) -> list[np.ndarray]:
@@ -255,7 +300,7 @@ class Fit(Reported):
         found = {}
         for experiment in self.problem.experiments:
             measured = experiment.measured
-            scene = built(measured.build or self.build, self.estimates)
+            scene = built(experiment.build, self.estimates)
             first = [] if measured.ts[0] == measured.t0 else [measured.t0]
             found[str(measured.name)] = simulate(scene, jnp.asarray(np.concatenate([first, measured.ts])))
         return found
@@ -273,7 +318,7 @@ class Fit(Reported):
         return report(self)
 
     def figures(self, title: str = "") -> "dict[str, matplotlib.figure.Figure]":
-        """Pictures by name: `"fit"`, `"residuals"`, `"correlation"`, `"history"`."""
+        """Pictures by name: `"fit"`, `"residuals"`, `"correlation"`, `"history"`, `"validation"` (with `validate=`)."""
         return figures_of(self, title)
 
     def report_page(self, title: str, scene: Scene | None) -> "Page":

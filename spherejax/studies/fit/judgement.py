@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from spherejax.studies.fit.columns import widths_of
 from spherejax.studies.fit.growth import REMEDY, lost_at, start_of
 from spherejax.studies.fit.methods import Course, Ending
 from spherejax.studies.fit.statistics import Whiteness, whiteness_of
@@ -14,6 +15,13 @@ RUNAWAY = 1e4
 
 FEWEST = 20
 """Fewer residuals than this say nothing about their colour."""
+
+UNEXPLAINED = 0.3
+"""Residuals that are larger than this share of the motion itself, and are no noise, say that the model is too poor."""
+
+FILTER_SHARE = 0.1
+"""Share of the noise that a filter's predictions may change by where its intervals are twice as long. The error itself
+is about a fifteenth of the change, where the motion is smooth."""
 
 
 def diagnosis_of(course: Course, problem) -> str:
@@ -42,10 +50,13 @@ def warnings_of(fit) -> list[str]:
         *_starts(fit),
         *_elsewhere(fit),
         *_misfit(fit),
+        *_poor(fit),
         *_lost(fit),
         *_bounds(fit),
         *_colour(fit),
+        *_filters(fit),
         *_failures(fit),
+        *(fit.validation.warnings if fit.validation is not None else []),
         *fit.notes,
     ]
 
@@ -106,9 +117,11 @@ def _misfit(fit) -> list[str]:
         return []
     ratio, spread = fit.reduced_chi_square, np.sqrt(2 / max(fit.degrees_of_freedom, 1))
     if ratio > 1 + max(5 * spread, 0.2):
+        allowed = fit.problem.loss is not None or fit.knowledge.correlated is not None
         return [
             f"the residuals are {np.sqrt(ratio):.3g} times as large as the stated noise: the model misses something, "
-            "the noise is understated, or this is not the smallest minimum; the standard deviations are too small"
+            "the noise is understated, or this is not the smallest minimum; the standard deviations "
+            + ("are those of the residuals, not of the stated noise" if allowed else "are too small")
         ]
     if ratio < 1 - max(5 * spread, 0.2):
         return [
@@ -116,6 +129,28 @@ def _misfit(fit) -> list[str]:
             "standard deviations"
         ]
     return []
+
+
+def _poor(fit) -> list[str]:
+    """Components of which much is left that is not noise: shares of the motion itself."""
+    poor = []
+    for experiment, columns, noise in zip(fit.problem.experiments, fit.residuals.values(), fit.noise, strict=True):
+        for column, (name, residuals) in enumerate(columns.items()):
+            there = experiment.is_measured[:, column]
+            motion = float(np.std(experiment.data[there, column])) if there.any() else 0.0
+            error = residuals[there] * noise[there, column]
+            share = float(np.sqrt(np.mean(error**2))) / motion if motion > 0 else 0.0
+            is_noise = float(np.mean(residuals[there] ** 2)) < 1.5**2 if there.any() else True
+            if not fit.problem.noise_is_known:
+                is_noise = there.sum() < FEWEST or whiteness_of(residuals[there]).probability >= UNLIKELY
+            if share > UNEXPLAINED and not is_noise:
+                poor.append(f"{100 * share:.2g} percent of {name} ({experiment.measured.name})")
+    if not poor:
+        return []
+    return [
+        f"the model leaves much of the motion unexplained, which is not noise: {', '.join(poor)} (root mean squares). "
+        "It is too poor, something that was taken as known is not, or this is a wrong minimum"
+    ]
 
 
 def _lost(fit) -> list[str]:
@@ -168,9 +203,23 @@ def _colour(fit) -> list[str]:
     are = ", ".join(f"{name} ({_correlated(test)})" for name, test in coloured)
     return [
         f"the residuals of {are} are not white noise by the test of Ljung and Box. The model misses something that was "
-        "measured, or the errors are correlated; the standard deviations, which assume independent errors, are wrong, "
-        "and too small where neighbouring residuals are alike"
+        f"measured, or the errors are correlated. {_widened(fit.knowledge.widening)}"
     ]
+
+
+def _widened(widening: np.ndarray) -> str:
+    """What was done about correlated errors."""
+    if not np.any(widening != 1.0):
+        return (
+            "The standard deviations assume independent errors: they are wrong, and too small where neighbouring "
+            "residuals are alike"
+        )
+    low, high = float(np.min(widening)), float(np.max(widening))
+    times = f"{high:.2g}" if high - low < 0.05 * high else f"{low:.2g} to {high:.2g}"
+    return (
+        f"The standard deviations allow for correlated errors: they are {times} times those of independent ones. They "
+        "do not allow for a model that is wrong"
+    )
 
 
 def _correlated(test: Whiteness) -> str:
@@ -180,6 +229,23 @@ def _correlated(test: Whiteness) -> str:
         f"{apart} have a correlation of {test.correlation:.2g}, white noise has less than {test.bound:.2g} in 19 of 20 "
         f"cases; Q = {test.statistic:.3g} over {test.n_lags} lags, p = {test.probability:.1g}"
     )
+
+
+def _filters(fit) -> list[str]:
+    """Filters whose intervals are too long for what passes through them."""
+    coarse = []
+    for experiment, noise in zip(fit.problem.experiments, fit.noise, strict=True):
+        first = dict(zip(experiment.measured.values, np.cumsum([0, *widths_of(experiment)]).tolist(), strict=False))
+        for name, error in experiment.filter_errors(fit.u).items():
+            there = experiment.is_measured[:, first[name]]
+            if there.any() and not error <= FILTER_SHARE * float(np.median(noise[there, first[name]])):
+                coarse.append(f"{name} ({experiment.measured.name}) by {error:.2g}")
+    if not coarse:
+        return []
+    return [
+        f"with filter intervals twice as long the predictions change: {', '.join(coarse)}, which is more than a tenth "
+        "of the noise. Raise substeps of sj.LowPass or sj.Differentiator"
+    ]
 
 
 def _failures(fit) -> list[str]:

@@ -12,6 +12,7 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.forms import visible
 from spherejax.motion.runs.many import Build
 from spherejax.motion.runs.times import seconds_of
+from spherejax.studies.fit.sensor import Sensor
 
 Function = Callable[[Any], Any]
 """From a `Trajectory` to an array with a leading axis of samples."""
@@ -26,7 +27,7 @@ class Measured:
         values: measured values by observable, shape (n,) or (n, components), in SI units; NaN, or masked, where nothing
             was measured. Observables are named as in `spherejax.motion.equations.quantities`, e.g. `"velocity.rocker"`
             (three components) or `"position.rocker.z"` (one of them), results of force elements as `"shock.length"`,
-            and `functions` by their own names.
+            and `functions` by their own names. A channel with a sensor may have any name.
         noise: standard deviation of the errors in the units of the values, a number for all observables, or numbers
             (or arrays, for each value) by observable; None: what the fit is told.
         build: from parameters to the scene of this experiment; None: what the fit is told.
@@ -35,6 +36,11 @@ class Measured:
         functions: from a `Trajectory` to an array with a leading axis of samples, by name.
         shown_in: units in which pictures show the values, by observable, e.g. `{"position.rocker.z": "mm"}`; of a file
             those that it names. Others are shown in SI units.
+        sensors: what the instrument of a channel makes of its observable, by channel: gain, bias, delay, filter. A
+            channel without one shows its observable as it is.
+        own: parameters that this experiment has for itself, e.g. the angle from which it was released: numbers, arrays
+            or `sj.Parameter`, by the names that its builder or its sensors use. In the fit they are named after the
+            experiment, `"angle of second"`.
     """
 
     ts: np.ndarray
@@ -45,6 +51,8 @@ class Measured:
     t0: float
     functions: dict[str, Function]
     shown_in: dict[str, str]
+    sensors: dict[str, Sensor]
+    own: dict[str, Any]
 
     def __init__(
         self,
@@ -57,15 +65,18 @@ class Measured:
         t0: float = 0.0,
         functions: Mapping[str, Function] | None = None,
         shown_in: Mapping[str, str] | None = None,
+        sensors: Mapping[str, Sensor] | None = None,
+        own: Mapping[str, Any] | None = None,
     ):
         _refuse_traced(ts, values)
         times = _times(ts, t0)
-        given = {
+        fields = {
             "ts": times, "values": {key: _column(key, value, times.size) for key, value in values.items()},
             "noise": noise, "build": build, "name": name, "t0": float(t0), "functions": dict(functions or {}),
             "shown_in": dict(shown_in or {}),
+            "sensors": _sensors(sensors), "own": dict(own or {}),
         }  # fmt: skip
-        for key, value in given.items():
+        for key, value in fields.items():
             object.__setattr__(self, key, value)
         _check(self)
 
@@ -74,27 +85,33 @@ class Measured:
         """Count of what was measured."""
         return sum(int(np.sum(~np.isnan(value))) for value in self.values.values())
 
+    @property
+    def observables(self) -> dict[str, str]:
+        """Names of the observables by channel."""
+        sensors = self.sensors
+        return {name: (sensors[name].of if name in sensors else None) or name for name in self.values}
+
     def named(self, name: str) -> "Measured":
         """The same with a name, where it has none."""
-        return self if self.name is not None else _replaced(self, name=name)
+        return self if self.name is not None else self.replaced(name=name)
+
+    def replaced(self, **changes: Any) -> "Measured":
+        """The same with other fields, all but the instants and the values."""
+        fields = ("noise", "build", "name", "t0", "functions", "shown_in", "sensors", "own")
+        return Measured(self.ts, self.values, **{**{field: getattr(self, field) for field in fields}, **changes})
 
     def __repr__(self) -> str:
         what = ", ".join([*self.values][:4]) + (f" and {len(self.values) - 4} more" if len(self.values) > 4 else "")
         return f"Measured({what}: {self.n_values} values at {self.ts.size} instants to t = {self.ts[-1]:.6g} s)"
 
 
-def _replaced(measured: Measured, **changes) -> Measured:
-    given = {field: getattr(measured, field) for field in ("noise", "build", "name", "t0", "functions", "shown_in")}
-    return Measured(measured.ts, measured.values, **{**given, **changes})
-
-
 def _refuse_traced(ts: Any, values: Mapping[str, Any]) -> None:
     """Refuse numbers that JAX traces: NumPy's own error would name neither the measurement nor what to do."""
     if not all(map(is_concrete, jax.tree.leaves(ts))):
         raise SceneError(
-            "the instants of measurements are traced; sj.fit takes them as numbers. Where a clock is late by an "
-            "unknown time, write the residuals with sj.simulate, whose sample times have derivatives: the page on fits "
-            "shows how ('A clock offset between two channels')"
+            "the instants of measurements are traced; sj.fit takes them as numbers. An unknown clock offset is a "
+            "parameter: Measured(..., sensors={channel: sj.Sensor(delay='late')}), as the page on fits shows ('A clock "
+            "offset between two channels'). Residuals of your own take sj.simulate, whose sample times have derivatives"
         )
     for name, value in values.items():
         if not all(map(is_concrete, jax.tree.leaves(value))):
@@ -140,6 +157,12 @@ def _column(name: str, value: Any, n: int) -> np.ndarray:
     return array
 
 
+def _sensors(sensors: Any) -> dict[str, Sensor]:
+    if not isinstance(sensors, Mapping | None) or not all(isinstance(one, Sensor) for one in (sensors or {}).values()):
+        raise SceneError(f"sensors must be a dict of sj.Sensor by channel; it is {sensors!r}")
+    return dict(sensors or {})
+
+
 def _check(measured: Measured) -> None:
     if not measured.values:
         raise SceneError("nothing was measured: give values by observable, e.g. {'position.rocker.z': values}")
@@ -150,8 +173,11 @@ def _check(measured: Measured) -> None:
         raise SceneError(
             f"shown_in names {unshown[0]!r}, which was not measured; {one_of(measured.values, unshown[0])}"
         )
-    unused = [name for name in measured.functions if name not in measured.values]
+    unused = [name for name in measured.functions if name not in measured.observables.values()]
     if unused:
         raise SceneError(
             f"functions={unused} have no measured values of that name; measured are {list(measured.values)}"
         )
+    unused = [name for name in measured.sensors if name not in measured.values]
+    if unused:
+        raise SceneError(f"sensors={unused} have no measured values of that name; measured are {list(measured.values)}")

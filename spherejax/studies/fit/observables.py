@@ -14,10 +14,10 @@ from spherejax.studies.fit.measured import Function
 
 
 class Observable(NamedTuple):
-    """An observable as it was asked for (static).
+    """An observable by name (static).
 
     Attributes:
-        name: as it was asked for.
+        name: of the observable.
         unit: of its values; empty where it is not known.
         quantity: a quantity of a run, or None.
         function: a user's function of a run, or None.

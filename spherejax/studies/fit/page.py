@@ -8,6 +8,7 @@ import numpy as np
 from spherejax.model.scene import Scene
 from spherejax.motion.runs.many import built
 from spherejax.output.report.page import Page, PagePicture, PageTable, PageText
+from spherejax.studies.fit.columns import units_of_channels
 from spherejax.studies.fit.report import Units, deviation_of, headline, report
 
 
@@ -36,10 +37,14 @@ def page_of(fit, title: str, scene: Scene | None, units: Units = MappingProxyTyp
         "Estimates", PageText([headline(fit)]), _estimates(fit, units)
     )  # what else `print(fit)` says stands on top
     page.add("Measurements", _measurements(fit), _starts(fit, units))
+    if fit.validation is not None:
+        head, *rows = fit.validation.rows
+        title = str(fit.validation).splitlines()[0].rstrip(":")
+        page.add("Prediction", PageTable(("reading", *head[1:]), rows, title))
     page.add("Figures", *(PagePicture(figure, f"{name}, {names}") for name, figure in fit.figures(title).items()))
     add_motion(page, fit.runs, scene)
-    first = fit.problem.experiments[0].measured
-    add_sources(page, scene or built(first.build or fit.build, fit.estimates), next(iter(fit.runs.values())))
+    scene = scene or built(fit.problem.experiments[0].build, fit.estimates)
+    add_sources(page, scene, next(iter(fit.runs.values())))
     return page
 
 
@@ -61,7 +66,7 @@ def _measurements(fit) -> PageTable:
     rows = [
         (
             str(one.measured.name),
-            ", ".join(f"{each.name} [{each.unit}]" for each in one.frame.observables),
+            ", ".join(f"{name} [{unit}]" if unit else name for name, unit in units_of_channels(one).items()),
             f"{int(np.sum(one.is_measured)):,}",
             f"{one.measured.ts[0]:.6g}",
             f"{one.measured.ts[-1]:.6g}",

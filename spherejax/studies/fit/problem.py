@@ -1,6 +1,8 @@
 """The problem under a fit: noise-weighted residuals of all experiments as functions of unknowns without bounds.
 
 r_i(u) = (prediction_i(p(u)) - measured_i) / noise_i,    cost = sum r_i^2 / 2,    log likelihood = -cost + const.
+
+With a robust loss L the residuals that a method sees are s_i = sign(r_i) sqrt(2 L(r_i)); see `losses`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,17 +18,24 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import visible, whole_number
 from spherejax.foundations.types import Scalar
-from spherejax.motion.integration.status import Status, diagnosis
+from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.many import Build
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances
 from spherejax.runtime import require_float64
+from spherejax.studies.fit.arguments import refuse_unused, with_own_parameters
 from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Integration, Prediction, experiment_of
+from spherejax.studies.fit.losses import Loss, check_loss, rooted
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
 from spherejax.studies.fit.side_by_side import in_threads, on_accelerator, padded
 
 MAX_STEPS = 1_000_000
 """Steps after which a run of a fit is given up: an iterate may be far stiffer than the solution."""
+
+
+NO_LIKELIHOOD = (
+    "the likelihood is that of normal errors, and the fit has loss={loss}; leave the loss out, and outliers too (NaN)"
+)
 
 
 class Evaluation(NamedTuple):
@@ -57,6 +66,7 @@ class Problem:
         noise: standard deviations of the errors, one array (n, m) for each experiment; all of them ones where the
             noise is not known.
         noise_is_known: whether the noise was stated.
+        loss: how much large residuals count; None: least squares.
     """
 
     def __init__(
@@ -66,10 +76,11 @@ class Problem:
         experiments: Sequence[Experiment],
         noise: Sequence[np.ndarray],
         noise_is_known: bool,
+        loss: Loss | None = None,
     ):
         self.unknowns, self.start = unknowns, start
         self.experiments, self.noise = tuple(experiments), tuple(noise)
-        self.noise_is_known = noise_is_known
+        self.noise_is_known, self.loss = noise_is_known, loss
         self._remembered: dict[bytes, _Lane] = {}
 
     @property
@@ -116,6 +127,8 @@ class Problem:
         """
         if not self.noise_is_known:
             raise SceneError("the likelihood needs the noise of the measurements: give noise=")
+        if self.loss is not None:
+            raise SceneError(NO_LIKELIHOOD.format(loss=self.loss))
         residuals = self.residuals(u)
         fits = jnp.all(jnp.isfinite(residuals))
         spread = sum(
@@ -147,6 +160,9 @@ class Problem:
         residuals = (prediction.values[..., where[0], where[1]] - experiment.data[where]) * weights
         jacobian = prediction.slopes[..., where[0], where[1], :] * weights[:, None]
         failed = (prediction.status != Status.SUCCEEDED)[..., None]
+        if self.loss is not None:
+            residuals, slopes = rooted(self.loss, residuals)
+            jacobian = slopes[..., None] * jacobian
         residuals = jnp.where(failed, jnp.nan, residuals)
         return residuals, jnp.where(failed[..., None], jnp.nan, jacobian)
 
@@ -170,17 +186,17 @@ class Problem:
     def _evaluated(self, us: list[np.ndarray]) -> list["_Lane"]:
         if len(us) > 1 and on_accelerator():
             predictions = [experiment.predict_lanes(jnp.asarray(padded(us))) for experiment in self.experiments]
-            return [self._lane(jax.tree.map(lambda x, i=i: x[i], predictions)) for i in range(len(us))]
-        return in_threads(lambda u: self._lane([each.predict(jnp.asarray(u)) for each in self.experiments]), us)
+            return [self._lane(u, jax.tree.map(lambda x, i=i: x[i], predictions)) for i, u in enumerate(us)]
+        return in_threads(lambda u: self._lane(u, [one.predict(jnp.asarray(u)) for one in self.experiments]), us)
 
-    def _lane(self, predictions: list[Prediction]) -> "_Lane":
+    def _lane(self, u: np.ndarray, predictions: list[Prediction]) -> "_Lane":
         """What the predictions of all experiments come to."""
         weighted = [self._weighted(i, prediction) for i, prediction in enumerate(predictions)]
         residuals = np.concatenate([np.asarray(r) for r, _ in weighted])
         jacobian = np.concatenate([np.asarray(j) for _, j in weighted])
         is_finite = bool(np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian)))
         diagnoses = [
-            diagnosis(prediction.status, prediction.t_reached, float(experiment.setting.ts[-1]))
+            experiment.diagnosis(prediction.status, prediction.t_reached, u)
             for experiment, prediction in zip(self.experiments, predictions, strict=True)
         ]
         n_steps = sum(int(prediction.n_steps) for prediction in predictions)
@@ -194,7 +210,7 @@ class Problem:
         found = []
         for experiment, noise in zip(self.experiments, self.noise, strict=True):
             weights = np.where(experiment.is_measured, 1 / noise, 0.0)
-            found.append(experiment.cost_and_gradient(jnp.asarray(u), weights))
+            found.append(experiment.cost_and_gradient(jnp.asarray(u), weights, self.loss))
         cost, gradient = sum(each.cost for each in found), np.sum([each.gradient for each in found], 0)
         is_finite = np.isfinite(cost) and bool(np.all(np.isfinite(gradient)))
         why = self._said([each.diagnosis for each in found], is_finite)
@@ -223,11 +239,21 @@ class Problem:
         if not kept:
             raise SceneError(f"nothing was measured up to t = {t:.6g} s")
         experiments, noise = zip(*kept, strict=True)
-        return Problem(self.unknowns, self.start, experiments, noise, self.noise_is_known)
+        return Problem(self.unknowns, self.start, experiments, noise, self.noise_is_known, self.loss)
+
+    def raw(self, residuals: np.ndarray) -> np.ndarray:
+        """Prediction minus measurement over the noise, from the residuals that a method sees."""
+        return residuals if self.loss is None else np.asarray(self.loss.residual(residuals))
+
+    def raw_jacobian(self, residuals: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+        """Derivatives of `raw` residuals, from residuals and derivatives that a method sees."""
+        if self.loss is None:
+            return jacobian
+        return jacobian / np.asarray(rooted(self.loss, self.raw(residuals))[1])[:, None]
 
     def with_noise(self, noise: Sequence[np.ndarray], *, is_known: bool) -> "Problem":
         """The same problem with other weights."""
-        return Problem(self.unknowns, self.start, self.experiments, noise, is_known)
+        return Problem(self.unknowns, self.start, self.experiments, noise, is_known, self.loss)
 
     def with_data(self, data: Sequence[np.ndarray]) -> "Problem":
         """The same problem with other measured values, one array (n, m) for each experiment; missing ones stay so."""
@@ -237,7 +263,7 @@ class Problem:
             eqx.tree_at(lambda e: e.data, experiment, np.asarray(values))
             for experiment, values in zip(self.experiments, data, strict=True)
         ]
-        return Problem(self.unknowns, self.start, experiments, self.noise, self.noise_is_known)
+        return Problem(self.unknowns, self.start, experiments, self.noise, self.noise_is_known, self.loss)
 
 
 class _Lane(NamedTuple):
@@ -260,30 +286,59 @@ def problem_of(
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
     max_steps: int = MAX_STEPS,
+    n_samples: int = 1,
+    is_held_out: bool = False,
+    loss: Loss | None = None,
 ) -> Problem:
     """The problem of a fit; arguments as for `sj.fit`, experiments as `Measured`.
+
+    Programs are compiled for the longest experiment, or for `n_samples` instants where that is more. Records that are
+    held out (`is_held_out`) are predicted only: they need not determine, or depend on, all parameters.
 
     Raises:
         SceneError: for a request that makes no sense, before anything is simulated.
     """
     require_float64()
+    check_loss(loss)
     check_tolerances(rtol, atol)
     max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
-    unknowns, values = unknowns_from(start)
+    experiments = _named(experiments)
+    if not isinstance(start, Mapping):
+        unknowns_from(start)  # refuses it
+    common = list(start)
+    unknowns, values = unknowns_from(with_own_parameters(start, experiments))
     integration = Integration(rtol, atol, solver, max_steps)
-    experiments = [each.named(f"experiment {i + 1}") for i, each in enumerate(experiments)]
-    n_samples = max(each.ts.size for each in experiments)
-    made = [experiment_of(build, unknowns, values, each, integration, n_samples) for each in experiments]
+    n_samples = max(n_samples, *(one.ts.size for one in experiments))
+    made = [experiment_of(build, unknowns, values, one, integration, n_samples, common) for one in experiments]
+    if not is_held_out:
+        refuse_unused(common, experiments, [one.arguments for one in made])
+        if not all(one.depends_on_unknowns for one in made):
+            names = ", ".join(repr(part.name) for part in unknowns.parts)
+            raise SceneError(f"the scene does not depend on {names}: nothing to fit")
     stated = [noise_of(each, noise) for each in made]
     if len({each is None for each in stated}) == 2:
         unsaid = [str(each.measured.name) for each, given in zip(made, stated, strict=True) if given is None]
         raise SceneError(f"state the noise of all measurements or of none; it is missing for {', '.join(unsaid)}")
     is_known = stated[0] is not None
     weights = [_scales(each) if given is None else given for each, given in zip(made, stated, strict=True)]
-    problem = Problem(unknowns, values, made, weights, is_known)
-    if problem.n_residuals < unknowns.size:
+    problem = Problem(unknowns, values, made, weights, is_known, loss)
+    if problem.n_residuals < unknowns.size and not is_held_out:
         raise SceneError(f"{problem.n_residuals} measured values cannot determine {unknowns.size} parameters")
     return problem
+
+
+def _named(experiments: Sequence[Measured]) -> list[Measured]:
+    """Experiments with names, all of them different."""
+    named, seen = [], set()
+    for i, experiment in enumerate(experiments):
+        experiment = experiment.named(f"experiment {i + 1}")
+        name, n = str(experiment.name), 1
+        while experiment.name in seen:
+            n += 1
+            experiment = experiment.replaced(name=f"{name} ({n})")
+        seen.add(experiment.name)
+        named.append(experiment)
+    return named
 
 
 def noise_of(experiment: Experiment, noise: Any) -> np.ndarray | None:

@@ -5,8 +5,14 @@ from types import MappingProxyType
 
 import numpy as np
 
+from spherejax.studies.fit.columns import units_of_channels, widths_of
+
 Units = Mapping[str, tuple[str, float]]
 """By parameter the unit in which it is told, and what numbers in it are multiplied by to be in SI units."""
+
+
+OUTLIER = 4.0
+"""A residual larger than so many standard deviations is called an outlier: of normal errors one in 16,000."""
 
 
 def report(fit, units: Units = MappingProxyType({})) -> str:
@@ -19,6 +25,8 @@ def report(fit, units: Units = MappingProxyType({})) -> str:
     lines = [headline(fit)]
     if fit.best.us:
         lines += ["", *_table(fit, units)]
+    if fit.validation is not None:
+        lines += ["", str(fit.validation)]
     if fit.best.us and fit.undetermined:
         lines += ["", "What the data do not determine:", *(f"  - {each.explanation}" for each in fit.undetermined)]
     if fit.warnings:
@@ -34,6 +42,9 @@ def headline(fit) -> str:
     text = f"Fit of {', '.join(fit.names)} to {of}: {fit.status} ({fit.n_iterations} iterations, {fit.seconds:.1f} s)"
     if not fit.best.us:
         return text
+    if fit.problem.loss is not None:
+        far = sum(int(np.sum(np.abs(r) > OUTLIER)) for record in fit.residuals.values() for r in record.values())
+        text += f"; {far} outlier{'s' * (far != 1)} beyond {OUTLIER:g} standard deviations"
     if fit.problem.noise_is_known:
         return f"{text}; residuals {np.sqrt(fit.reduced_chi_square):.3g} times the stated noise"
     return f"{text}; {_estimated_noise(fit)}"
@@ -43,12 +54,12 @@ def _estimated_noise(fit) -> str:
     parts = []
     for experiment, noise in zip(fit.problem.experiments, fit.problem.noise, strict=True):
         at = 0
-        for observable, values in zip(experiment.frame.observables, experiment.measured.values.values(), strict=True):
+        for (name, unit), width in zip(units_of_channels(experiment).items(), widths_of(experiment), strict=True):
             deviation = float(np.median(noise[:, at])) * np.sqrt(fit.reduced_chi_square)
-            at += 1 if values.ndim == 1 else values.shape[1]
-            unit = f" {observable.unit}" if observable.unit not in ("", "1") else ""
+            at += width
+            unit = f" {unit}" if unit not in ("", "1") else ""
             of = f" ({experiment.measured.name})" if len(fit.problem.experiments) > 1 else ""
-            parts.append(f"{observable.name}{of} {deviation:.3g}{unit}")
+            parts.append(f"{name}{of} {deviation:.3g}{unit}")
     return f"estimated noise: {', '.join(parts)}"
 
 

@@ -7,9 +7,12 @@ what `Parameter(scale=)` says), and its singular values sigma_i and directions v
 
 which is the Cramer-Rao bound for independent normal errors where the noise is stated (variance 1). Along v_i the data
 leave a standard deviation of 1 / sigma_i.
+
+Where the errors are correlated, with the covariance R, J^T J is no longer the inverse of the covariance, which is then
+(J^T J)^-1 (J^T R J) (J^T J)^-1; see `correlation`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.studies.fit.correlation import Correlated
 from spherejax.studies.fit.parameters import FitUnknowns
 
 SMALLEST_SHARE = 0.1
@@ -51,6 +55,7 @@ class Knowledge:
         jacobian: of the weighted residuals by the unknowns.
         variance: of the weighted residuals: 1 where the noise was stated, estimated otherwise.
         degrees_of_freedom: of that estimate; infinite where the noise was stated.
+        correlated: what correlations of the errors do; None where they are independent.
     """
 
     unknowns: FitUnknowns
@@ -58,6 +63,7 @@ class Knowledge:
     jacobian: np.ndarray
     variance: float
     degrees_of_freedom: float
+    correlated: Correlated | None = None
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -108,9 +114,28 @@ class Knowledge:
     def scaled_covariance(self) -> np.ndarray:
         """Of the parameters in units of their scales; of size 1e200 and more where the data have no trace of them."""
         singular, right = self._decomposition
-        deviations = np.sqrt(self.variance) / np.where(singular > 0, singular, 1.0)
-        factor = right.T * np.where(singular > 0, deviations, UNKNOWN)
-        return factor @ factor.T
+        size = np.where(singular > 0, singular, 1.0)
+        if self.correlated is None:
+            factor = right.T * np.where(singular > 0, np.sqrt(self.variance) / size, UNKNOWN)
+            return factor @ factor.T
+        inverse = (right.T * np.where(singular > 0, 1 / size**2, 0.0)) @ right
+        meat = self.correlated.meat * np.outer(self.unknowns_per_scale, self.unknowns_per_scale)
+        open_directions = right.T * np.where(singular > 0, 0.0, UNKNOWN)
+        return inverse @ meat @ inverse + open_directions @ open_directions.T
+
+    @property
+    def widening(self) -> np.ndarray:
+        """How many times larger the standard deviations are than those of independent errors of the same size."""
+        if self.correlated is None:
+            return np.ones(self.u.size)
+        independent = replace(self, correlated=None).scaled_deviations
+        there = np.isfinite(independent) & (independent > 0)
+        return np.where(there, self.scaled_deviations / np.where(there, independent, 1.0), 1.0)
+
+    @property
+    def covariance_of_unknowns(self) -> np.ndarray:
+        """Of the method's unknowns u; not finite where the data have no trace of a parameter."""
+        return self.scaled_covariance * np.outer(self.unknowns_per_scale, self.unknowns_per_scale)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -152,7 +177,11 @@ class Knowledge:
     def undetermined(self, within: float) -> list[Undetermined]:
         """Directions along which the data leave a larger standard deviation than `within`, the worst first."""
         singular, right = self._decomposition
-        deviations = np.where(singular > 0, np.sqrt(self.variance) / np.where(singular > 0, singular, 1.0), np.inf)
+        if self.correlated is None:
+            size = np.sqrt(self.variance) / np.where(singular > 0, singular, 1.0)
+        else:
+            size = np.sqrt(np.einsum("ij,jk,ik->i", right, self.scaled_covariance, right))
+        deviations = np.where(singular > 0, size, np.inf)
         found = [
             _described(self.unknowns, right[i], float(singular[i]), float(deviations[i]), within)
             for i in range(singular.size)
