@@ -22,6 +22,7 @@ from .motion.results.modes import Mode
 from .motion.results.motion_state import MotionState
 from .motion.results.spectra import SpectrumWarning
 from .motion.results.steps import PartingWarning
+from .motion.results.stopping import When
 from .motion.results.trajectory import Trajectory
 from .motion.runs.continuation import continue_from
 from .motion.runs.many import Runs, simulate_many
@@ -412,6 +413,7 @@ __all__ = [
     "Wear",
     "WearWarning",
     "WheelLoads",
+    "When",
     "Whole",
     "WinklerLiner",
     "WorkPrecision",

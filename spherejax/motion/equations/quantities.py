@@ -202,6 +202,17 @@ def magnitudes(system: System, t: Scalar, y: Float[Array, " size"], names: tuple
     return jnp.stack([safe_norm(value) if value.ndim else jnp.abs(value) for value in values])
 
 
+@lru_cache(maxsize=64)
+def values_of(names: tuple[str, ...]):
+    """The values of quantities that are numbers, a function (system, t, y); one for the same names."""
+
+    def values(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " k"]:
+        observation = observe(system, t, y)
+        return jnp.stack([at_instant(system, observation, y, quantity(name, system)) for name in names])
+
+    return values
+
+
 def value_at(system: System, t: Scalar, y: Float[Array, " size"], name: str) -> Array:
     """A quantity at one state: a vector, or a number."""
     return at_instant(system, observe(system, t, y), y, quantity(name, system))

@@ -150,7 +150,7 @@ def peak_of(ends: Any, inside: Any, at_ends: Any, at_inside: Any) -> tuple[float
     best = float(at_ends[highest]), float(ends[highest])
     for row in np.argsort(-at_inside.max(axis=1))[:3] if at_inside.size else ():
         seen = at_inside[row]
-        rising = _FINE_WEIGHTS @ seen
+        rising = FINE_WEIGHTS @ seen
         top = int(np.argmax(rising))
         share, value = float(_FINE[top]), float(rising[top])
         if not seen.max() <= value <= seen.max() + LARGEST_RISE * abs(seen.max()):
@@ -167,7 +167,7 @@ LARGEST_RISE = 0.05
 """Of the polynomial of a step above its highest node, as a share of it: four nodes of a half sine differ by less."""
 
 _FINE = np.linspace(0.0, 1.0, 201)
-_FINE_WEIGHTS = np.stack(
+FINE_WEIGHTS = np.stack(
     [np.prod([(_FINE - other) / (node - other) for other in SHARES if other != node], axis=0) for node in SHARES],
     axis=1,
 )
@@ -196,14 +196,16 @@ def peaks(system: System, steps: Steps, names: tuple[str, ...], scalar: bool | N
     n, k = steps.inside.shape
     ends, at_ends = np.concatenate([[steps.t0], steps.ends]), np.concatenate([steps.y0[None], steps.at_ends])
     inside = steps.at_inside.reshape(n * k, steps.at_ends.shape[1])
-    see = _magnitudes_of(names)
+    see = magnitudes_of(names)
     at_inside = seen_at(system, see, steps.inside.ravel(), inside, scalar).reshape(n, k, len(names))
     at_ends = seen_at(system, see, ends, at_ends, scalar)
     return [Peak(*peak_of(ends, steps.inside, at_ends[:, i], at_inside[:, :, i])) for i in range(len(names))]
 
 
 @lru_cache(maxsize=64)
-def _magnitudes_of(names: tuple[str, ...]):
+def magnitudes_of(names: tuple[str, ...]):
+    """The magnitudes of quantities at a state; one function for the same names: programs are kept by function."""
+
     def seen(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, " k"]:
         return magnitudes(system, t, y, names)
 

@@ -100,7 +100,7 @@ def steps_of(
         raise SceneError(
             "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep"
         )
-    asked = _repeatable(asked)
+    asked = repeatable(asked)
     structure, theta = flatten_by_factor(system)
     limits = audit_limits(system, asked.rtol, asked.solver)
     atol, rtol = asked.atol, asked.rtol
@@ -110,16 +110,16 @@ def steps_of(
     told, times, places = _compared(np.asarray(ts, float))
     kind = JobKind(structure, scalar, solver)
     y0 = jnp.asarray(ys[0])
-    capacity = _room_for(n_accepted)
+    capacity = room_for_steps(n_accepted)
     while True:
         _refuse_too_many(capacity, y0.size)
-        outcome, log = _repeated(
+        outcome, log = repeated_in_steps(
             kind, capacity, arrays, pair, np.asarray(asked.max_steps), jnp.asarray(theta), limits, y0, times
         )
         n = int(outcome.n_accepted[0])
         if n <= capacity:
             break
-        capacity = _room_for(n)
+        capacity = room_for_steps(n)
     ends, states = np.asarray(log.times[0, :n]), np.asarray(log.states[0, :n])
     repeated = np.asarray(outcome.ys[0])[places]
     warn_where_they_part(system, np.asarray(ts)[told], np.asarray(ys)[told], repeated)
@@ -129,18 +129,20 @@ def steps_of(
 
 
 @cached_jit(what="the steps of a run")
-def _repeated(
-    kind: JobKind, capacity: int, arrays, tolerances, budget, theta, limits, y0, ts
+def repeated_in_steps(
+    kind: JobKind, capacity: int, arrays, tolerances, budget, theta, limits, y0, ts, is_made=True
 ) -> tuple[LaneOutcome, StepLog]:
+    """A run from a state, with a row for each of its first `capacity` steps; its sample times are at least three."""
     rate = program_for(state_rate, kind.structure, kind.scalar)
     numbers = RunNumbers(Parameters(theta, rate.ahead(theta)), None, None, limits)
     problem = kind.problem(ts, (arrays, tolerances, budget))
     own, first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (numbers, y0))
-    may_run, status = jnp.ones(1, bool), jnp.full(1, Status.SUCCEEDED, jnp.int64)
+    may_run, status = jnp.broadcast_to(is_made, (1,)), jnp.full(1, Status.SUCCEEDED, jnp.int64)
     return steps_in_lanes(problem, own, first, ts, may_run, status, block_for(), capacity, SHARES)
 
 
-def _repeatable(asked: Asked | None) -> Asked:
+def repeatable(asked: Asked | None) -> Asked:
+    """How the run was integrated, where that can be done in lanes; `SceneError` where it cannot be repeated so."""
     if asked is None:
         raise SceneError(
             "the steps of this run cannot be told: its tolerances were traced, or a step-size controller of its own "
@@ -155,7 +157,7 @@ def _repeatable(asked: Asked | None) -> Asked:
     return asked
 
 
-def _room_for(n: int) -> int:
+def room_for_steps(n: int) -> int:
     """Rows for n steps and a few more, for few different programs."""
     return max(256, 1 << int(np.ceil(np.log2(1.1 * n + 16))))
 

@@ -32,6 +32,7 @@ from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of,
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
+from spherejax.motion.results.traced_peaks import traced_peak
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.redundancy import (
     ConstraintReport,
@@ -71,6 +72,7 @@ class Trajectory(eqx.Module, Reported):
         asked: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
         accuracy: what `accuracy=` asked for and what came of it; None where it was not given.
         is_continued: whether it began with the end of another motion (static).
+        stopped_by: index of the condition of `until=` that ended it, -1 where none was met; None without conditions.
     """
 
     ts: Float[Array, " n"]
@@ -86,6 +88,7 @@ class Trajectory(eqx.Module, Reported):
     asked: Asked | None = eqx.field(static=True, default=None)
     accuracy: Accuracy | None = None
     is_continued: bool = eqx.field(static=True, default=False)
+    stopped_by: Int[Array, ""] | None = None
 
     def __repr__(self) -> str:
         if not is_concrete(self.ended):
@@ -522,13 +525,41 @@ class Trajectory(eqx.Module, Reported):
         """Amplitude and phase by frequency [Hz], e.g. of "reaction.elbow.z", from all steps: see `motion.spectra`."""
         return spectrum(self.system, self._steps, quantity(name, self.system).name, frequencies, self.scalar)
 
-    def peak(self, name: str) -> Peak:
+    def peak(self, name: str, *, steps: int = 4096) -> Peak:
         """Largest magnitude of a quantity over the whole run and when, e.g. `run.peak("reaction.elbow").value` [N].
 
         Seen at five instants of each step, so that no impact is missed, however coarse the samples are; the names are
         those of `sj.sweep`. The run is made once more, see `impacts`.
+
+        Under `jit`, `vmap` and `grad` it is a number that a program may go on with, an objective for instance:
+
+            jax.grad(lambda mass: sj.simulate(scene(mass), ts).peak("reaction.elbow").value)(0.2)
+
+        Its derivative is the partial one at the instant of the peak, for there a shift of that instant changes nothing;
+        the time has none. The run is then made twice more, once for its steps and once, with derivatives, at eight
+        instants of the step with the peak.
+
+        Args:
+            name: of the quantity.
+
+        Other args:
+            steps: within a trace, the largest number of steps that the run may have: their states are kept (1.6 MB for
+                4,096 steps of one body). A run with more raises an error while the program runs.
+
+        Raises:
+            SceneError: for a run that cannot be repeated.
+
+        Limits: a peak where the quantity jumps, or has a kink, moves along it; to differentiate it raises an error
+        while the program runs. `jax.vmap` looks at one run after the other, with a `SerialRunsWarning`.
         """
+        if self._is_traced:
+            return traced_peak(self, quantity(name, self.system).name, steps)
         return peak(self.system, self._steps, quantity(name, self.system).name, self.scalar)
+
+    @property
+    def _is_traced(self) -> bool:
+        """Whether it is a single run of which a trace hides a number."""
+        return not np.ndim(self.ended) and not all(map(is_concrete, (self.ys, self.ended, self.t_reached)))
 
     @property
     def kinetic_energy(self) -> Float[Array, " n"]:

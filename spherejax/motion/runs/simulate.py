@@ -1,7 +1,7 @@
 """Simulate a scene: the adapter between the equations of motion and diffrax."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -30,6 +30,7 @@ from spherejax.motion.integration.one_run import bound_run, can_be_a_job
 from spherejax.motion.integration.status import REMEDIES, OutOfRangeWarning, SimulationError, SimulationWarning, Status
 from spherejax.motion.integration.unseen import bound_in_words
 from spherejax.motion.results.accuracy import Limits, limits_from
+from spherejax.motion.results.stopping import When, conditions_of, stopped
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
 from spherejax.motion.runs.scene_cache import PreparedScene, again, own_arrays, prepared, remembered_call
@@ -76,6 +77,7 @@ def simulate(
     scalar: bool | None = None,
     throw: bool = False,
     accuracy: str | float | Mapping[str, str | float] | None = None,
+    until: When | Sequence[When] | None = None,
 ) -> Trajectory:
     """Simulate a scene.
 
@@ -124,6 +126,16 @@ def simulate(
             friction), the run has the status `INACCURATE`, and `run.determined_until` says until when it holds.
         throw: raise `SimulationError` when the run fails; otherwise a failed run carries its status, and a
             `SimulationWarning` is given where the outcome is known at once.
+        until: a condition at which the motion ends before the last sample time, such as
+            `sj.When("position.arm.z", 0.1, rising=True)`, or several: the first one that is met. The run then ends with
+            a sample at that instant, a root to rounding; `run.stopped_by` says which condition was met, `run.end` is
+            the state there. Within `jit`, `vmap` and `grad` the number of samples is fixed: those behind the end are
+            the sample at the end again, with its time in `run.ts`. The instant and all that is observed there have
+            derivatives, by the implicit function. It costs two more runs, one to see the steps and one to sample the
+            step in which the condition is met. A run that fails behind that instant has succeeded; `run.stats` counts
+            up to the last sample time. A quantity that passes the level and comes back between two of the five instants
+            that are looked at in each step is not seen. Implicit methods of diffrax and a step-size controller of your
+            own have no steps that could be seen: they are refused.
 
     Returns:
         The motion at the sample times.
@@ -134,6 +146,7 @@ def simulate(
     """
     require_float64()
     asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
+    conditions = () if until is None else conditions_of(until)
     limits = None if accuracy is None else _limits(scene, ts, accuracy, rtol, stepsize_controller, track_work, scalar)
     with read_once(), captures_explained([scene]):
         call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
@@ -142,6 +155,8 @@ def simulate(
         run = call.run()
     if limits is not None:
         run = accurate(run, limits)
+    if conditions:
+        run = stopped(run, conditions)
     return reported(run, throw)
 
 

@@ -1,0 +1,139 @@
+"""Peaks within `jax.jit`, `jax.vmap` and `jax.grad`: a fixed number of steps is kept, and the peak has derivatives.
+
+Which step has the peak is looked for without derivatives, at the steps of the repeated run, as `impacts.peak` does it.
+The state is then taken at eight instants of that step (`between.states_at`), with its derivatives by the numbers of the
+scene. The polynomial through the quantity there has its maximum at a share x* of the step, and its value there is
+
+    P(x*) = sum_j L_j(x*) g_j,    dP(x*)/dp = sum_j L_j(x*) dg_j/dp,
+
+the partial derivative at the instant of the peak: where dg/dt = 0, a shift of that instant changes nothing. A peak at
+the start or at the end of the run has the derivative at that time. Elsewhere the largest value may be that at the end
+of a step where the quantity jumps (a damper that is there at once when contact begins). Its instant moves with the
+numbers, and so does the value along the flank: the derivative is refused there, while the program runs.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from spherejax.foundations.errors import SceneError
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Flag, Scalar
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.quantities import quantity
+from spherejax.motion.integration.jobs import JobKind
+from spherejax.motion.results.between import states_at
+from spherejax.motion.results.impacts import FINE_WEIGHTS, LARGEST_RISE, Peak, magnitudes_of
+from spherejax.motion.results.steps import SHARES, repeated_in_steps
+from spherejax.motion.results.traced_steps import COEFFICIENTS, NODES, refusing, repetition_of, seen_at_steps
+
+FLAT = 1e-3
+"""The largest value of a step at one of its ends counts as a maximum where the quantity changes by less than this share
+of its size, over a whole step with the slope that it has there."""
+
+JUMPS = (
+    "the largest {name} of the run is where it jumps, or has a kink: at the beginning or the end of a contact, or "
+    "where a function of time turns. That instant moves with the numbers, and the value along with it, which the "
+    "derivative of the peak does not contain. Take differences of runs, or a law without a jump (an exponent of 1.5 of "
+    "the damping, as Lankarani and Nikravesh have)"
+)
+
+TOO_MANY = "the run has more than {steps} steps, so its peak is not known; give more: run.peak({name!r}, steps=...)"
+
+
+class _Step(NamedTuple):
+    """Where the peak is.
+
+    Attributes:
+        begin: of the step with the largest values within [s].
+        length: of that step [s].
+        at_end: an end of a step, or the start of the run, with the largest value of all of these [s].
+        is_at_end: whether that value is larger than all within steps.
+        n: steps of the run.
+    """
+
+    begin: Scalar
+    length: Scalar
+    at_end: Scalar
+    is_at_end: Flag
+    n: Array
+
+
+def traced_peak(run: Any, name: str, steps: int) -> Peak:
+    """The largest magnitude of a quantity, and when, of a single run whose numbers are traced.
+
+    Args:
+        run: a `Trajectory`.
+        name: of the quantity.
+        steps: largest number of steps that the run may have.
+    """
+    found = _where(run, name, steps)
+    inside = found.begin + jnp.asarray(NODES) * found.length
+    states = states_at(run, jnp.append(inside, found.at_end))
+    values = states.value(name)
+    values = jax.vmap(safe_norm)(values) if values.ndim > 1 else jnp.abs(values)
+    coefficients = jnp.asarray(COEFFICIENTS) @ values[:-1]
+    s, is_smooth = _largest(jax.lax.stop_gradient(coefficients))
+    within, share = jnp.polyval(coefficients, s), (s + 1) / 2
+    time = jnp.where(found.is_at_end, found.at_end, found.begin + share * found.length)
+    ends = jnp.asarray(run.ts)[jnp.array([0, -1])]
+    # An end of a step that is an end of the run stays where it is.
+    is_fixed = jnp.any(time == ends)
+    value = jnp.where(found.is_at_end, values[-1], within)
+    value = refusing(JUMPS.format(name=name), value, is_fixed | (~found.is_at_end & is_smooth))
+    return Peak(eqx.error_if(value, found.n > steps, TOO_MANY.format(steps=steps, name=name)), time)  # pyright: ignore
+
+
+def _largest(coefficients: Float[Array, " 8"]) -> tuple[Scalar, Flag]:
+    """Where from -1 to 1 the polynomial is largest, and whether that is a maximum."""
+    slopes, bends = jnp.polyder(coefficients), jnp.polyder(coefficients, 2)
+    grid = jnp.linspace(-1.0, 1.0, 101)
+    values = jnp.polyval(coefficients, grid)
+    s = grid[jnp.argmax(values)]
+    for _ in range(4):  # Newton, from less than half a hundredth of the step
+        slope, bend = jnp.polyval(slopes, s), jnp.polyval(bends, s)
+        s = jnp.clip(s - jnp.where(bend < 0, slope / jnp.where(bend < 0, bend, -1.0), 0.0), -1.0, 1.0)
+    is_flat = 2 * jnp.abs(jnp.polyval(slopes, s)) <= FLAT * jnp.max(jnp.abs(values))
+    return s, (jnp.abs(s) < 1) | is_flat
+
+
+def _where(run: Any, name: str, steps: int) -> _Step:
+    """The step that has the peak; no derivative passes, and `jax.vmap` of it is a loop."""
+    if not isinstance(steps, int) or steps < 1:
+        raise SceneError(f"steps = {steps!r} must be a whole number, the largest number of steps that the run may have")
+    kind, numbers = repetition_of(run)
+    look = jax.custom_batching.sequential_vmap(partial(_looked, kind, quantity(name, run.system).name, steps))
+    return look(*jax.lax.stop_gradient(jax.tree.map(jnp.asarray, numbers)))
+
+
+def _looked(kind: JobKind, name: str, steps: int, arrays, pair, budget, theta, limits, y0, ends, is_made) -> _Step:
+    begin = ends[0]
+    times = jnp.stack([begin, (begin + ends[1]) / 2, ends[1]])  # a run of two samples has no states within steps
+    outcome, log = repeated_in_steps(kind, steps, arrays, pair, budget, theta, limits, y0, times, is_made)
+    n = outcome.n_accepted[0]
+    times, states = log.times[0], log.states[0]
+    k = len(SHARES) + 1
+    program = program_for(magnitudes_of((name,)), kind.structure, kind.scalar, is_quiet=True)
+
+    def see(t, y):
+        return program(theta, t, y)
+
+    seen = seen_at_steps(see, 1, times.ravel(), states.reshape(-1, y0.shape[0]), n * k).reshape(steps, k)
+    first = see(begin, y0)[0]
+    lengths = times[:, -1] - jnp.concatenate([begin[None], times[:-1, -1]])
+    rising = jnp.max(seen[:, :-1] @ jnp.asarray(FINE_WEIGHTS).T, axis=1)
+    highest = jnp.max(seen[:, :-1], axis=1)
+    is_believed = (rising >= highest) & (rising <= highest + LARGEST_RISE * jnp.abs(highest))
+    best = jnp.where(jnp.arange(steps) < n, jnp.where(is_believed, rising, highest), -jnp.inf)
+    step = jnp.argmax(best)
+    at_ends = jnp.concatenate([first[None], seen[:, -1]])
+    end = jnp.argmax(at_ends)
+    at_end = jnp.concatenate([begin[None], times[:, -1]])[end]
+    # The cubic is wrong by 1e-5 or so; of a peak beside the end of a step the octic says more.
+    is_at_end = at_ends[end] > best[step] * (1 + 1e-4)
+    length = jnp.where(n > 0, lengths[step], 0.0)
+    return _Step(jnp.where(n > 0, times[step, -1] - length, begin), length, at_end, is_at_end, n)

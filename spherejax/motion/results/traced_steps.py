@@ -1,0 +1,83 @@
+"""What is asked of the steps of a run within a program of JAX: a fixed number of rows, of which some are used.
+
+Which steps matter is looked for without derivatives; the states there are taken again, with derivatives, by
+`between.states_at`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.types import Flag, Scalar
+from spherejax.model.system import flatten_by_factor
+from spherejax.motion.integration.jobs import JobKind, audit_limits
+from spherejax.motion.integration.status import Status
+from spherejax.motion.results.steps import repeatable
+from spherejax.motion.start.tolerances import component_tolerances
+
+NODES = tuple((np.polynomial.legendre.leggauss(8)[0] + 1) / 2)
+"""Shares of a step at which the quantity is taken with its derivatives. The state within a step is a polynomial of
+degree 4 to 8 in time; with eight nodes a peak is as exact as that (four, which find the step, leave 1e-5)."""
+
+COEFFICIENTS = np.linalg.inv(np.vander(2 * np.array(NODES) - 1))
+"""Coefficients of the polynomial in s = 2x - 1 from the values at the nodes, highest power first. From -1 to
+1 powers are well enough conditioned: the largest entry is 39."""
+
+SEEN_AT_ONCE = 64
+"""States of steps that are looked at in one turn of a loop, which ends behind the last step."""
+
+
+def repetition_of(run: Any) -> tuple[JobKind, tuple]:
+    """What `steps.repeated_in_steps` needs to repeat a single run: static, and its arrays.
+
+    The arrays are those of the solver, the tolerances, the largest number of steps, the numbers of the system, the
+    limits of the audit, the state at the start, the times of start and end, and whether there is a run to repeat.
+    """
+    asked = repeatable(run.asked)
+    structure, theta = flatten_by_factor(run.system)
+    limits = audit_limits(run.system, asked.rtol, asked.solver)
+    tolerances = component_tolerances(run.system, asked.rtol) if asked.atol is None else None
+    pair = (asked.rtol, asked.atol) if tolerances is None else (tolerances.rtol, tolerances.atol)
+    arrays, solver = eqx.partition(asked.solver, eqx.is_array)
+    ends = jnp.asarray(run.ts)[jnp.array([0, -1])]
+    is_made = (run.ended == Status.SUCCEEDED) | (run.t_reached > ends[0])
+    numbers = arrays, pair, np.asarray(asked.max_steps), jnp.asarray(theta), limits, run.ys[0], ends, is_made
+    return JobKind(structure, run.scalar, solver), numbers
+
+
+def seen_at_steps(
+    see: Callable, n_values: int, ts: Float[Array, " m"], ys: Float[Array, "m size"], n_used: Any
+) -> Float[Array, "m n_values"]:
+    """`see(t, y)` at the first `n_used` states, shape (n_values,) each; minus infinity at the others."""
+    block = min(SEEN_AT_ONCE, ts.shape[0])
+
+    def seen(i, values):
+        at = jnp.minimum(i * block, ts.shape[0] - block)
+        rows = (jax.lax.dynamic_slice_in_dim(array, at, block) for array in (ts, ys))
+        is_used = at + jnp.arange(block) < n_used
+        found = jnp.where(is_used[:, None], jax.vmap(see)(*rows), -jnp.inf)
+        return jax.lax.dynamic_update_slice_in_dim(values, found, at, 0)
+
+    n_blocks = jnp.minimum((n_used + block - 1) // block, -(-ts.shape[0] // block))
+    return jax.lax.fori_loop(0, n_blocks, seen, jnp.full((ts.shape[0], n_values), -jnp.inf))
+
+
+def refusing(words: str, value: Scalar, has_derivative: Flag) -> Scalar:
+    """The value; its derivative raises where it has none, while the program runs."""
+
+    @jax.custom_jvp
+    def same(value, has_derivative):
+        return value
+
+    @same.defjvp
+    def same_jvp(primals, tangents):
+        value, has_derivative = primals
+        # A factor: linear in the tangent, for reverse mode as well.
+        return value, tangents[0] * eqx.error_if(jnp.ones(()), ~has_derivative, words)
+
+    return same(value, has_derivative)
