@@ -1,7 +1,7 @@
 """Measured mechanisms: fits to records that others published, and predictions of what was held out.
 
     .venv/bin/python benchmarks/validation.py --data FOLDER             # all cases
-    .venv/bin/python benchmarks/validation.py --data FOLDER furuta      # one of them
+    .venv/bin/python benchmarks/validation.py --data FOLDER furuta      # some of them
 
 The records are not part of this project; `benchmarks/measured/records.py` says where each was published, and what its
 columns must be. Writes `results/measured_CASE_TABLE.csv` and `docs/pictures/measured_CASE.png`.
@@ -16,9 +16,9 @@ matplotlib.use("Agg")
 
 from machine import write
 from matplotlib.figure import Figure
-from measured import furuta
+from measured import emps, furuta
 
-CASES = {"furuta": furuta.study}
+CASES = {"furuta": furuta.study, "emps": emps.study}
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
 
 

@@ -10,9 +10,11 @@ from scipy.integrate import solve_ivp
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
-from measured import furuta
+from measured import emps, furuta
 from measured.comparing import predicted
 from measured.records import Record, read, state_at
+
+import spherejax as sj
 
 
 def test_a_missing_record_says_where_it_was_published(tmp_path):
@@ -28,8 +30,32 @@ def test_the_state_at_the_beginning_of_a_record():
     assert np.allclose(rates, [8.0, 0.0], atol=1e-4)
 
 
+def test_a_sampled_reference_becomes_few_speeds():
+    times = np.arange(0.0, 2.0, 1e-3)
+    knots, speeds = np.array([0.0, 0.1, 0.7, 0.85, 1.2, 1.999]), np.array([0.0, 0.08, 0.08, 0.0, 0.0, -0.3])
+    grid = np.union1d(times, knots)
+    speed = np.interp(grid, knots, speeds)
+    way = 0.01 + np.concatenate([[0.0], np.cumsum(np.diff(grid) * (speed[1:] + speed[:-1]) / 2)])
+    positions = np.interp(times, grid, way)
+    instants, values, begin, again = emps.reference_of(times, positions)
+    assert np.max(np.abs(again - positions)) < 1e-6
+    assert len(instants) <= len(knots) + 1
+    assert np.max(np.abs(np.interp(times, instants, values) - np.interp(times, knots, speeds))) < 1e-3
+    assert abs(begin - 0.01) < 1e-6
+
+
 COARSE = partial(furuta.two_moments, rate=1e-2)
 MOMENTS = {"arm_moment": 0.01, "pendulum_moment": 0.001}
+
+
+def test_the_moments_of_a_furuta_pendulum_are_recovered():
+    times = np.arange(0.0, 5.0, 0.05)
+    angles = predicted(COARSE(**MOMENTS), times, furuta.FUNCTIONS, rtol=1e-7)
+    record = furuta.measured_of(times, angles, noise=0.02)
+    fit = sj.fit(COARSE, furuta.FIRST_GUESS, record, horizon=sj.Whole(), rtol=1e-7, progress=False)
+    assert fit.succeeded
+    for name, value in MOMENTS.items():
+        assert abs(fit.estimates[name] / value - 1) < 1e-3
 
 
 def test_the_furuta_pendulum_is_that_of_its_two_equations():
@@ -51,3 +77,14 @@ def test_the_furuta_pendulum_is_that_of_its_two_equations():
     angles = predicted(COARSE(**MOMENTS), times, furuta.FUNCTIONS, rtol=1e-9)
     reference = solve_ivp(rates, (0, 3), [0, np.pi / 6, 0, 0], "LSODA", times, rtol=1e-9, atol=1e-10)
     assert np.max(np.abs(angles - reference.y[:2].T)) < 1e-5
+
+
+def test_the_drive_follows_its_reference_and_shows_its_friction():
+    """At a constant speed the voltage is that of both resistances, and the position lags by what the loops need."""
+    reference = np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.1, 0.1]), 0.0
+    scene = emps.drive(reference, 0.0, 0.0, mass=95.0, viscous=200.0, coulomb=20.0, offset=-3.0)
+    position, voltage = predicted(scene, np.array([0.0, 0.8]), emps.FUNCTIONS, rtol=1e-8)[1]
+    force = 200.0 * 0.1 + 20.0 - 3.0
+    assert abs(voltage * emps.FORCE / force - 1) < 1e-6
+    lag = (voltage / emps.SPEED_GAIN + 0.1) / emps.POSITION_GAIN
+    assert abs(position - (0.1 * 0.8 - 0.005 - lag)) < 1e-8
