@@ -85,9 +85,9 @@ def test_intervals_of_a_linear_model_cover_the_truth(factor, n):
             reach = deviations * stats.t.ppf(0.975, answer.degrees_of_freedom)
         covered += np.abs(off) < reach
         naive += np.abs(off) < white
-    low = 0.93 if factor < 0.9 else 0.89  # 200 samples of a process that lasts 20 of them are ten independent ones
-    assert np.all(covered / draws > low), covered / draws
-    assert np.all(covered / draws < 0.97), covered / draws
+    # 200 samples of a process that lasts 20 of them are ten independent ones.
+    low, high = (0.93, 0.97) if factor < 0.9 else (0.90, 0.985)
+    assert np.all((covered / draws > low) & (covered / draws < high)), covered / draws
     assert factor < 0.5 or np.all(naive / draws < 0.8)
 
 
