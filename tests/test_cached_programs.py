@@ -15,7 +15,7 @@ from sweeping import pendulum
 import spherejax as sj
 from spherejax.motion.equations.programs import made_program
 from spherejax.motion.integration.integrate import integrate
-from spherejax.motion.integration.one_run import gone_on_with, integrated, started
+from spherejax.motion.integration.one_run import advance_window, integrated, started
 from spherejax.motion.runs.many import many, simulate_many
 from spherejax.program_cache import cached_jit, folders
 from spherejax.program_cache.fingerprints import program_fingerprint, value_fingerprint
@@ -140,7 +140,7 @@ def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_pat
     of_diffrax = diffrax.Kvaerno5()
     for programs, name, solver, lengths, n_programs in (
         (integrated, "integrated", None, (1, 2), 2),
-        (gone_on_with, "gone_on_with", None, (3, 4), 1),
+        (advance_window, "advance_window", None, (3, 4), 1),
         (integrate, "integrate", of_diffrax, (2, 3), 2),
     ):
         programs.clear()
@@ -172,7 +172,7 @@ def test_every_cache_is_bounded():
         text = path.read_text()
         assert not re.search(r"^[^#`\n]*(@|= )eqx\.filter_jit", text, re.M), path
         assert "maxsize=None" not in text, path
-    for cached in (integrate, integrated, started, gone_on_with, many, _program):
+    for cached in (integrate, integrated, started, advance_window, many, _program):
         assert cached.n_programs <= 24
     assert made_program.cache_info().maxsize is not None
 

@@ -44,7 +44,7 @@ scene = sj.gallery.simple_pendulum() if force is None else sj.Scene(
 )
 run = sj.simulate(scene, jnp.linspace(0.0, 0.3, 4))
 print(run.ys.tobytes().hex())
-print(any("gone_on_with" in str(name) for name in traced), "state_rate" in traced, sep="\\n")
+print(any("advance_window" in str(name) for name in traced), "state_rate" in traced, sep="\\n")
 """
 
 

@@ -439,14 +439,14 @@ class Audit(NamedTuple):
         """The audit at the start of a run."""
         return self.limits(parameters).begun(self.look(parameters, t, y))
 
-    def begun_and_seen(self, parameters, watch: Watch, t, y) -> tuple[Watch, Watch]:
+    def update_checks(self, parameters, watch: Watch, t, y) -> tuple[Watch, Watch]:
         """The audit if a run begins with the state y, and if a step has ended there."""
         limits, vitals = self.limits(parameters), self.look(parameters, t, y)
         return limits.begun(vitals), limits.seen(watch, vitals)
 
     def seen(self, parameters, watch: Watch, t, y) -> Watch:
         """The audit after a step to the state y."""
-        return self.begun_and_seen(parameters, watch, t, y)[1]
+        return self.update_checks(parameters, watch, t, y)[1]
 
     def of_rows(self) -> "Audit":
         """The same, of the state in the first row of a matrix, with `Linearized` parameters."""

@@ -36,7 +36,14 @@ from spherejax.motion.integration.integrate import (
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.lanes.operation import runs
-from spherejax.motion.integration.lanes.windows import Paused, WindowPace, WindowProgress, begun, gone_on, window_at
+from spherejax.motion.integration.lanes.windows import (
+    RunCheckpoint,
+    WindowPace,
+    WindowProgress,
+    begun,
+    run_loop,
+    window_at,
+)
 from spherejax.motion.integration.row_blocks import as_numbers, placed_rows
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
@@ -105,7 +112,7 @@ def _in_windows(plan: Plan, request: "RunRequest", values, known, ts, start, val
             (vectors, forms), assembly = begin()
         if not known_how:  # the forms are known now
             window, n_turns = window_at(times, 0), np.asarray(pace.n_turns)
-            known_how.append(gone_on_with.bound_but(3, plan, request, ends, forms, vectors, window, n_turns))
+            known_how.append(advance_window.bound_but(3, plan, request, ends, forms, vectors, window, n_turns))
         (go_on,) = known_how
         found: Any = None
 
@@ -292,7 +299,9 @@ def integrated(plan: Plan, request: RunRequest, values, known, ts, start, values
 
 
 @cached_jit(what="the start of a run", options=OF_START)
-def started(plan: Plan, request: RunRequest, values, known, ends, start, values_are_legal) -> tuple[Paused, Assembly]:
+def started(
+    plan: Plan, request: RunRequest, values, known, ends, start, values_are_legal
+) -> tuple[RunCheckpoint, Assembly]:
     """A run from `ends[0]` to `ends[1]` [s] before its first window of samples, and how its start was assembled."""
     job = request.job(plan, values, known, ends, start, values_are_legal)
     run = begun(request.problem(plan, ends), job.numbers, job.y0, ends, job.may_run, job.status)
@@ -300,7 +309,7 @@ def started(plan: Plan, request: RunRequest, values, known, ends, start, values_
 
 
 @cached_jit(what="a run", options=options_for)
-def gone_on_with(plan: Plan, request: RunRequest, ends, forms: Any, vectors, window, n_turns) -> tuple:
+def advance_window(plan: Plan, request: RunRequest, ends, forms: Any, vectors, window, n_turns) -> tuple:
     """Samples of the next window, what else an `Outcome` says at its end but for the assembly, the run's vectors, and
     the numbers of a `WindowProgress`.
 
@@ -310,7 +319,9 @@ def gone_on_with(plan: Plan, request: RunRequest, ends, forms: Any, vectors, win
         window: sample times [s].
         n_turns: turns of the loop after which the window ends, whatever is written of it.
     """
-    made, vectors, progress = gone_on(request.problem(plan, ends), Paused(vectors, forms), ends, window, n_turns)
+    made, vectors, progress = run_loop(
+        request.problem(plan, ends), RunCheckpoint(vectors, forms), ends, window, n_turns
+    )
     ys, t_reached, y_reached, status = (each[0] for each in (made.ys, made.t_reached, made.y_reached, made.status))
     of_it = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
     return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors, progress

@@ -84,7 +84,7 @@ class Repeating:
         func = self.problem.solver.func
         return self._controller(parameters).init(term, t0, t_end, y0, None, parameters, func, self.order)
 
-    def bend_of_time(self, state, size) -> Float[Array, " n_lanes"]:
+    def time_warp(self, state, size) -> Float[Array, " n_lanes"]:
         """Of the time that the coming steps are made in; straight."""
         return jnp.zeros(size.shape)
 

@@ -21,7 +21,7 @@ from spherejax.motion.integration.audit import Watch
 from spherejax.motion.integration.compiling import native_run
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
-from spherejax.motion.integration.lanes.first_step import N_LOOKS, Looks
+from spherejax.motion.integration.lanes.first_step import N_LOOKS, InitialStepProbe
 from spherejax.motion.integration.lanes.landing import BEHIND, Landing
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, StepLog, is_busy
 from spherejax.motion.integration.lanes.stages import ExplicitStages, TrialStep, own_time, steps_of
@@ -77,7 +77,7 @@ def steps_in_lanes(
 
 
 def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
-    return native_run(lambda: Queue(problem, parameters, y0, *others).worked_off(), problem.in_machine_code)
+    return native_run(lambda: Queue(problem, parameters, y0, *others).run_queue(), problem.in_machine_code)
 
 
 class Queue:
@@ -198,7 +198,7 @@ class Queue:
         watch = lane.watch
         if problem.audit is not None:
             y = jnp.where(is_running, y, lane.y)  # after a look, the start
-            begun, seen = in_lanes(problem.audit.begun_and_seen)(lane.parameters, watch, t, y)
+            begun, seen = in_lanes(problem.audit.update_checks)(lane.parameters, watch, t, y)
             watch = jax.tree.map(kept, seen, watch)
             if self.looks:  # which leave the state at the start
                 begins = is_look & is_busy(lane, self.n_jobs)
@@ -241,7 +241,7 @@ class Queue:
 
     # A block -----------------------------------------------------------------------------------------------------
 
-    def worked_off(self) -> tuple[LaneOutcome, StepLog | None]:
+    def run_queue(self) -> tuple[LaneOutcome, StepLog | None]:
         """Run all jobs."""
         width, narrow = self.width, self.narrow
         lanes = self.begun()
@@ -252,7 +252,7 @@ class Queue:
         first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.t0, self.y0)
         ys = jnp.where(is_start, first[:, None], jnp.nan)
         account = AccountLayout.of(lanes)
-        looks = Looks.of_nothing(lanes.y) if self.looks else None
+        looks = InitialStepProbe.of_nothing(lanes.y) if self.looks else None
         log = None
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
@@ -269,7 +269,7 @@ class Queue:
             # The narrow block goes on, it does not look.
             return is_wide if looks is None else is_wide | looks.is_looking
 
-        carry = self.gone_on(busy, carry)
+        carry = self.run_loop(busy, carry)
         if narrow < width:
             lanes, *rest, _, _ = carry
             order = jnp.argsort(~is_busy(lanes, self.n_jobs))[:narrow]
@@ -278,7 +278,7 @@ class Queue:
             def still_busy(carry):
                 return jnp.any(is_busy(carry[0], self.n_jobs))
 
-            carry = self.gone_on(still_busy, (lanes, *rest, None, self.nothing_last(lanes)))
+            carry = self.run_loop(still_busy, (lanes, *rest, None, self.nothing_last(lanes)))
         log = carry[5]
         if log is not None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
@@ -298,7 +298,7 @@ class Queue:
         inside = jax.lax.map(lambda row: correct(parameters, *row), (self.ts[:-1], ys[0, :-1]))
         return jnp.concatenate([inside, ys[0, -1:]])[None]
 
-    def gone_on(self, busy: Callable, carry: tuple) -> tuple:
+    def run_loop(self, busy: Callable, carry: tuple) -> tuple:
         """Turn after turn while the block is busy; what comes seldom is done between two loops, not asked in each turn.
 
         XLA copies all lanes where a branch leaves them as they were, and puts so many copies at once on other threads:
@@ -347,7 +347,7 @@ class Queue:
         before = lanes
         is_look = jnp.array(False) if looks is None else looks.is_looking
         n_stages = None if looks is None else looks.n_stages(self._n_stages(lanes))
-        bend = self.control.bend_of_time(lanes.controller_state, lanes.t_next - lanes.t)
+        bend = self.control.time_warp(lanes.controller_state, lanes.t_next - lanes.t)
         trial = self.steps.step(
             lanes.t, lanes.t_next, lanes.y, lanes.parameters, lanes.solver_state, lanes.made_jump, bend, n_stages
         )
@@ -374,7 +374,7 @@ class Queue:
         is_inside = (coming < n) & (self.ts[jnp.minimum(coming, n - 1)] < lanes.t_next + behind)
         return jnp.where(jnp.any(is_inside), steps.n_stages, steps.n_used)
 
-    def _looked(self, lanes: Lane, looks: Looks, last: Last) -> tuple[Lane, Looks]:
+    def _looked(self, lanes: Lane, looks: InitialStepProbe, last: Last) -> tuple[Lane, InitialStepProbe]:
         """After a look: the lanes with where the next look or the first step ends."""
         control: Any = self.control
         size, k = last.t_next - last.t, last.dense_info["k"][:2]

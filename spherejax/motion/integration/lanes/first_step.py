@@ -22,7 +22,7 @@ _FIRST_LOOK = 1e-6
 """Size of the first look as a share of the run; only its slope at the start is read."""
 
 
-class Looks(NamedTuple):
+class InitialStepProbe(NamedTuple):
     """What the looks have found.
 
     Attributes:
@@ -36,7 +36,7 @@ class Looks(NamedTuple):
     is_new: Bool[Array, ""]
 
     @classmethod
-    def of_nothing(cls, y: Float[Array, "... n_lanes"]) -> "Looks":
+    def of_nothing(cls, y: Float[Array, "... n_lanes"]) -> "InitialStepProbe":
         """Before the first one."""
         return cls(jnp.zeros((), jnp.int64), jnp.zeros_like(y), jnp.array(False))
 

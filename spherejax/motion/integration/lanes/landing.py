@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.control import BlockSteps, Judgment
-from spherejax.motion.integration.lanes.first_step import Looks, first_look, first_size, looked_along
+from spherejax.motion.integration.lanes.first_step import InitialStepProbe, first_look, first_size, looked_along
 from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.solvers.crossing_search import FoundCrossings, crossing_fraction, first_event
@@ -130,7 +130,9 @@ class Landing:
         """As `init`, with the end of the first look in place of the first step."""
         return first_look(t0, t_end, shortest_step(t0, t_end)), self._pace(t0, y0, parameters)
 
-    def looked(self, looks: Looks, t0, t_end, y0, size, k, parameters) -> tuple[Looks, Float[Array, " n_lanes"]]:
+    def looked(
+        self, looks: InitialStepProbe, t0, t_end, y0, size, k, parameters
+    ) -> tuple[InitialStepProbe, Float[Array, " n_lanes"]]:
         """What is known after a look, and where the next one, or the first step, ends.
 
         Args:
@@ -153,7 +155,7 @@ class Landing:
         span = t_end - t0
         slope = jnp.where(looks.turn == 0, k[0] / size, looks.slope)
         end = in_lanes(next_end)(slope, k[1] / size, y0, size, parameters)
-        return Looks(looks.turn + 1, slope, jnp.array(False)), end
+        return InitialStepProbe(looks.turn + 1, slope, jnp.array(False)), end
 
     def _first(self, t0, size, y0, parameters):
         room = jnp.inf if self.problem.room is None else self.problem.room(parameters, t0, y0)
@@ -168,7 +170,7 @@ class Landing:
             start, -jnp.ones_like(start.value), jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, far, far
         )
 
-    def bend_of_time(self, state: Pace, size) -> Float[Array, " n_lanes"]:
+    def time_warp(self, state: Pace, size) -> Float[Array, " n_lanes"]:
         """Of the time that the coming steps are made in: the root of the time since the onset, or until the release.
 
         With t = t_onset + (x0 + (x1 - x0) x)^2 the bend is (x1 - x0) / (x1 + x0); before a release it is the negative.
@@ -181,7 +183,7 @@ class Landing:
         error, is_finite = self._scaled_error(step)
         passes, unseen = error < 1, None
         if self.problem.unseen is not None and self.problem.longest_step is not None:
-            bend, looked = self.bend_of_time(state, size), jnp.where(passes, size, 0.0)
+            bend, looked = self.time_warp(state, size), jnp.where(passes, size, 0.0)
             shortened = partial(self.problem.unseen.shortened, self.problem.longest_step)
             seen = in_lanes(shortened)(step.parameters, step.t0, looked, step.y1, bend)
             unseen = passes & (seen < looked)
@@ -419,7 +421,7 @@ class Landing:
 
     def _state_inside(self, step: BlockSteps, state: Pace, share, is_first=False) -> Float[Array, "... n_lanes"]:
         """The states after a share of the steps' time; with all rows below them, or the first row alone."""
-        x = own_time(share, self.bend_of_time(state, step.t1 - step.t0))
+        x = own_time(share, self.time_warp(state, step.t1 - step.t0))
         n, degree = self.inside.shape
         coefficients = jnp.asarray(self.inside.T[::-1])
         # A loop: XLA would evaluate the polynomials again for every entry of the state.

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from spherejax.motion.integration.compiling import native_run
 from spherejax.motion.integration.lanes.account import AccountLayout, samples_are_finite, written
 from spherejax.motion.integration.lanes.engine import Queue
-from spherejax.motion.integration.lanes.first_step import Looks
+from spherejax.motion.integration.lanes.first_step import InitialStepProbe
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, is_busy
 from spherejax.motion.integration.status import Status
 
@@ -41,11 +41,11 @@ class RunUnderWay(NamedTuple):
 
     lanes: Lane
     n_lane_steps: Array
-    looks: Looks | None
+    looks: InitialStepProbe | None
     last: Last | None
 
 
-class Paused(NamedTuple):
+class RunCheckpoint(NamedTuple):
     """A run between two windows, as it is handed over: fifty small arrays cost more than a short motion.
 
     Attributes:
@@ -57,7 +57,7 @@ class Paused(NamedTuple):
     forms: Any
 
     @classmethod
-    def of(cls, run: RunUnderWay) -> "Paused":
+    def of(cls, run: RunUnderWay) -> "RunCheckpoint":
         """A run that is under way."""
         leaves, tree = jax.tree.flatten(run)
         arrays = [jnp.asarray(leaf, jnp.result_type(leaf)) for leaf in leaves]
@@ -112,7 +112,7 @@ class WindowProgress(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Array) -> "WindowProgress":
-        """From what `gone_on` returns."""
+        """From what `run_loop` returns."""
         n_written, is_busy, n_turns = np.asarray(numbers).tolist()
         return cls(n_written, bool(is_busy), n_turns)
 
@@ -150,7 +150,7 @@ SHORTEST_TURN = 1e-7
 """Time that a turn takes at least [s]: clocks of some systems have ticks of 16 ms."""
 
 
-def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> Paused:
+def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> RunCheckpoint:
     """A run before its first window.
 
     Args:
@@ -168,14 +168,18 @@ def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "
     def begin() -> RunUnderWay:
         queue = Queue(problem, parameters, y0, times, may_run, status, Block())
         lanes = queue.begun()
-        looks = Looks.of_nothing(lanes.y) if queue.looks else None
+        looks = InitialStepProbe.of_nothing(lanes.y) if queue.looks else None
         return RunUnderWay(lanes, jnp.zeros((), jnp.int64), looks, queue.nothing_last(lanes))
 
-    return Paused.of(native_run(begin, problem.in_machine_code))
+    return RunCheckpoint.of(native_run(begin, problem.in_machine_code))
 
 
-def gone_on(
-    problem: LaneProblem, paused: Paused, ends: Float[Array, "2"], window: Float[Array, " w"], n_turns: Int[Array, ""]
+def run_loop(
+    problem: LaneProblem,
+    paused: RunCheckpoint,
+    ends: Float[Array, "2"],
+    window: Float[Array, " w"],
+    n_turns: Int[Array, ""],
 ) -> tuple[LaneOutcome, dict[str, Array], Int[Array, "3"]]:
     """What a run is when its window is full, when it has ended, or after a number of turns; the vectors of how it goes
     on, see `begun`; and the numbers of a `WindowProgress`."""
@@ -185,7 +189,7 @@ def gone_on(
         return _Windows(problem, run.lanes, ends, window).gone_on_from(run, n_turns)
 
     outcome, run, progress = native_run(go_on, problem.in_machine_code)
-    return outcome, Paused.of(run).vectors, progress
+    return outcome, RunCheckpoint.of(run).vectors, progress
 
 
 class _Windows(Queue):
@@ -198,7 +202,7 @@ class _Windows(Queue):
         self.t0, self.t_end = ends
 
     def gone_on_from(self, run: RunUnderWay, n_turns: Int[Array, ""]) -> tuple[LaneOutcome, RunUnderWay, Array]:
-        """See `gone_on`."""
+        """See `run_loop`."""
         last_turn = run.n_lane_steps + n_turns
         lanes = run.lanes._replace(n_samples=jnp.zeros_like(run.lanes.n_samples))
         account = AccountLayout.of(lanes)
@@ -214,7 +218,7 @@ class _Windows(Queue):
             return has_room & (n_lane_steps < last_turn) & has_not_ended(lanes, looks)
 
         carry = lanes, jnp.asarray(1), account.rows(1), ys, run.n_lane_steps, None, run.looks, run.last
-        lanes, _, rows, ys, n_lane_steps, _, looks, last = self.gone_on(busy, carry)
+        lanes, _, rows, ys, n_lane_steps, _, looks, last = self.run_loop(busy, carry)
         if self.corrects_late:
             ys = self._corrected(lanes, ys)
         outcome = account.outcome(rows, ys, n_lane_steps, self.ts, self.t_end)
