@@ -23,7 +23,7 @@ from spherejax.motion.integration.row_blocks import in_blocks, joined_rows
 from spherejax.motion.results import observed as observing
 from spherejax.motion.results.observed import looked_up_at, observed
 from spherejax.motion.results.steps import COMPARED, _compared
-from spherejax.motion.results.steps import _repeated as repeated
+from spherejax.motion.results.steps import repeated_in_steps as repeated
 from spherejax.motion.runs import scene_cache
 from spherejax.program_cache import cached_jit
 
