@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
-from measured import emps, furuta
+from measured import emps, furuta, pendulum
 from measured.comparing import predicted
 from measured.records import Record, read, state_at
 
@@ -42,6 +42,17 @@ def test_a_sampled_reference_becomes_few_speeds():
     assert len(instants) <= len(knots) + 1
     assert np.max(np.abs(np.interp(times, instants, values) - np.interp(times, knots, speeds))) < 1e-3
     assert abs(begin - 0.01) < 1e-6
+
+
+def test_the_friction_of_a_swinging_arm_is_recovered():
+    times = np.arange(0.0, 4.0, 0.005)
+    truth = {"moment": 2.5e-4, "square": 7e-6}
+    scene = pendulum.single(1.6, 0.3, inertia=4.54e-4, tilt=1e-3, **truth)
+    values = predicted(scene, times, {"angle": pendulum.arm_angle})
+    fit, _ = pendulum.fit_decays({1: Record(5.0 + times, values)}, {"moment": 1e-4, "square": 2e-6})
+    assert fit.succeeded
+    for name, value in truth.items():
+        assert abs(fit.estimates[name] - value) < 0.5 * fit.standard_deviations[name]
 
 
 COARSE = partial(furuta.two_moments, rate=1e-2)

@@ -2,7 +2,9 @@
 
 The motor's force is `FORCE` times its voltage, and the voltage is that of the two loops,
 
-    voltage = SPEED_GAIN (POSITION_GAIN (reference - position) - speed)
+    voltage = SPEED_GAIN (POSITION_GAIN (reference - position) - speed),
+
+in continuous time, or held for a millisecond from each sample on.
 """
 
 from collections.abc import Iterator
@@ -76,13 +78,22 @@ def _is_parabola(times, positions, first, n, tolerance):
     return np.max(np.abs(columns @ np.linalg.lstsq(columns, y, rcond=None)[0] - y)) < tolerance
 
 
-def drive(reference, start, rate, *, mass, viscous, coulomb, offset):
+def loop(travel, wanted, gain, period, first_sample, of_rate=False):
+    """A loop with one gain: in continuous time, or one that samples and holds."""
+    if period is None:
+        return sj.PID(travel, wanted, proportional=gain, of_rate=of_rate)
+    return sj.SampledPID(travel, period, wanted, proportional=gain, of_rate=of_rate, first_sample=first_sample)
+
+
+def drive(reference, start, rate, *, mass, viscous, coulomb, offset, period=None, first_sample=0.0):
     """The carriage between its two loops.
 
     Args:
         reference: instants [s], speeds [m/s], and the position at the first [m].
         start, rate: position [m] and speed [m/s] at the start.
         mass, viscous, coulomb, offset: [kg, N s/m, N, N].
+        period: of the digital loops [s]; None for loops in continuous time.
+        first_sample: of the digital loops [s].
     """
     knots, speeds, begin = reference
     travel = sj.Travel(("ground", "carriage"), AXIS)
@@ -90,8 +101,8 @@ def drive(reference, start, rate, *, mass, viscous, coulomb, offset):
     wanted = sj.Integral(sj.Table(knots, speeds), begin - start, origin=knots[0])
     carriage = sj.Body(mass, (1.0, 1.0, 1.0), (start, 0.0, 0.0), velocity=(rate, 0.0, 0.0))
     forces = {
-        "position_loop": sj.PID(travel, wanted, proportional=stiffness),
-        "speed_loop": sj.PID(travel, 0.0, proportional=FORCE * SPEED_GAIN, of_rate=True),
+        "position_loop": loop(travel, wanted, stiffness, period, first_sample),
+        "speed_loop": loop(travel, 0.0, FORCE * SPEED_GAIN, period, first_sample, of_rate=True),
         "resistance": sj.PID(travel, 0.0, proportional=viscous, offset=-offset, of_rate=True),
     }
     # The gain of a controlled rate of 0 is a viscous resistance.
@@ -122,6 +133,9 @@ NOISE = {"position": 3e-6, "voltage": 0.08}
 MIDDLE = 12.42
 """Where the record is divided [s]: two of its four repetitions on either side."""
 
+PERIOD = 1e-3
+"""Of the loops, as the record is sampled [s]."""
+
 EVERY = 10
 START = {"mass": 80.0, "viscous": 150.0, "coulomb": 15.0, "offset": sj.Parameter(-1.0, scale=1.0)}
 
@@ -131,14 +145,15 @@ def half_of(record: Record, number: int) -> Record:
     return record.part(*((0.0, MIDDLE - 1e-3), (MIDDLE, record.times[-1]))[number], every=EVERY)
 
 
-def build_for(record: Record, reference, number: int):
-    """From the four numbers to the drive at the beginning of a half, and that instant [s]."""
+def build_for(record: Record, reference, number: int, period):
+    """From the four numbers to the drive at the beginning of a half."""
     begin = half_of(record, number).times[0]
     values, rates = state_at(record, begin, 0.012)
     start, rate = float(values[0]), float(rates[0])
 
     def build(mass, viscous, coulomb, offset):
-        return drive(reference, start, rate, mass=mass, viscous=viscous, coulomb=coulomb, offset=offset)
+        friction = {"viscous": viscous, "coulomb": coulomb, "offset": offset}
+        return drive(reference, start, rate, mass=mass, **friction, period=period, first_sample=begin)
 
     return build
 
@@ -149,21 +164,23 @@ def study(folder: Path) -> Iterator[Part]:
     *reference, _ = reference_of(record.times, record.values[:, 1])
     halves = [half_of(record, number) for number in (0, 1)]
     measured = [half.values[:, [0, 2]] for half in halves]
-    builds = [build_for(record, tuple(reference), number) for number in (0, 1)]
+    continuous = [build_for(record, tuple(reference), number, None) for number in (0, 1)]
+    builds = [build_for(record, tuple(reference), number, PERIOD) for number in (0, 1)]
     numbers, predictions, shown = [], [], {}
     for number, name in enumerate(("first half", "second half")):
-        run = predicted(builds[number](**PUBLISHED), halves[number].times, FUNCTIONS, rtol=1e-7)
-        predictions.append(_row("published", "the whole", name, run - measured[number], measured[number]))
-        shown["published", number] = run
+        for kind, those in (("published, continuous loops", continuous), ("published, digital loops", builds)):
+            run = predicted(those[number](**PUBLISHED), halves[number].times, FUNCTIONS, rtol=1e-6)
+            predictions.append(_row(kind, "the whole", name, run - measured[number], measured[number]))
+            shown[kind, number] = run
     for number, other, name, other_name in ((0, 1, "first half", "second half"), (1, 0, "second half", "first half")):
         times = halves[number].times
         values = dict(zip(FUNCTIONS, measured[number].T, strict=True))
         experiment = sj.Measured(times, values, functions=FUNCTIONS, noise=NOISE, t0=times[0])
-        fit, search = fitted(builds[number], START, experiment, rtol=1e-7)
-        numbers += number_rows(name, fit, UNITS, PUBLISHED)
+        fit, search = fitted(builds[number], START, experiment, rtol=1e-6)
+        numbers += number_rows(f"{name}, {search.runs} runs", fit, UNITS, PUBLISHED)
         for place, where in ((number, name), (other, other_name)):
-            run = predicted(builds[place](**fit.estimates), halves[place].times, FUNCTIONS, rtol=1e-7)
-            predictions.append(_row(f"own, {search.runs} runs", name, where, run - measured[place], measured[place]))
+            run = predicted(builds[place](**fit.estimates), halves[place].times, FUNCTIONS, rtol=1e-6)
+            predictions.append(_row("own, digital loops", name, where, run - measured[place], measured[place]))
             shown[name, place] = run
     yield "numbers", numbers
     yield "predictions", predictions
@@ -195,7 +212,10 @@ def _figure(half, values, shown):
     )
     voltages.set(title="motor voltage [V]")
     voltages.legend(loc="upper right", fontsize=8)
-    for name, run, color in (("published numbers", shown["published", 1], ORANGE), ("own, first half", own, BLUE)):
+    for name, run, color in (
+        ("published numbers, continuous loops", shown["published, continuous loops", 1], ORANGE),
+        ("own numbers of the first half, digital loops", own, BLUE),
+    ):
         errors = (run - values)[inside]
         ahead.plot(times[inside], errors[:, 1], color=color, linewidth=0.7, label=name)
         wrong.plot(times[inside], 1e6 * errors[:, 0], color=color, linewidth=0.7, label=name)
