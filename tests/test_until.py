@@ -23,6 +23,18 @@ def passes(speed, level):
     return np.arcsin(level * RATE / speed) / RATE
 
 
+def test_a_trace_keeps_the_number_of_samples():
+    """Beside the slow tests of values: the whole way through a trace, without compiling it."""
+
+    def end(speed):
+        run = sj.simulate(block(speed=speed), TS, until=sj.When("position.block.x", LEVEL))
+        return run.ts, run.position("block"), run.stopped_by
+
+    ts, places, which = jax.eval_shape(jax.vmap(end), jnp.array([1.0, 2.0]))
+    assert (ts.shape, places.shape, which.shape) == ((2, 6), (2, 6, 3), (2,))
+
+
+@pytest.mark.slow
 def test_a_run_ends_where_a_quantity_passes_a_level():
     scene = block()
     run = sj.simulate(scene, TS, rtol=1e-10, until=sj.When("position.block.x", LEVEL, rising=True))

@@ -27,7 +27,13 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions, parts_with_a_range
 from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
 from spherejax.motion.integration.one_run import bound_run, can_be_a_job
-from spherejax.motion.integration.status import REMEDIES, OutOfRangeWarning, SimulationError, SimulationWarning, Status
+from spherejax.motion.integration.status import (
+    OutOfRangeWarning,
+    SimulationError,
+    SimulationWarning,
+    Status,
+    diagnosis,
+)
 from spherejax.motion.integration.unseen import bound_in_words
 from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.stopping import When, conditions_of, stopped
@@ -439,11 +445,31 @@ def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory
 
 
 def _raising(run: Trajectory) -> Trajectory:
-    """A traced run whose values, and whose derivatives, raise where it has failed."""
-    failures = [status for status in Status if status != Status.SUCCEEDED]
-    words = [f"a simulation did not reach its end ({status.name}): {REMEDIES[status]}" for status in failures]
-    passed = eqx.branched_error_if(jnp.ones(()), run.ended != Status.SUCCEEDED, jnp.maximum(run.ended - 1, 0), words)
+    """A traced run whose values, and whose derivatives, raise where it has failed.
+
+    The error is raised on the host, when the program runs: JAX puts frames of its own in front of it, and its last line
+    is the sentence. `eqx.error_if` knows no numbers, and adds a paragraph on `equinox.filter_jit`.
+    """
+    numbers = run.ended, run.t_reached, run.ts[-1]
+
+    def asked(*numbers) -> Array:
+        one = jax.ShapeDtypeStruct((), jnp.float64)
+        return jax.pure_callback(_raise_if_failed, one, *numbers, vmap_method="sequential")
+
+    def not_asked(*numbers) -> Array:
+        del numbers
+        return jnp.ones(())
+
+    passed = jax.lax.cond(run.ended != Status.SUCCEEDED, asked, not_asked, *map(jax.lax.stop_gradient, numbers))
     return jax.tree.map(lambda leaf: _dependent(leaf, passed) if eqx.is_inexact_array(leaf) else leaf, run)
+
+
+def _raise_if_failed(ended: Any, t_reached: Any, t_end: Any) -> np.ndarray:
+    """One, or `SimulationError` for a run that has failed; under `jax.vmap` it is called for all runs."""
+    if int(ended) != Status.SUCCEEDED:
+        said = diagnosis(np.asarray(ended), np.asarray(t_reached), np.asarray(t_end))
+        raise SimulationError(f"a simulation {said}")
+    return np.ones(())
 
 
 @jax.custom_jvp
