@@ -16,9 +16,9 @@ matplotlib.use("Agg")
 
 from machine import write
 from matplotlib.figure import Figure
-from measured import emps, furuta, pendulum
+from measured import double, emps, furuta, pendulum
 
-CASES = {"furuta": furuta.study, "emps": emps.study, "pendulum": pendulum.study}
+CASES = {"furuta": furuta.study, "emps": emps.study, "pendulum": pendulum.study, "double": double.study}
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
 
 

@@ -18,6 +18,10 @@ SOURCES = {
         "free swings of the multi-arm pendulum of Kaheman and others (2022), arXiv 2205.06231, one arm, as columns "
         "time [s], angle [rad], angular velocity [rad/s]"
     ),
+    "pendulum_double_": (
+        "free swings of the multi-arm pendulum of Kaheman and others (2022), arXiv 2205.06231, two arms, as columns "
+        "time [s], two angles from upright [rad], two angular velocities [rad/s]"
+    ),
 }
 """By the beginning of a file's name: where its content comes from, and its columns."""
 
