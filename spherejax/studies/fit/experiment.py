@@ -60,6 +60,7 @@ class Frame(NamedTuple):
         plan: what the run is compiled for.
         observables: what is predicted, in the order of the channels.
         choice: which method is used, and why.
+        n_unknowns: count of what is fitted.
         moved: places of the unknowns on which the scene depends; None: all.
         sensing: how channels are read; None where all show their observables as they are.
     """
@@ -67,6 +68,7 @@ class Frame(NamedTuple):
     plan: Plan
     observables: tuple[Observable, ...]
     choice: str
+    n_unknowns: int
     moved: tuple[int, ...] | None = None
     sensing: Sensing | None = None
 
@@ -94,15 +96,15 @@ class TracedNumbers(NamedTuple):
         values: the numbers of the system.
         directions: their derivatives by each unknown that moves them.
         are_legal: whether the scene's conditions, and those of the sensors, hold.
-        of_sensors: the numbers of the sensors; none without.
-        sensor_directions: their derivatives by each unknown.
+        of_sensors: the numbers of the sensors; None without: arrays of nothing, in lanes, end XLA's compiler.
+        sensor_directions: their derivatives by each unknown; None without.
     """
 
     values: Float[Array, " p"]
     directions: Float[Array, "moved p"]
     are_legal: Flag
-    of_sensors: Float[Array, " q"]
-    sensor_directions: Float[Array, "k q"]
+    of_sensors: Float[Array, " q"] | None
+    sensor_directions: Float[Array, "k q"] | None
 
 
 class Prediction(NamedTuple):
@@ -114,8 +116,8 @@ class Prediction(NamedTuple):
         status: integer of `Status`.
         t_reached: time reached [s].
         n_steps: steps tried.
-        filter_errors: largest change of each channel with a filter, where its intervals are twice as long; of none
-            where derivatives were not asked for.
+        filter_errors: largest change of each channel with a filter, where its intervals are twice as long; None without
+            filters, or where derivatives were not asked for.
     """
 
     values: Float[Array, "n m"]
@@ -123,7 +125,7 @@ class Prediction(NamedTuple):
     status: Int[Array, ""]
     t_reached: Float[Array, ""]
     n_steps: Int[Array, ""]
-    filter_errors: Float[Array, " filters"]
+    filter_errors: Float[Array, " filters"] | None
 
 
 class CostAndGradient(NamedTuple):
@@ -208,7 +210,9 @@ class Experiment(eqx.Module):
         slopes = _cost_and_slopes(frame, setting, loss, numbers.values, numbers.of_sensors, run, data, padded)
         along_run, by_start = gradients(*common, setting.known, ts, run, slopes.by_ys)
         by_scene = numbers.directions @ (slopes.by_values + along_run) + run.start_slopes @ by_start
-        gradient = np.array(numbers.sensor_directions @ slopes.by_sensors)
+        gradient = np.zeros(u.size)
+        if numbers.sensor_directions is not None and slopes.by_sensors is not None:
+            gradient += np.asarray(numbers.sensor_directions @ slopes.by_sensors)
         gradient[slice(None) if frame.moved is None else list(frame.moved)] += np.asarray(by_scene)
         return CostAndGradient(float(slopes.cost), gradient)
 
@@ -239,7 +243,7 @@ class Experiment(eqx.Module):
             return {}
         channels = zip(self.measured.values, self.frame.sensing.channels, strict=True)
         names = [name for name, channel in channels if is_filtered(channel)]
-        return dict(zip(names, self.predict(u).filter_errors.tolist(), strict=True))
+        return dict(zip(names, np.asarray(self.predict(u).filter_errors).tolist(), strict=True))
 
     @property
     def depends_on_unknowns(self) -> bool:
@@ -310,7 +314,7 @@ def experiment_of(
     options = Options(solver, controller, diffrax.ForwardMode(), integration.max_steps)
     setting = Setting(options, jnp.asarray(reach.known), jnp.asarray(times), reach.start)
     data = np.concatenate([value.reshape(measured.ts.size, -1) for value in measured.values.values()], 1)
-    frame = Frame(plan, tuple(observables.values()), choice.reason, moved, sensing)
+    frame = Frame(plan, tuple(observables.values()), choice.reason, unknowns.size, moved, sensing)
     numbers = _numbers_for(build, unknowns, track_work, plan.unknown, moved, sensors, arguments)
     made = Experiment(
         frame, setting, numbers, measured, build, sensors, arguments, np.nan_to_num(data), ~np.isnan(data)
@@ -386,9 +390,13 @@ def _numbers_for(
 ):
     """The traced numbers of a builder's system and their derivatives, compiled; kept for fits to come."""
     places = np.arange(unknowns.size) if moved is None else np.array(moved, int)
+    # Products, no scatter: XLA's compiler for CPUs aborts on one that is mapped over lanes and differentiated.
+    others, into = np.ones(unknowns.size), np.eye(unknowns.size)[places]
+    others[places] = 0.0
 
     def of_scene(own, u):
-        compiled = compile_scene(built(build, unknowns.values_of(u.at[places].set(own))), track_work=track_work)
+        whole = own if moved is None else others * u + own @ into
+        compiled = compile_scene(built(build, unknowns.values_of(whole)), track_work=track_work)
         values = jnp.asarray(flatten_system(compiled.system)[1])[np.array(unknown, int)]
         return values, (values, jnp.all(jnp.stack([jnp.array(True), *compiled.conditions])))
 
@@ -400,17 +408,16 @@ def _numbers_for(
     @jax.jit
     def with_directions(u):
         if places.size:
-            slopes, (values, legal) = jax.jacfwd(of_scene, has_aux=True)(u[places], u)
+            slopes, (values, legal) = jax.jacfwd(of_scene, has_aux=True)(u if moved is None else into @ u, u)
         else:  # JAX maps over no directions where there are none
-            values, (_, legal) = of_scene(u[places], u)
+            values, (_, legal) = of_scene(into @ u, u)
             slopes = jnp.zeros((values.size, 0))
+        legal = legal & jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(slopes))
         if sensors is None:
-            vector, sensor_slopes = jnp.zeros(0), jnp.zeros((0, u.size))
-        else:
-            sensor_slopes, vector = jax.jacfwd(of_sensors, has_aux=True)(u)
-            legal = legal & sensors.are_legal(vector)
-        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in (values, slopes, vector, sensor_slopes)]))
-        return TracedNumbers(values, slopes.T, legal & finite, vector, sensor_slopes.T)
+            return TracedNumbers(values, slopes.T, legal, None, None)
+        sensor_slopes, vector = jax.jacfwd(of_sensors, has_aux=True)(u)
+        legal = legal & sensors.are_legal(vector) & jnp.all(jnp.isfinite(sensor_slopes))
+        return TracedNumbers(values, slopes.T, legal, vector, sensor_slopes.T)
 
     return with_directions
 
@@ -418,11 +425,13 @@ def _numbers_for(
 # The programs -------------------------------------------------------------------------------------------------------
 
 
-def _of_all(frame: Frame, rows: Array, n_unknowns: int) -> Array:
+def _of_all(frame: Frame, rows: Array) -> Array:
     """Rows of derivatives by all unknowns, from those by the unknowns that move the scene."""
     if frame.moved is None:
         return rows
-    return jnp.zeros((n_unknowns, *rows.shape[1:])).at[np.array(frame.moved, int)].set(rows)
+    if not frame.moved:
+        return jnp.zeros((frame.n_unknowns, *rows.shape[1:]))
+    return jnp.tensordot(np.eye(frame.n_unknowns)[:, np.array(frame.moved, int)], rows, 1)
 
 
 def _samples(frame: Frame, setting: Setting, of_sensors) -> Samples:
@@ -450,8 +459,7 @@ def _run_with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers, ts)
 def _with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     samples = _samples(frame, setting, numbers.of_sensors)
     run = _run_with_slopes(frame, setting, numbers, samples.ts)
-    k = numbers.sensor_directions.shape[0]
-    directions, slopes = _of_all(frame, numbers.directions, k), _of_all(frame, run.slopes, k)
+    directions, slopes = _of_all(frame, numbers.directions), _of_all(frame, run.slopes)
 
     def predictions(values, ys, of_sensors):
         return _observed(frame, setting, values, ys, of_sensors, run.assembly)
@@ -468,7 +476,7 @@ def _with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Pred
         return jax.jvp(predictions, (numbers.values, run.ys, numbers.of_sensors), (direction, slope, dot))
 
     values, slopes = jax.vmap(along, out_axes=(None, -1))(directions, slopes, numbers.sensor_directions)
-    changes = jnp.zeros(0)
+    changes = None
     if frame.sensing is not None and frame.sensing.has_filters:
         seen = _seen(frame, setting, numbers.values, run.ys, numbers.of_sensors, run.assembly)
         changes = filter_errors(*seen)
@@ -538,7 +546,7 @@ def _predicted_alone(frame: Frame, setting: Setting, numbers: TracedNumbers) -> 
     )
     values = _observed(frame, setting, numbers.values, outcome.ys, numbers.of_sensors, outcome.assembly)
     none = jnp.zeros((*values.shape, 0))
-    return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps, jnp.zeros(0))
+    return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps, None)
 
 
 class _CostSlopes(NamedTuple):
@@ -554,7 +562,7 @@ class _CostSlopes(NamedTuple):
     cost: Float[Array, ""]
     by_values: Float[Array, " p"]
     by_ys: Float[Array, "n size"]
-    by_sensors: Float[Array, " q"]
+    by_sensors: Float[Array, " q"] | None
 
 
 def _costs(loss: Loss | None, errors):

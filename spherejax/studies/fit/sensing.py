@@ -240,7 +240,7 @@ def samples_for(sensing: Sensing, numbers: Float[Array, " q"], instants: Float[A
         return Samples(jnp.concatenate([t0, parts[0]]), (np.arange(parts[0].size + 1),))
     mixed = jnp.concatenate(parts)
     order = jnp.argsort(jax.lax.stop_gradient(mixed))
-    place = jnp.zeros_like(order).at[order].set(jnp.arange(1, order.size + 1))
+    place = 1 + jnp.argsort(order)
     ends = np.cumsum([part.size for part in parts])
     split = jnp.split(place, ends[:-1])
     return Samples(
