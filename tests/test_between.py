@@ -13,6 +13,7 @@ from scipy.special import gamma
 from test_continuation import block, block_at
 
 import spherejax as sj
+from spherejax.motion.equations.quantities import magnitudes
 
 pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # 0.5 m/s press beyond Eq. 24's range
 
@@ -162,6 +163,8 @@ def test_times_that_are_none_are_answered_in_words(run):
             run.at(t)
     with pytest.raises(sj.SceneError, match="cannot be repeated"):
         replace(run, asked=None).at(1e-4)  # its tolerances were traced
+    with pytest.raises(sj.SceneError, match=r"a ball that flies; run\.impacts\('joint'\)"):
+        magnitudes(run.system, 0.0, run.ys[0], ("penetration.joint",))
     with pytest.raises(sj.SceneError, match="adds up from the start"):
         run.at(1e-4).value("dissipated_energy.joint")
 

@@ -197,8 +197,15 @@ def _shapes_of(structure: Structure) -> tuple[dict[str, dict], dict[str, dict]]:
 
 def magnitudes(system: System, t: Scalar, y: Float[Array, " size"], names: tuple[str, ...]) -> Float[Array, " k"]:
     """Magnitudes of quantities at one state: norms of vectors, absolute values of numbers."""
+    quantities = [quantity(name, system) for name in names]
+    for what in quantities:
+        if what.kind == "penetration":  # of a ball that flies it is negative, and its magnitude up to the clearance
+            raise SceneError(
+                f"the largest magnitude of {what.name!r} may be that of a ball that flies; run.impacts({what.owner!r}) "
+                "has the peak_penetration of each contact"
+            )
     observation = observe(system, t, y)
-    values = [at_instant(system, observation, y, quantity(name, system)) for name in names]
+    values = [at_instant(system, observation, y, what) for what in quantities]
     return jnp.stack([safe_norm(value) if value.ndim else jnp.abs(value) for value in values])
 
 
