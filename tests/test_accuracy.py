@@ -504,7 +504,7 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
         (("--t1", "-1"), "t1 = -1 must be a positive time"),
         (("--tolerances", "1e-15"), "tolerance 1e-15 must lie in"),
         (("--repeats", "0"), "n_repeats = 0 must be at least 1"),
-        (("--max-seconds", "0"), "max_seconds = 0 must be positive"),
+        (("--max-seconds", "0"), "--max-seconds = 0 must be positive"),
         (("--models", "ideal", "dry", "--joint", "dry"), "leave --joint and its options out"),
         (("--models", "ideal", "dry", "--clearance", "1e-4"), "--clearance means nothing with --joint ideal"),
     ],

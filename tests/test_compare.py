@@ -124,7 +124,7 @@ def test_the_length_of_a_bearing_is_asked_for_on_the_command_line(tmp_path, caps
     sj.save_scene(plain(), path)
     for words in ([], ["--clearance", "0.2 mm"], ["--mu", "0.1"]):
         assert cli.main(["compare", str(path), "--of", "bearing", *words, "--out", str(tmp_path / "out")]) == 2
-        assert "on the command line --length 0.02" in capsys.readouterr().err
+        assert "need the length of its bearing: --length 0.02" in capsys.readouterr().err
 
 
 def test_an_ideal_model_is_added_and_others_keep_their_names():

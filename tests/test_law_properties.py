@@ -22,8 +22,13 @@ STATIC = {name: law for name, law in cases.FRICTION_LAWS.items() if isinstance(l
 FILMS = [(sj.FullFilm(), sj.Guembel()), (sj.RadialFilm(), sj.Guembel())]
 
 
+def numbers(least, largest):
+    """Without subnormal ones: where XLA computes, they are zero."""
+    return st.floats(least, largest, allow_subnormal=False)
+
+
 def vectors(size: float):
-    return st.tuples(*[st.floats(-size, size)] * 3).map(np.array)
+    return st.tuples(*[numbers(-size, size)] * 3).map(np.array)
 
 
 @jax.jit
@@ -33,7 +38,7 @@ def normal_forces(penetration, rate, onset):
 
 
 @FEW
-@given(st.floats(-1e-3, 1e-3), st.floats(-10.0, 10.0), st.floats(0.0, 10.0))
+@given(numbers(-1e-3, 1e-3), numbers(-10.0, 10.0), numbers(0.0, 10.0))
 def test_surfaces_never_pull_and_do_nothing_apart(penetration, rate, onset):
     forces = np.asarray(normal_forces(penetration, rate, onset))
     assert np.all(np.isfinite(forces))
@@ -48,7 +53,7 @@ def tractions(velocity, normal_force):
 
 
 @FEW
-@given(vectors(10.0), st.floats(0.0, 1e4))
+@given(vectors(10.0), numbers(0.0, 1e4))
 def test_friction_opposes_sliding_and_is_bounded_by_its_largest_coefficient(velocity, normal_force):
     found = np.asarray(tractions(velocity, normal_force))
     size, rounding = np.linalg.norm(found, axis=1), 1e-12 * normal_force

@@ -32,7 +32,7 @@ intervals (estimates.csv), the report, everything else (fit.nc), and pictures.
 EPILOG = """examples:
   spherejax fit four-bar --joint bushing --measured rocker.csv --start stiffness=1e4 --start damping=1e-2 \\
       --noise 1e-6 --out fit/
-  spherejax fit four-bar --joint bushing --measured one.csv --validate other.csv --start stiffness=1e4 --out fit/
+  spherejax fit four-bar --joint bushing --measured one.csv --validate other.csv --start stiffness=1e4
   spherejax fit scene.toml --measured drop.csv --start joints.elbow.model.clearance=1e-4:1e-5:1e-3 --out fit/
 """
 

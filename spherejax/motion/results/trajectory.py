@@ -271,7 +271,7 @@ class Trajectory(eqx.Module, Reported):
 
         Returns:
             The state, or the states with a leading axis of times. Under `jit`, `vmap` and `grad` a time outside of the
-            run gives a state whose `ended` is `Status.BAD_VALUE`, a time that a failed run has not reached one with the
+            run gives a state with the status of a bad value, a time that a failed run has not reached one with the
             run's status, both NaN.
 
         Raises:
