@@ -103,3 +103,20 @@ def continuous_answer(ts: np.ndarray, reference: tuple[float, float], inertia: f
     start = np.array([0.0, speed, 0.0, offset, 1.0, 0.0])
     states = np.array([expm(A * t) @ start for t in ts])
     return np.column_stack([states[:, :4], states @ torque])
+
+
+class NeuralForce(sj.AbstractForce):
+    """A force along x by place and speed, of a network."""
+
+    network: sj.Network
+
+    @property
+    def body_names(self):
+        """The ball."""
+        return ("ball",)
+
+    def wrenches(self, t, motions):
+        """The network's value along x."""
+        ball = motions["ball"]
+        force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
+        return {"ball": sj.Wrench(jnp.stack([force, 0.0 * force, 0.0 * force]), jnp.zeros(3))}

@@ -11,7 +11,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from controlling import GAINS, ROTOR, ROTOR_FILE, continuous_answer, motor, sampled_answer, sampled_motor
+from controlling import (
+    GAINS,
+    ROTOR,
+    ROTOR_FILE,
+    NeuralForce,
+    continuous_answer,
+    motor,
+    sampled_answer,
+    sampled_motor,
+)
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import simpson, solve_ivp
 
@@ -438,23 +447,6 @@ def body_motions_at_start(name: str) -> BodyMotion:
     """At rest, the rotor at 0.5 m."""
     place = jnp.array([0.5 if name == "rotor" else 0.0, 0.0, 0.0])
     return BodyMotion(place, jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.eye(3), jnp.zeros(3), jnp.zeros(3))
-
-
-class NeuralForce(sj.AbstractForce):
-    """A force along x by place and speed, of a network."""
-
-    network: sj.Network
-
-    @property
-    def body_names(self):
-        """The ball."""
-        return ("ball",)
-
-    def wrenches(self, t, motions):
-        """The network's value along x."""
-        ball = motions["ball"]
-        force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
-        return {"ball": sj.Wrench(jnp.stack([force, 0.0 * force, 0.0 * force]), jnp.zeros(3))}
 
 
 def _network(activation) -> sj.Network:

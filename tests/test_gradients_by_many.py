@@ -6,6 +6,7 @@ gradients against derivatives along directions, which are integrated beside the 
 
 from typing import Any
 
+import controlling
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -176,21 +177,6 @@ def test_by_all_numbers_of_a_mechanism_with_contact():
         np.testing.assert_allclose(one, other, atol=1e-6 * largest)
 
 
-class Learned(sj.AbstractForce):
-    """A force along x by place and speed, of a network."""
-
-    network: sj.Network
-
-    @property
-    def body_names(self):
-        return ("ball",)
-
-    def wrenches(self, t, motions):
-        ball = motions["ball"]
-        force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
-        return {"ball": sj.Wrench(jnp.stack([force, 0 * force, 0 * force]), jnp.zeros(3))}
-
-
 @pytest.mark.slow
 def test_by_the_weights_of_a_network_that_is_built_within_the_transformation():
     module = eqx.nn.MLP(2, "scalar", 8, 2, activation=jnp.tanh, key=jax.random.key(1))
@@ -198,7 +184,7 @@ def test_by_the_weights_of_a_network_that_is_built_within_the_transformation():
     def wanted(module, rtol=1e-9):
         scene = sj.Scene(
             {"ball": sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))},
-            forces={"law": Learned(sj.Network(module))},
+            forces={"law": controlling.NeuralForce(sj.Network(module))},
             gravity=(0, 0, 0),
         )
         return jnp.mean(sj.simulate(scene, TS, rtol=rtol).position("ball")[:, 0] ** 2)

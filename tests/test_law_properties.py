@@ -55,9 +55,9 @@ def tractions(velocity, normal_force):
 @FEW
 @given(vectors(10.0), numbers(0.0, 1e4))
 def test_friction_opposes_sliding_and_is_bounded_by_its_largest_coefficient(velocity, normal_force):
-    found = np.asarray(tractions(velocity, normal_force))
-    size, rounding = np.linalg.norm(found, axis=1), 1e-12 * normal_force
-    for law, traction, force in zip(STATIC.values(), found, size, strict=True):
+    forces = np.asarray(tractions(velocity, normal_force))
+    size, rounding = np.linalg.norm(forces, axis=1), 1e-12 * normal_force
+    for law, traction, force in zip(STATIC.values(), forces, size, strict=True):
         numbers = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}
         assert force <= normal_force * max(value for name, value in numbers.items() if name.startswith("mu")) + rounding
         assert traction @ velocity <= 0.0

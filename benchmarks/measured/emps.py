@@ -210,8 +210,8 @@ def _figure(half, values, shown):
     voltages.plot(
         times[inside], own[inside, 1], color=BLUE, linewidth=0.8, label="predicted by a fit to the first half"
     )
-    voltages.set(title="motor voltage [V]")
-    voltages.legend(loc="upper right", fontsize=8)
+    voltages.set_title("motor voltage [V]", loc="left")
+    voltages.legend(loc="lower right", ncols=2, fontsize=8, bbox_to_anchor=(1.0, 1.0))
     for name, run, color in (
         ("published numbers, continuous loops", shown["published, continuous loops", 1], ORANGE),
         ("own numbers of the first half, digital loops", own, BLUE),
@@ -219,7 +219,8 @@ def _figure(half, values, shown):
         errors = (run - values)[inside]
         ahead.plot(times[inside], errors[:, 1], color=color, linewidth=0.7, label=name)
         wrong.plot(times[inside], 1e6 * errors[:, 0], color=color, linewidth=0.7, label=name)
-    ahead.set(title="error of the voltage [V]")
-    ahead.legend(loc="upper right", fontsize=8)
-    wrong.set(title="error of the position [um]", xlabel="t [s]")
+    ahead.set_title("error of the voltage [V]", loc="left")
+    ahead.legend(loc="lower right", ncols=2, fontsize=8, bbox_to_anchor=(1.0, 1.0))
+    wrong.set_title("error of the position [um]", loc="left")
+    wrong.set(xlabel="t [s]")
     return figure

@@ -54,7 +54,7 @@ def changes(swept: xarray.Dataset, again: xarray.Dataset, runs: Sequence[int], n
         runs: their numbers in the sweep.
         names: of the quantities.
     """
-    n_runs, found = swept["status"].size, []
+    n_runs, largest_changes = swept["status"].size, []
     both = (np.asarray(swept["status"]).ravel()[list(runs)] == 0) & (np.asarray(again["status"]).ravel() == 0)
     for name in names:
         before = np.asarray(swept[name], float).reshape(n_runs, -1)
@@ -67,8 +67,8 @@ def changes(swept: xarray.Dataset, again: xarray.Dataset, runs: Sequence[int], n
         run = int(np.asarray(runs)[both][at])
         values = (float(first[at, entry]), float(second[at, entry]))
         share = largest / size if size > 0 else 0.0
-        found.append(Change(name, swept[name].attrs.get("units", ""), largest, share, run, values))
-    return found
+        largest_changes.append(Change(name, swept[name].attrs.get("units", ""), largest, share, run, values))
+    return largest_changes
 
 
 def print_check(
@@ -92,7 +92,7 @@ def print_check(
     runs = check_runs(n, grid.n_runs)
     rows: list[Mapping[str, float]] = [grid.row(run) for run in runs]
     again = sweep_again(sj.zipped({name: [row[name] for row in rows] for name in grid.names}), TIGHTER * rtol)
-    found = changes(swept, again, runs, names)
+    of_values = changes(swept, again, runs, names)
     steps = np.asarray(swept["n_steps"]).ravel()[runs].sum(), np.asarray(again["n_steps"]).sum()
     print_table(
         f"{len(runs)} runs at the tolerances {rtol:g} and {TIGHTER * rtol:g}: {steps[0]:,} and {steps[1]:,} steps",
@@ -105,11 +105,11 @@ def print_check(
                 f"{one.run}",
                 *(f"{value:.6g}" for value in one.values),
             )
-            for one in found
+            for one in of_values
         ],
         numeric=True,
     )
-    unresolved = [one for one in found if one.share > UNRESOLVED]
+    unresolved = [one for one in of_values if one.share > UNRESOLVED]
     if unresolved:
         print(
             f"unresolved at this tolerance: {', '.join(one.name for one in unresolved)}. Take a tighter --rtol; where "

@@ -48,11 +48,6 @@ class LinearMap:
         return replace(self, is_backward=not self.is_backward)
 
     @property
-    def domain(self) -> tuple[jax.ShapeDtypeStruct, ...]:
-        """Shapes and types of what the operation is given."""
-        return self.outputs if self.is_backward else self.inputs
-
-    @property
     def image(self) -> tuple[jax.ShapeDtypeStruct, ...]:
         """Shapes and types of what it returns."""
         return self.inputs if self.is_backward else self.outputs

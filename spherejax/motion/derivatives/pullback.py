@@ -1,8 +1,8 @@
 """The gradient of a run by many numbers under JAX's transformations: back along the steps of the run, once.
 
-Rows of sensitivities cost in proportion to the numbers: a force with 1,185 weights 3,000 runs. Here a run is made once
-more and keeps its steps y_0, y_1, ...; then lambda_n, the derivatives of what is wanted by y_n, follow from the last to
-the first,
+Rows of sensitivities (`sensitivity_rows`) cost in proportion to the numbers: the gradient by the 1,185 weights of a
+force took as long as 3,000 runs. Here the run is made once more and keeps its steps y_0, y_1, ...; then lambda_n, the
+derivatives of what is wanted by y_n, follow from the last to the first,
 
     (lambda_n, mu_n) = (d(y_n+1, samples in the step)/d(y_n, numbers))^T (lambda_n+1, derivatives by these samples),
 
@@ -12,9 +12,9 @@ between its stages, as in the run itself, so each step is evaluated once, with a
 The repeated run carries one sensitivity along, by a mixture of all numbers, whose error is controlled with the state's:
 its steps are then short enough for derivatives, behind contact onsets as well (`sensitivity_rows`).
 
-Steps are kept in a fixed room, for a compiled program cannot ask how many there will be. A run that needs more is cut:
-forward to its end, with the state at the beginning of each stretch, then stretch by stretch from the last to the first,
-each made once more. A stretch that is made again from the same state takes the same steps to the last bit.
+A compiled program has room for a fixed number of steps. A longer run is cut into stretches: the run goes to its end and
+notes the state at which each stretch begins; then each stretch, from the last to the first, is made once more and gone
+back. From the same state a stretch takes the same steps to the last bit.
 
 Limits: explicit methods; the errors of the derivatives are controlled along the mixture, not one by one.
 """
@@ -146,17 +146,17 @@ def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_y
         jnp.zeros((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
         sweep,
     )
-    found = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)
+    swept = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)
     # Samples at the start are the start.
-    is_first = (jnp.arange(ts.shape[0]) <= found.sweep.sample)[:, None]
-    by_start = found.sweep.by_state + jnp.sum(jnp.where(is_first, by_ys, 0.0), axis=0)
+    is_first = (jnp.arange(ts.shape[0]) <= swept.sweep.sample)[:, None]
+    by_start = swept.sweep.by_state + jnp.sum(jnp.where(is_first, by_ys, 0.0), axis=0)
 
     def start_of(values):
         return beginning(plan, plan.theta(values, known), ts[0], plan.start(values, start))
 
     _, to_start = jax.vjp(start_of, values)
-    along_run, at_start = to_values(found.sweep.by_numbers)[0], to_start((by_assembly, by_start))[0]
-    return jnp.where(found.is_sound, along_run + at_start, jnp.nan)
+    along_run, at_start = to_values(swept.sweep.by_numbers)[0], to_start((by_assembly, by_start))[0]
+    return jnp.where(swept.is_sound, along_run + at_start, jnp.nan)
 
 
 def _goes_on(stretches: _Stretches) -> Bool[Array, ""]:

@@ -161,8 +161,8 @@ def integrate_with_sensitivities(
             return jax.tree.leaves(_along(jacobian, x[0]))
 
         forms, image = jax.tree.flatten((outcome.ys, outcome.assembly))
-        described = tuple(jax.ShapeDtypeStruct(jnp.shape(form), jnp.result_type(form)) for form in forms)
-        linear = LinearMap(forward, backward, differentiable, (jax.ShapeDtypeStruct(*_form(tangent)),), described)
+        inputs, outputs = (_shapes_of(arrays) for arrays in ([tangent], forms))
+        linear = LinearMap(forward, backward, differentiable, inputs, outputs)
         return jax.tree.unflatten(image, linear_operation(linear, residuals, [tangent]))
 
     @jax.custom_jvp
@@ -222,8 +222,8 @@ def _goes_back(plan: Plan, options: Options) -> bool:
     return len(plan.unknown) > MANY and is_explicit(options.solver) and not kinks_of(plan.structure)
 
 
-def _form(array: Any) -> tuple:
-    return jnp.shape(array), jnp.result_type(array)
+def _shapes_of(arrays: list) -> tuple[jax.ShapeDtypeStruct, ...]:
+    return tuple(jax.ShapeDtypeStruct(jnp.shape(array), jnp.result_type(array)) for array in arrays)
 
 
 def depends_on_time(plan: Plan) -> bool:

@@ -71,21 +71,21 @@ def traced_peak(run: Any, name: str, steps: int) -> Peak:
         name: of the quantity.
         steps: largest number of steps that the run may have.
     """
-    found = _where(run, name, steps)
-    inside = found.begin + jnp.asarray(NODES) * found.length
-    states = states_at(run, jnp.append(inside, found.at_end))
+    interval = _where(run, name, steps)
+    inside = interval.begin + jnp.asarray(NODES) * interval.length
+    states = states_at(run, jnp.append(inside, interval.at_end))
     values = states.value(name)
     values = jax.vmap(safe_norm)(values) if values.ndim > 1 else jnp.abs(values)
     coefficients = jnp.asarray(COEFFICIENTS) @ values[:-1]
     s, is_smooth = _largest(jax.lax.stop_gradient(coefficients))
     within, share = jnp.polyval(coefficients, s), (s + 1) / 2
-    time = jnp.where(found.is_at_end, found.at_end, found.begin + share * found.length)
+    time = jnp.where(interval.is_at_end, interval.at_end, interval.begin + share * interval.length)
     ends = jnp.asarray(run.ts)[jnp.array([0, -1])]
     # An end of a step that is an end of the run stays where it is.
     is_fixed = jnp.any(time == ends)
-    value = jnp.where(found.is_at_end, values[-1], within)
-    value = refusing(JUMPS.format(name=name), value, is_fixed | (~found.is_at_end & is_smooth))
-    return Peak(eqx.error_if(value, found.n > steps, TOO_MANY.format(steps=steps, name=name)), time)  # pyright: ignore
+    value = jnp.where(interval.is_at_end, values[-1], within)
+    value = refusing(JUMPS.format(name=name), value, is_fixed | (~interval.is_at_end & is_smooth))
+    return Peak(eqx.error_if(value, interval.n > steps, TOO_MANY.format(steps=steps, name=name)), time)  # pyright: ignore
 
 
 def _largest(coefficients: Float[Array, " 8"]) -> tuple[Scalar, Flag]:

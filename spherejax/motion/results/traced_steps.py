@@ -60,8 +60,8 @@ def seen_at_steps(
         at = jnp.minimum(i * block, ts.shape[0] - block)
         rows = (jax.lax.dynamic_slice_in_dim(array, at, block) for array in (ts, ys))
         is_used = at + jnp.arange(block) < n_used
-        found = jnp.where(is_used[:, None], jax.vmap(see)(*rows), -jnp.inf)
-        return jax.lax.dynamic_update_slice_in_dim(values, found, at, 0)
+        seen = jnp.where(is_used[:, None], jax.vmap(see)(*rows), -jnp.inf)
+        return jax.lax.dynamic_update_slice_in_dim(values, seen, at, 0)
 
     n_blocks = jnp.minimum((n_used + block - 1) // block, -(-ts.shape[0] // block))
     return jax.lax.fori_loop(0, n_blocks, seen, jnp.full((ts.shape[0], n_values), -jnp.inf))
