@@ -211,7 +211,10 @@ def integrate_with_sensitivities(
 
 
 MANY = 32
-"""Numbers above which a derivative is taken along one direction, and a gradient back along the steps of the run."""
+"""Numbers above which a derivative is taken along one direction, and a gradient back along the run's steps.
+
+Gradients by rows and back take as long as each other by some 40 weights of a network (13: 0.22 and 0.36 ms; 33: 0.59
+and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The first call back takes 2 s more."""
 
 
 def _goes_back(plan: Plan, options: Options) -> bool:
