@@ -477,8 +477,9 @@ def _with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Pred
 
     values, slopes = jax.vmap(along, out_axes=(None, -1))(directions, slopes, numbers.sensor_directions)
     changes = None
-    if frame.sensing is not None and frame.sensing.has_filters:
-        seen = _seen(frame, setting, numbers.values, run.ys, numbers.of_sensors, run.assembly)
+    of_sensors = numbers.of_sensors
+    if frame.sensing is not None and frame.sensing.has_filters and of_sensors is not None:
+        seen = _seen(frame, setting, numbers.values, run.ys, of_sensors, run.assembly)
         changes = filter_errors(*seen)
     return Prediction(values, slopes, run.status, run.t_reached, run.n_steps, changes)
 
