@@ -7,12 +7,12 @@
 * `python` blocks are executed; they share their names.
 * `console` blocks are lines that begin with `spherejax`: they are run as commands.
 * `{code-block}` with a `:caption:` is a file of that name, which is written into the folder first.
-* `text` blocks are what the block before them prints; `...` stands for anything, and white space does not count.
+* `text` blocks are what the block before them prints. Numbers are rounded to the digits that the page shows, `~` stands
+  before one that differs from machine to machine, `...` for lines left out; white space does not count.
 * `sh` blocks are for the reader (installation, Jupyter) and are not run; they hold no `spherejax` command.
 """
 
 import contextlib
-import doctest
 import io
 import os
 import re
@@ -148,14 +148,52 @@ def run_commands(lines: str) -> None:
 
 
 def compare(expected: str, printed: str, where: str) -> None:
-    """Raise when what was printed is not what the page shows."""
-    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-    if not doctest.OutputChecker().check_output(
-        expected.strip() + "\n", printed.strip() + "\n", flags
-    ):
+    """Raise when what was printed is not what the page shows.
+
+    A page shows numbers as a reader wants them: rounded. A number stands for whatever rounds to its digits, and `~3.2`
+    for what is measured and differs from machine to machine, or hangs on rounding: up to thirty times more or less.
+    """
+    match = re.fullmatch(pattern_of(expected), " ".join(printed.split()), re.DOTALL)
+    shown = SHOWN_NUMBER.findall(" ".join(expected.split()))
+    if match is None or not all(map(is_rounded, shown, match.groups())):
         raise ExampleError(
             f"{where}: the page shows\n{expected}\nand the code prints\n{printed}"
         )
+
+
+NUMBER = r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?![\w]*\d)"
+SHOWN_NUMBER = re.compile("~?" + NUMBER)
+
+
+def pattern_of(expected: str) -> str:
+    """The regular expression of what a page shows: a group for each number, anything for `...`, and any white space."""
+    text = " ".join(expected.split())
+    parts, end = [], 0
+    for number in SHOWN_NUMBER.finditer(text):
+        parts += [_plain(text[end : number.start()]), f"({NUMBER})"]
+        end = number.end()
+    return "".join([*parts, _plain(text[end:])])
+
+
+def _plain(text: str) -> str:
+    """Text by itself; brackets and commas of arrays are spaced as their numbers are wide."""
+    found = ".*?".join(re.escape(part) for part in text.split("..."))
+    return (
+        re.sub(r"(?:\\ )+", r"\\s*", found)
+        .replace(r"\[", r"\[\s*")
+        .replace(r"\]", r"\s*\]")
+    )
+
+
+def is_rounded(shown: str, printed: str) -> bool:
+    """Whether a number on a page is the printed one, rounded to the digits that the page shows."""
+    if shown.startswith("~"):
+        about, value = abs(float(shown[1:])), abs(float(printed))
+        return about / 30 <= value <= 30 * about
+    mantissa, _, exponent = shown.lower().partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    unit = 10.0 ** (int(exponent or 0) - decimals)
+    return abs(float(shown) - float(printed)) <= 0.5000001 * unit
 
 
 def main(names: list[str]) -> int:

@@ -1,5 +1,8 @@
 """The automatic choice of method and tolerances: what it is, that it is explained, and that it can be overridden."""
 
+import sys
+from pathlib import Path
+
 import cases
 import diffrax
 import jax
@@ -10,7 +13,9 @@ import pytest
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.solvers import automatic
 from spherejax.motion.solvers.automatic import choose_solver, explicit_rate_limit
+from spherejax.motion.solvers.friction_rates import eigenvalues_and_participation
 from spherejax.motion.solvers.joint_rates import (
     fastest_in_clearance,
     pressed_actions,
@@ -20,6 +25,8 @@ from spherejax.motion.solvers.joint_rates import (
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.tolerances import component_tolerances
 from spherejax.program_cache import folders
+
+sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
 
 def system_of(model, **options):
@@ -337,3 +344,74 @@ def test_the_compiled_run_does_not_call_back_into_python():
         return sj.simulate(scene, jnp.array([0.0, 0.005])).position("rocker")[-1, 2]
 
     assert "callback" not in jax.jit(height).lower(1e-4).as_text()
+
+
+# Controllers, and mechanisms whose linear systems are large ----------------------------------------------------------
+
+
+def controlled(model, **gains):
+    scene = sj.gallery.four_bar(model)
+    motor = sj.PID(sj.Turn(("ground", "crank"), axis=(0.0, 1.0, 0.0)), 0.0, proportional=10.0, derivative=1.0, **gains)
+    return compile_scene(sj.Scene(scene.bodies, scene.joints, {"motor": motor}, ground_points=scene.ground_points))
+
+
+@pytest.mark.parametrize(
+    ("model", "filter_time", "rtol", "solver", "said"),
+    [
+        (sj.Lubricated(1e-4), 1e-3, 1e-8, sj.Rodas5P, "joint 'coupler_rocker' acts"),
+        (sj.Lubricated(1e-4), 1e-3, 1e-5, sj.Ros34PW2, "joint 'coupler_rocker' acts"),
+        (sj.Lubricated(1e-4), 1e-7, 1e-5, sj.Rodas5P, "the states of force element 'motor' change at about 1.0e+07"),
+        (sj.Dry(1e-4), 1e-7, 1e-8, sj.Rodas5P, "the states of force element 'motor' change at about 1.0e+07"),
+    ],
+)
+def test_the_explanation_names_the_part_that_decides(model, filter_time, rtol, solver, said):
+    choice = choose_solver(controlled(model, filter_time=filter_time).system, rtol)
+    assert isinstance(choice.solver, solver)
+    assert choice.reason.startswith(f"{solver.__name__}: {said}")
+
+
+def test_loads_at_the_start_are_those_of_controllers_that_have_settled():
+    """A filter that starts at zero would see an error of 1 rad as new: a kick of 1 N m s/rad / 1 us = 1e6 N m."""
+    model = sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1))
+
+    def rate(derivative):
+        hanging = sj.Body(2.0, (1e-2,) * 3, position=(0.1, 0.0, 0.0), points={"ball": (-0.1, 0.0, 0.0)})
+        motor = sj.PID(
+            sj.Turn(("ground", "body"), axis=(0.0, 1.0, 0.0)), 1.0,
+            proportional=0.0, derivative=derivative, filter_time=1e-6,
+        )  # fmt: skip
+        joint = sj.Spherical("ground.socket", "body.ball", model)
+        scene = sj.Scene({"body": hanging}, {"joint": joint}, {"motor": motor}, ground_points={"socket": (0, 0, 0)})
+        structure, theta = flatten_system(compile_scene(scene).system)
+        return float(rates_under_load(structure, theta, 1.0)[0])
+
+    assert rate(1.0) == pytest.approx(rate(0.0), rel=1e-9)
+
+
+def test_participation_of_states():
+    """Of a triangular matrix each eigenvalue's own state; of a vibration both states half."""
+    matrix = np.array([[-1.0, 5.0, 0.0, 0.0], [0.0, -1e3, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -9.0, 0.0]])
+    values, shares = eigenvalues_and_participation(matrix)
+    fast, vibration = int(np.argmin(values.real)), int(np.argmax(values.imag))
+    assert values[fast] == pytest.approx(-1e3)
+    np.testing.assert_allclose(shares[:, fast], [0, 1, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(shares[:, vibration], [0, 0, 0.5, 0.5], atol=1e-9)
+
+
+def test_dense_linear_systems_raise_the_price_of_a_stiff_method(monkeypatch):
+    system = system_of(sj.Bushing(1e6, 1e-1))
+    assert isinstance(choose_solver(system, 1e-8).solver, sj.Rodas5P)
+    monkeypatch.setattr(automatic, "systems_of", lambda structure: None)
+    monkeypatch.setattr(automatic, "ARRAY_ELIMINATION", 100 * automatic.ARRAY_ELIMINATION)
+    dear = choose_solver(system, 1e-8)
+    assert isinstance(dear.solver, diffrax.Dopri8)
+    assert "(Rodas5P would solve dense linear systems of this size)" in dear.reason
+
+
+@pytest.mark.slow
+def test_a_stewart_platform_with_a_film_is_left_to_the_explicit_method():
+    """A step of Rodas5P takes 9 ms there, 145 of Dopri8: `benchmarks/automatic_mechanisms.py`."""
+    from stewart import stewart_platform
+
+    for model in (sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1)), sj.Lubricated(1e-4), sj.Bushing(1e6, 1e-1)):
+        assert isinstance(choose_solver(compile_scene(stewart_platform(model)).system, 1e-8).solver, diffrax.Dopri8)

@@ -370,7 +370,7 @@ def test_fast_filters_are_found():
         choose_solver(compile_scene(motor(sj.PID(ROTOR, 0.0, 0.8, None, 0.05, filter_time=time))).system)
         for time in (1e-9, 1e-2)
     )
-    assert fast.reason.startswith("Rodas5P: what force elements remember changes at about 1.0e+09 per second")
+    assert fast.reason.startswith("Rodas5P: the states of force element 'motor' change at about 1.0e+09 per second")
     assert slow.reason.startswith("Dopri8")
 
 

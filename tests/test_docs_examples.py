@@ -119,3 +119,26 @@ def test_a_failing_example_is_reported(text, message, tmp_path, monkeypatch, cap
     (tmp_path / "page.md").write_text(text)
     with pytest.raises(examples.ExampleError, match=message):
         examples.run_page(tmp_path / "page.md", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "is_right"),
+    [
+        ("[0.283 -0.1 0.]  7", "[ 0.28312345 -0.1002  0. ] 7\n", True),
+        ("0.283 m", "0.2836 m", False),
+        ("1e-08 m", "1.4e-08 m", True),
+        ("1e-08 m", "1.6e-08 m", False),
+        ("~12 s", "5.5 s", True),
+        ("~12 s", "500 s", False),
+        ("12 s", "13 s", False),
+        ("FMI 3.0 of arm2", "FMI 3.0 of arm2", True),
+        ("FMI 3.0 of arm2", "FMI 3.0 of arm3", False),
+        ("first\n...\nlast", "first\nsecond\nlast", True),
+    ],
+)
+def test_numbers_on_a_page_are_the_printed_ones_rounded(shown, printed, is_right):
+    if is_right:
+        examples.compare(shown, printed, "here")
+    else:
+        with pytest.raises(examples.ExampleError, match="here: the page shows"):
+            examples.compare(shown, printed, "here")

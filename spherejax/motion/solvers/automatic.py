@@ -1,6 +1,6 @@
 """Which integrator a scene gets when the user does not say: the cheaper one by an estimate of what both would cost."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -13,7 +13,9 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.force_rates import force_rates
 from spherejax.motion.solvers.friction_rates import friction_rates
+from spherejax.motion.solvers.implicit import inexact_systems_of, systems_of
 from spherejax.motion.solvers.joint_rates import rates_in_clearance, rates_under_load
+from spherejax.motion.solvers.linearization import sizes_of
 from spherejax.motion.solvers.rosenbrock import Rodas5P, Ros34PW2
 from spherejax.motion.start.tolerances import time_scale
 
@@ -56,6 +58,15 @@ LOOSE = StiffMethod(Ros34PW2(), 0.65, 3200.0, 2.0)
 TIGHT = StiffMethod(Rodas5P(), 2.25, 1800.0, 1.7)
 
 
+ARRAY_ELIMINATION = 0.57
+"""Price of a step of Rodas5P, in steps of Dopri8, times operations of the right-hand side over the cube of the unknowns
+of its linear systems, where these are too many for a scalar program and solved as dense arrays. Measured on a Stewart
+platform of 13 bodies (162 unknowns, 16,600 operations): 9.0 ms a step, against 62 us of Dopri8 (processor time)."""
+
+
+NOTHING_IN_JOINTS = "Dopri8: no joint has a film, an elastomer or friction"
+
+
 STEPS_WITH_FRICTION = 200.0
 """Steps within the mechanism's own time (`tolerances.time_scale`) up to which an explicit method follows friction in
 ideal joints. Rodas5P makes some 40 of them on pendulums and chains with bristles at rtol 1e-8, where the explicit
@@ -81,11 +92,13 @@ class SolverChoice(NamedTuple):
         solver: a diffrax solver.
         reason: one sentence.
         at_start: what replaces it when a run starts with numbers that call for it; None where all is decided.
+        excess: of a stiff method, by how many times what asks for it is faster than explicit steps pay for.
     """
 
     solver: diffrax.AbstractSolver
     reason: str
     at_start: AtStart | None = None
+    excess: float = 0.0
 
 
 def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> SolverChoice:
@@ -125,33 +138,34 @@ def stiffest(choices: Sequence[SolverChoice]) -> SolverChoice:
 
 
 def _choice(system: System, known_rtol: float) -> SolverChoice:
+    """The choice by whatever asks most for a stiff method; where nothing does, by all that was looked at."""
     by_joints = _choice_by_joints(system, known_rtol)
-    if system.friction_joints and isinstance(by_joints.solver, diffrax.Dopri8):
-        by_friction = _choice_by_friction(system)
-        if not isinstance(by_friction.solver, diffrax.Dopri8):
-            return by_friction
-        usual = "no joint has a film, an elastomer or friction"
-        said = "" if by_joints.reason.endswith(usual) else f"; {by_joints.reason}"
-        by_joints = by_joints._replace(reason=f"{by_friction.reason}{said}")
-    if not system.forces:
+    if isinstance(by_joints.solver, Rodas5P):
         return by_joints
-    by_forces = _choice_by_forces(system, known_rtol)
-    if not isinstance(by_forces.solver, diffrax.Dopri8):
-        return by_forces
+    others = []
+    if system.friction_joints:
+        others.append(_choice_by_friction(system))
+    if system.forces:
+        others.append(_choice_by_forces(system, known_rtol))
     if system.force_states:
-        by_memory = _choice_by_memory(system, known_rtol)
-        if not isinstance(by_memory.solver, diffrax.Dopri8):
-            return by_memory
-        by_forces = SolverChoice(by_forces.solver, f"{by_forces.reason}; {by_memory.reason}")
-    return by_joints._replace(reason=f"{by_joints.reason}; {by_forces.reason}")
+        others.append(_choice_by_memory(system, known_rtol))
+    # The W-method leaves out of its Jacobian all but the joints' forces: what else is too fast needs the exact one.
+    stiff = [choice for choice in others if isinstance(choice.solver, Rodas5P)]
+    if stiff:
+        return max(stiff, key=lambda choice: choice.excess)
+    if not isinstance(by_joints.solver, diffrax.Dopri8):
+        return by_joints
+    said = [by_joints.reason, *(choice.reason for choice in others)]
+    if system.friction_joints and by_joints.reason == NOTHING_IN_JOINTS:
+        del said[0]
+    reason = "; ".join([said[0], *(part.removeprefix("Dopri8: ") for part in said[1:])])
+    return by_joints._replace(reason=reason)
 
 
 def _choice_by_joints(system: System, known_rtol: float) -> SolverChoice:
     looked_at = [name for name in system.force_joints if _may_be_stiff(system.spherical(name).model)]
     if not looked_at:
-        return SolverChoice(diffrax.Dopri8(), "Dopri8: no joint has a film, an elastomer or friction")
-    stiff = stiff_method(known_rtol).solver
-    name_of_stiff = type(stiff).__name__
+        return SolverChoice(diffrax.Dopri8(), NOTHING_IN_JOINTS)
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
         resistance = {name: system.spherical(name).model.medium for name in looked_at}
@@ -159,13 +173,45 @@ def _choice_by_joints(system: System, known_rtol: float) -> SolverChoice:
     fastest = _fastest(system, structure, theta, known_rtol)
     if fastest.per_second == 0:
         return SolverChoice(diffrax.Dopri8(), "Dopri8: no joint's friction is stiffer than its contact")
-    limit = fastest.limit(known_rtol)
     what = f"joint {fastest.joint!r} {fastest.how} at about {fastest.per_second:.1e} per second"
-    if fastest.per_second > limit:
-        reason = f"{name_of_stiff}: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
-        return SolverChoice(stiff, reason)
+    stiff = _priced(stiff_method(known_rtol), structure)
+    return _by_rate(what, fastest.per_second, fastest.limit(known_rtol), stiff)
+
+
+class _Priced(NamedTuple):
+    """A stiff method for a system: how many times dearer its steps are than on the four-bar."""
+
+    solver: diffrax.AbstractSolver
+    times: Callable[[], float]
+
+
+def _priced(method: StiffMethod, structure: Structure) -> _Priced:
+    """Its price is asked for only where a rate is beyond the usual limit: the linear systems are made for it."""
+    return _Priced(method.solver, lambda: _times_dearer(method, structure))
+
+
+def _times_dearer(method: StiffMethod, structure: Structure) -> float:
+    """How many times more its step costs, in steps of Dopri8, than `method.price`, which is that of a mechanism whose
+    linear systems are eliminated as a scalar program."""
+    systems = inexact_systems_of(structure) if method is LOOSE else systems_of(structure)
+    rate = program_for(state_rate, structure).scalar
+    if rate is None or (systems is not None and systems.stage.scalar is not None):
+        return 1.0
+    layout, n_constraints = sizes_of(structure)
+    unknowns = layout.size - layout.n_position + n_constraints
+    return max(1.0, ARRAY_ELIMINATION * unknowns**3 / rate.n_operations / method.price)
+
+
+def _by_rate(what: str, rate: float, limit: float, stiff: _Priced, where: str = " at this rtol") -> SolverChoice:
+    """The stiff method where a rate [1/s] is beyond the limit, raised where its steps are dear; else Dopri8."""
+    times = stiff.times() if rate > limit else 1.0
+    limit, name = limit * times, type(stiff.solver).__name__
+    if rate > limit:
+        reason = f"{name}: {what}, beyond {limit:.1e}, where explicit steps cost more{where}"
+        return SolverChoice(stiff.solver, reason, excess=rate / limit)
+    dear = f" ({name} would solve dense linear systems of this size)" if times > 1 else ""
     return SolverChoice(
-        diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more at this rtol"
+        diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more{where}{dear}"
     )
 
 
@@ -197,33 +243,30 @@ def _choice_by_forces(system: System, rtol: float) -> SolverChoice:
     """Rodas5P where force elements are too fast for Dopri8: the W-method leaves them out of its Jacobian."""
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
-        return SolverChoice(diffrax.Dopri8(), "numbers of the scene are traced, and force elements not looked at")
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: numbers are traced, and force elements not looked at")
     limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
     # Constraints only slow things down: with them only what is too fast without them is looked at.
     rate = force_rates(system, structure, np.asarray(theta), constrained=False).fastest
     if rate > limit:
         rate = force_rates(system, structure, np.asarray(theta)).fastest
+    if rate == 0:
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: force elements damp nothing at the start")
     what = f"force elements act at about {rate:.1e} per second or slower"
-    if rate > limit:
-        return SolverChoice(
-            TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
-        )
-    return SolverChoice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
+    return _by_rate(what, rate, limit, _priced(TIGHT, structure))
 
 
 def _choice_by_memory(system: System, rtol: float) -> SolverChoice:
     """Rodas5P where states of force elements are too fast for Dopri8, such as a controller's filter."""
     structure, theta = flatten_system(system)
     if not is_concrete(theta):
-        return SolverChoice(diffrax.Dopri8(), "nor what they remember")
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: nor are states of force elements")
     limit = STABILITY_BOUND * TIGHT.cost(rtol) * FOUR_BAR_TIME / float(time_scale(system))
-    rate = friction_rates(system, structure, np.asarray(theta)).fastest
-    what = f"what force elements remember changes at about {rate:.1e} per second"
-    if rate > limit:
-        return SolverChoice(
-            TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more at this rtol"
-        )
-    return SolverChoice(diffrax.Dopri8(), f"{what}, below {limit:.1e}")
+    rates = friction_rates(system, structure, np.asarray(theta)).by_force
+    name, rate = max(((name, rates[name].fastest) for name in rates), key=lambda found: found[1], default=("", 0.0))
+    if rate == 0:
+        return SolverChoice(diffrax.Dopri8(), "Dopri8: states of force elements do not decay")
+    what = f"the states of force element {name!r} change at about {rate:.1e} per second"
+    return _by_rate(what, rate, limit, _priced(TIGHT, structure))
 
 
 def _choice_by_friction(system: System) -> SolverChoice:
@@ -232,11 +275,9 @@ def _choice_by_friction(system: System) -> SolverChoice:
     if not is_concrete(theta):
         return SolverChoice(diffrax.Dopri8(), "Dopri8: friction in ideal joints; numbers are traced")
     limit = STABILITY_BOUND * TIGHT.price * STEPS_WITH_FRICTION / float(time_scale(system))
-    rate = friction_rates(system, structure, np.asarray(theta)).fastest
+    rate = friction_rates(system, structure, np.asarray(theta)).others.fastest
     what = f"friction in ideal joints acts at about {rate:.1e} per second"
-    if rate > limit:
-        return SolverChoice(TIGHT.solver, f"Rodas5P: {what}, beyond {limit:.1e}, where explicit steps cost more")
-    return SolverChoice(diffrax.Dopri8(), f"Dopri8: {what}, below {limit:.1e}, where stiff steps cost more")
+    return _by_rate(what, rate, limit, _priced(TIGHT, structure), where="")
 
 
 class _Rate(NamedTuple):

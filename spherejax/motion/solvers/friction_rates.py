@@ -6,6 +6,7 @@ velocity is as steep as it gets, and at the mechanism's usual speeds, where bris
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,17 +25,35 @@ from spherejax.physics.state import VELOCITY_SIZE
 LARGEST_MATRIX = 200
 """Velocities and bristles up to which eigenvalues are looked for; larger systems run on array code, explicitly."""
 
+OWN_SHARE = 0.25
+"""Participation of a force element's states in a motion from which on that motion counts as theirs. In one that a
+controller's filter and a body make together both have halves; what a film or a bristle damps has none."""
 
-def friction_rates(system: System, structure: Structure, theta: np.ndarray) -> Rates:
-    """The fastest decay and vibration, at rest and in motion, where bodies are where the scene puts them."""
+
+class StateRates(NamedTuple):
+    """The fastest rates of velocities and states.
+
+    Attributes:
+        by_force: of the motions in which states of a force element take part, by its name.
+        others: of all others, which joints and dampers make.
+    """
+
+    by_force: dict[str, Rates]
+    others: Rates
+
+
+def friction_rates(system: System, structure: Structure, theta: np.ndarray) -> StateRates:
+    """The fastest decays and vibrations, at rest and in motion, where bodies are where the scene puts them."""
+    names = [slot.joint for slot in system.force_slots]
     if system.layout.n_velocity + system.layout.n_memory > LARGEST_MATRIX:
-        return Rates(0.0, 0.0)
-    found = [_rates_at(structure, theta.tobytes(), is_moving) for is_moving in (False, True)]
-    return Rates(max(each.decay for each in found), max(each.frequency for each in found))
+        return StateRates({name: Rates(0.0, 0.0) for name in names}, Rates(0.0, 0.0))
+    looks = [_rates_at(structure, theta.tobytes(), is_moving) for is_moving in (False, True)]
+    rates = [Rates(*(float(x) for x in np.max(both, axis=0))) for both in zip(*looks, strict=True)]
+    return StateRates(dict(zip(names, rates, strict=False)), rates[-1])
 
 
 @lru_cache(maxsize=1024)
-def _rates_at(structure: Structure, numbers: bytes, is_moving: bool) -> Rates:
+def _rates_at(structure: Structure, numbers: bytes, is_moving: bool) -> list[Rates]:
     theta = np.frombuffer(numbers)
     system = structure.system(theta)
     layout = system.layout
@@ -56,8 +75,31 @@ def _rates_at(structure: Structure, numbers: bytes, is_moving: bool) -> Rates:
         return concretely(compiled, theta, 0.0, (y, direction))
 
     matrix = np.nan_to_num(np.stack([np.asarray(column(direction)) for direction in np.eye(n)], 1))
-    found = np.linalg.eigvals(matrix)
-    return Rates(float(np.max(-found.real, initial=0.0)), float(np.max(np.abs(found.imag), initial=0.0)))
+    eigenvalues, shares = eigenvalues_and_participation(matrix)
+    start = layout.n_velocity
+    owner = np.full(n, len(system.force_slots))
+    for i, slot in enumerate(system.force_slots):
+        entries = slice(start + slot.entries.start, start + slot.entries.stop)
+        owner[np.sum(shares[entries], axis=0) >= OWN_SHARE] = i
+    return [_fastest(eigenvalues[owner == i]) for i in range(len(system.force_slots) + 1)]
+
+
+def eigenvalues_and_participation(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues of a matrix, and how much each state (row) takes part in the motion of each (column).
+
+    The participation is |l_k r_k| of left and right eigenvectors, over its sum. Limits: of a matrix without a full set
+    of eigenvectors it is that of the least-squares inverse.
+
+    Source: Perez-Arriaga, Verghese and Schweppe (1982), IEEE Trans. PAS-101, Eq. 11.
+    """
+    values, right = np.linalg.eig(matrix)
+    shares = np.abs(right * np.linalg.pinv(right).T)
+    return values, shares / np.maximum(np.sum(shares, axis=0), np.finfo(float).tiny)
+
+
+def _fastest(eigenvalues: np.ndarray) -> Rates:
+    decay, frequency = np.max(-np.real(eigenvalues), initial=0.0), np.max(np.abs(np.imag(eigenvalues)), initial=0.0)
+    return Rates(float(decay), float(frequency))
 
 
 def change_of_rates(system: System, t: Scalar, point) -> Float[Array, " n"]:

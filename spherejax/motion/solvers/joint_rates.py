@@ -22,6 +22,7 @@ from spherejax.motion.equations.constraints import (
 )
 from spherejax.motion.equations.loads import applied_wrenches, by_body
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.joints.rows import ConstraintRows
 from spherejax.physics.joints.spherical import PlacedSpherical
@@ -138,7 +139,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> JointA
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     constraints, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
-    weights = applied_wrenches(system, t, motions, state.memory, None)
+    weights = applied_wrenches(system, t, motions, memory_at_start(system, t, y, state.memory), None)
     falling = by_body(system, solve_augmented(constraints, masses, weights, constraints.bias).accelerations)
     decays, squares, forgetting = [], [], []
     for name in system.force_joints:
@@ -176,6 +177,14 @@ def _largest_row(matrix: Float[Array, "n m"]) -> Scalar:
     return jnp.max(jnp.sum(jnp.abs(matrix), 1))
 
 
+def memory_at_start(system: System, t: Scalar, y: Float[Array, " size"], memory: Float[Array, " n_memory"]):
+    """The memory with which force elements begin: a controller's filter that is zero instead sees its error as new,
+    and the kick that follows is many times the load of the joints."""
+    if not system.force_slots:
+        return memory
+    return jnp.concatenate([memory[: system.force_slots[0].start], initial_force_memory(system, t, y)])
+
+
 class PressedActions(NamedTuple):
     """How each force joint acts with its ball pressed to the socket, for two directions of the load.
 
@@ -201,7 +210,7 @@ def pressed_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> Pres
     motions = body_motions(system, state)
     free, masses = constraint_set(system, t, motions), inverse_masses(system, motions)
     closed = assembly_set(system, t, motions)
-    weights = applied_wrenches(system, t, motions, state.memory, None)
+    weights = applied_wrenches(system, t, motions, memory_at_start(system, t, y, state.memory), None)
     falling = by_body(system, solve_augmented(free, masses, weights, free.bias).accelerations)
     multipliers = solve_augmented(closed, masses, weights, closed.bias).multipliers
     decays, squares, times = [], [], []
