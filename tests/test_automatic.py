@@ -410,7 +410,7 @@ def test_dense_linear_systems_raise_the_price_of_a_stiff_method(monkeypatch):
 
 @pytest.mark.slow
 def test_a_stewart_platform_with_a_film_is_left_to_the_explicit_method():
-    """A step of Rodas5P takes 9 ms there, 145 of Dopri8: `benchmarks/automatic_mechanisms.py`."""
+    """A step of Rodas5P takes 3 ms there, 25 of Dopri8: `benchmarks/automatic_mechanisms.py`."""
     from stewart import stewart_platform
 
     for model in (sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1)), sj.Lubricated(1e-4), sj.Bushing(1e6, 1e-1)):

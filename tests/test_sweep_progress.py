@@ -19,7 +19,7 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.motion.integration.lanes import Block
-from spherejax.studies.sweep import crew
+from spherejax.studies.sweep import worker_pool
 from spherejax.studies.sweep.chunks import ChunkWork
 from spherejax.studies.sweep.store import stored_chunk_size
 
@@ -85,7 +85,7 @@ def test_a_terminal_shows_a_bar_and_a_signal_leaves_a_store(command, environment
 def test_control_comes_back_at_once(tmp_path, monkeypatch):
     # A chunk that takes long, in a thread that nobody can stop.
     is_over = threading.Event()
-    monkeypatch.setattr(crew, "compiled_for", lambda *_: None)
+    monkeypatch.setattr(worker_pool, "compiled_for", lambda *_: None)
     began = []
     # A shell starts what runs in its background with this signal ignored, and Python leaves it so.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -95,7 +95,7 @@ def test_control_comes_back_at_once(tmp_path, monkeypatch):
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
         is_over.wait(60)
 
-    monkeypatch.setattr(crew, "run_chunk", slow_chunk)
+    monkeypatch.setattr(worker_pool, "run_chunk", slow_chunk)
     try:
         with pytest.raises(KeyboardInterrupt) as caught:
             sj.sweep(pendulum, {"gravity": [9.0, 10.0]}, [0.0, 1.0], record=["final position.bob"],
@@ -132,18 +132,20 @@ def paced_size(monkeypatch, seconds, n_runs=60_000, workers=2, size=2000, width=
     """Runs in a chunk of a sweep whose runs take so long each."""
     method = SimpleNamespace(block=Block(width))
     work = ChunkWork(pendulum, method, None, (0.0, 1.0), size)  # type: ignore[arg-type]
-    monkeypatch.setattr(crew, "compiled_for", lambda *_: None)
-    monkeypatch.setattr(crew, "run_chunk", lambda _, rows, __: SimpleNamespace(seconds=seconds * crew.n_rows(rows)))
+    monkeypatch.setattr(worker_pool, "compiled_for", lambda *_: None)
+    monkeypatch.setattr(
+        worker_pool, "run_chunk", lambda _, rows, __: SimpleNamespace(seconds=seconds * worker_pool.n_rows(rows))
+    )
     rows = {"gravity": np.linspace(1.0, 2.0, 48)}
-    return crew.paced(work, some_runs=lambda n: rows, n_runs=n_runs, workers=workers).size
+    return worker_pool.paced(work, some_runs=lambda n: rows, n_runs=n_runs, workers=workers).size
 
 
 def test_chunks_of_a_long_sweep_take_seconds(monkeypatch):
     """A sweep of 60,000 lost up to 23 s of each core when it was stopped."""
     for seconds in (0.004, 0.0075, 0.02):
         size = paced_size(monkeypatch, seconds)
-        assert size >= crew.FEWEST_FOR_EACH_LANE * 24
-        assert size * seconds <= max(crew.CHUNK_SECONDS, crew.FEWEST_FOR_EACH_LANE * 24 * seconds)
+        assert size >= worker_pool.FEWEST_FOR_EACH_LANE * 24
+        assert size * seconds <= max(worker_pool.CHUNK_SECONDS, worker_pool.FEWEST_FOR_EACH_LANE * 24 * seconds)
         assert size < 2000
     assert paced_size(monkeypatch, 0.0031) == paced_size(monkeypatch, 0.0033)  # one program
 
@@ -156,9 +158,9 @@ def test_chunks_stay_as_they_are_where_it_is_not_worth_compiling_again(monkeypat
 
 @pytest.mark.slow
 def test_a_sweep_makes_the_chunks_that_it_is_paced_to(monkeypatch, tmp_path):
-    monkeypatch.setattr(crew, "LONG_SWEEP", 0.0)
-    monkeypatch.setattr(crew, "CHUNK_SECONDS", 1e-9)
-    monkeypatch.setattr(crew, "FEWEST_FOR_EACH_LANE", 2)
+    monkeypatch.setattr(worker_pool, "LONG_SWEEP", 0.0)
+    monkeypatch.setattr(worker_pool, "CHUNK_SECONDS", 1e-9)
+    monkeypatch.setattr(worker_pool, "FEWEST_FOR_EACH_LANE", 2)
     grid, ts = {"gravity": np.linspace(1.0, 20.0, 30)}, np.linspace(0.0, 0.1, 3)
     options = {"record": ["final position.bob"], "workers": 1, "block": Block(4), "progress": False}
     paced = sj.sweep(pendulum, grid, ts, store=tmp_path / "s.zarr", **options)
@@ -170,7 +172,7 @@ def test_a_sweep_makes_the_chunks_that_it_is_paced_to(monkeypatch, tmp_path):
 @pytest.mark.usefixtures("hears_interrupts")
 def test_a_stopped_sweep_keeps_what_has_been_computed(monkeypatch, tmp_path):
     """The chunks that threads had finished when the interrupt came were not stored."""
-    ready, at_once = [], crew.wait
+    ready, at_once = [], worker_pool.wait
 
     def interrupted(under_way, timeout, return_when):
         ready.append(at_once(under_way).done)  # all that were handed out
@@ -178,7 +180,7 @@ def test_a_stopped_sweep_keeps_what_has_been_computed(monkeypatch, tmp_path):
             raise KeyboardInterrupt
         return at_once(under_way, timeout, return_when=return_when)
 
-    monkeypatch.setattr(crew, "wait", interrupted)
+    monkeypatch.setattr(worker_pool, "wait", interrupted)
     grid, ts = {"gravity": np.linspace(1.0, 20.0, 12)}, np.linspace(0.0, 0.1, 3)
     options = {"record": ["final position.bob"], "workers": 2, "chunk": 2, "progress": False}
     with pytest.raises(KeyboardInterrupt) as stop:

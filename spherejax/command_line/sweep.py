@@ -104,7 +104,7 @@ def add_sweep(commands) -> None:
     how.add_argument("--workers", type=whole, metavar="N", help="chunks at the same time (default: all cores)")
     files = parser.add_argument_group("files")
     files.add_argument(
-        "--out", required=True, metavar="PATH", help="store (.zarr, can be gone on with) or file (.nc, .h5, .csv)"
+        "--out", required=True, metavar="PATH", help="store (.zarr, can be resumed) or file (.nc, .h5, .csv)"
     )
     add_report(files, "the sweep")
     files.add_argument("--overwrite", action="store_true", help="replace an existing file; not a store")

@@ -45,12 +45,12 @@ _in_use: list[Path] = []
 
 
 def current() -> Path | None:
-    """The folder of the cache; None where nothing is kept on disk."""
+    """The folder of the cache; None where the disk cache is off."""
     return _in_use[-1] if _in_use else None
 
 
 def entries() -> Path | None:
-    """The folder of entries; None where nothing is kept on disk. It may not exist yet."""
+    """The folder of entries; None where the disk cache is off. It may not exist yet."""
     return _in_use[-1] / ENTRIES if _in_use else None
 
 

@@ -5,7 +5,7 @@ It does what `equinox.filter_jit` does (arrays are traced, everything else is st
 * **The memory is bounded.** JAX keeps what it has compiled for as long as the process lives: 15 to 30 MB for the
   program of a four-bar, for each structure and each number of samples. A study that varies them grows until it is
   killed. Here the least recently used program is freed.
-* **Programs are kept on disk** (`disk_cache`): another process neither traces nor compiles them again.
+* **Programs are cached on disk** (`disk_cache`): another process neither traces nor compiles them again.
 * **Within other programs it is one call** (`call`), where `many` is given: a program of a user's that contains it does
   not trace it again.
 """

@@ -33,10 +33,10 @@ class ExtraBlobs:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the cache is told.
+    """Settings of the cache.
 
     Attributes:
-        package: top-level name of the package whose functions may be kept on disk. Code outside it, and outside the
+        package: top-level name of the package whose functions may be cached on disk. Code outside it, and outside the
             packages of `versioned`, is a user's own and is never written.
         sources: the folder of that package. All its Python files are a part of every key on disk.
         versioned: other packages whose versions tell their code. A key holds these versions.

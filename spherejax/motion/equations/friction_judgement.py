@@ -56,7 +56,7 @@ def load_ambiguity(system: System, motions: BodyMotions, constraints: Constraint
 
 
 def friction_share(friction: JointFriction, ambiguity: dict[str, Scalar]) -> Scalar:
-    """The worst of contraction, remainder and ambiguity, as a share of what is allowed."""
+    """The worst of contraction, remainder and ambiguity, each as violation over its limit."""
     shares = [friction.contraction / LARGEST_CONTRACTION, friction.remainder / LARGEST_REMAINDER]
     return jnp.max(jnp.stack([*shares, *(each / LARGEST_AMBIGUITY for each in ambiguity.values())]))
 

@@ -33,7 +33,7 @@ from spherejax.motion.integration.status import OutOfRangeWarning, Status
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
+from spherejax.motion.runs.batch_setup import LaneMethod, PreparedRuns
 from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
 from spherejax.motion.runs.traced_functions import Build, built, known_build
 from spherejax.motion.solvers.automatic import stiffest

@@ -58,10 +58,11 @@ LOOSE = StiffMethod(Ros34PW2(), 0.65, 3200.0, 2.0)
 TIGHT = StiffMethod(Rodas5P(), 2.25, 1800.0, 1.7)
 
 
-ARRAY_ELIMINATION = 0.57
+ARRAY_ELIMINATION = 0.1
 """Price of a step of Rodas5P, in steps of Dopri8, times operations of the right-hand side over the cube of the unknowns
 of its linear systems, where these are too many for a scalar program and solved as dense arrays. Measured on a Stewart
-platform of 13 bodies (162 unknowns, 16,600 operations): 9.0 ms a step, against 62 us of Dopri8 (processor time)."""
+platform of 13 bodies (162 unknowns, 16,600 operations) on one core: 2.6 to 3.3 ms a step, 23 to 26 of Dopri8. With two
+cores, on which the dense solver waits, a step takes 9 ms of processor time."""
 
 
 NOTHING_IN_JOINTS = "Dopri8: no joint has a film, an elastomer or friction"

@@ -15,7 +15,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.friction_judgement import refuse_unsolvable_friction
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble_now
-from spherejax.motion.start.fighting_drivers import REMEDY, fighting_at, refuse_fighting_drivers
+from spherejax.motion.start.driver_conflicts import REMEDY, conflicts_at, refuse_driver_conflicts
 from spherejax.motion.start.locked import locked_motors
 from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.positions import moved_bodies
@@ -85,7 +85,7 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
         start = assemble_now(structure, theta, t)
     except SceneError as error:
         _refuse_drivers_not_finite(system, t)
-        fighting = fighting_at(structure, theta, t) if system.is_driven else ()
+        fighting = conflicts_at(structure, theta, t) if system.is_driven else ()
         if not fighting:
             raise
         names = " and ".join(map(repr, fighting))
@@ -94,7 +94,7 @@ def known_start(system: System, ts: Numeric) -> KnownStart | None:
         ) from error
     # A start that is not finite is not judged: the status of its run says so, and names the driver.
     if system.is_driven and np.all(np.isfinite(start.y)):
-        refuse_fighting_drivers(structure, theta, np.asarray(ts), start)
+        refuse_driver_conflicts(structure, theta, np.asarray(ts), start)
     refuse_unsolvable_friction(system, t, np.asarray(start.y))
     doubts = locked_motors(system, ts, start)
     return KnownStart(start, _changes(system, structure, theta, t, start), doubts)

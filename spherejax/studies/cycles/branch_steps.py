@@ -36,7 +36,7 @@ GENTLE = 0.85
 """Cosine of the angle by which the tangent may turn in a step; beyond, the step is made again, half as long."""
 
 N_LOCATED = 8
-"""Looks at most for the place of an event between two points."""
+"""Largest number of trial points in the search for an event between two points."""
 
 LOCATED = 1e-6
 """An event is found to this share of the step between its points."""

@@ -21,8 +21,8 @@ from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.run_flags import flags_of
+from spherejax.motion.runs.batch_setup import LaneMethod
 from spherejax.motion.runs.many import many
-from spherejax.motion.runs.one_of_many import LaneMethod
 from spherejax.motion.runs.traced_functions import Build
 from spherejax.program_cache import cached_jit
 from spherejax.studies.sweep.records import Record

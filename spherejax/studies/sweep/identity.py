@@ -1,7 +1,7 @@
 """What makes a sweep the same sweep: what it computes, from the traced programs of its builder and its functions.
 
 Two builders may agree at one run and differ at the others; so what is compared is the program for all runs. Renaming,
-comments and moving code about leave it as it is: a store is gone on with as long as the numbers are the same.
+comments and moving code about leave it as it is: a store is resumed as long as the numbers are the same.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ import numpy as np
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.one_of_many import LaneMethod, PreparedRuns
+from spherejax.motion.runs.batch_setup import LaneMethod, PreparedRuns
 from spherejax.motion.runs.traced_functions import built, numbers_fingerprint
 from spherejax.program_cache.fingerprints import (
     Traced,
@@ -58,7 +58,7 @@ def _traced_function(kept: Kept) -> TracedFunction | None:
 def with_known_functions(
     wanted: Record, build: TracedFunction, method: LaneMethod, grid: Grid, ts: np.ndarray
 ) -> Record:
-    """The record, its functions told by what they compute: two calls with equal lambdas share one program."""
+    """The record, its functions identified by what they compute: two calls with equal lambdas share one program."""
     if not any((kept.inner or kept).function for kept in wanted.kept):
         return wanted
     one = {name: jax.ShapeDtypeStruct((), jnp.float64) for name in grid.names}

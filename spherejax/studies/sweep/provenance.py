@@ -11,7 +11,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.integration.widths import platform_of_runs
-from spherejax.motion.runs.one_of_many import LaneMethod
+from spherejax.motion.runs.batch_setup import LaneMethod
 from spherejax.motion.runs.traced_functions import Build, built
 from spherejax.studies.sweep.commit import commit_of
 from spherejax.studies.sweep.grids import Grid

@@ -24,7 +24,6 @@ from spherejax.motion.runs.traced_functions import Build, known_build
 from spherejax.motion.start.redundancy import undetermined_reactions_of
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import ChunkWork
-from spherejax.studies.sweep.crew import crew_for, default_workers, paced, work_off
 from spherejax.studies.sweep.grids import Grid, as_grid
 from spherejax.studies.sweep.identity import identity_of, with_known_functions
 from spherejax.studies.sweep.lock import held
@@ -33,13 +32,14 @@ from spherejax.studies.sweep.provenance import example_of, provenance
 from spherejax.studies.sweep.records import TAKEN, Record, Wanted, record_of
 from spherejax.studies.sweep.results import Results
 from spherejax.studies.sweep.store import check_path, stored_chunk_size
+from spherejax.studies.sweep.worker_pool import default_workers, paced, run_chunks, worker_pool_for
 
 if TYPE_CHECKING:
     import xarray
 
 LARGEST_CHUNK = 2048
 """Runs in a chunk, at most: what is lost when a sweep is stopped, and what is in memory at a time. Where they take long
-there are fewer; see `studies.sweep.crew.paced`."""
+there are fewer; see `studies.sweep.worker_pool.paced`."""
 
 LARGEST_FOR_EACH_LANE = 4
 """Runs in a chunk for each lane that there may be even so: the blocks of an accelerator are wide."""
@@ -137,7 +137,7 @@ def sweep(
         facts = {**provenance(example, grid, method, times, wanted), **_marks(example, wanted, float(times[0]))}
         results = Results(grid, work, path, facts, identity_of(build, grid, wanted))
         with reporting(progress, grid.n_runs) as report:
-            work_off(results, crew_for(results, workers, executor), report)
+            run_chunks(results, worker_pool_for(results, workers, executor), report)
         return results.dataset()
 
 

@@ -1,7 +1,7 @@
-"""Where a sweep keeps its results: a Zarr group, written chunk by chunk, from which a stopped sweep goes on.
+"""Where a sweep keeps its results: a Zarr group, written chunk by chunk, from which a stopped sweep resumes.
 
 A chunk counts as stored when its digest has been written, which is the last thing that is done. A chunk that was cut
-off has none and is computed again. Digests are compared when a store is opened, to be read or to be gone on with, and
+off has none and is computed again. Digests are compared when a store is opened, to be read or resumed, and
 with them times, parameters and all that describes the arrays: what was damaged since, or is missing, is found.
 
 Runs are numbered along one axis, so that each chunk is a file of each array. Dimensions, units and the parameters of

@@ -1,4 +1,4 @@
-"""Drivers that fight: two that prescribe the same coordinate differently, or motions that the joints do not allow.
+"""Conflicts of drivers: two that prescribe the same coordinate differently, or motions that the joints do not allow.
 
 Equations that depend on others leave a mechanism no choice: n^T D = 0 for a row n of weights, and so the demands must
 agree too, n^T Phi_t = 0 for velocities and n^T gamma = 0 for accelerations. What does not agree has a part along the
@@ -55,7 +55,7 @@ class Demands(NamedTuple):
     bias: dict[str, Float[Array, " n"]]
 
 
-def refuse_fighting_drivers(structure: Structure, theta: Numeric, ts: Float[np.ndarray, " n"], start: Assembly) -> None:
+def refuse_driver_conflicts(structure: Structure, theta: Numeric, ts: Float[np.ndarray, " n"], start: Assembly) -> None:
     """Raise `SceneError` for drivers whose demands contradict each other, or the joints, at the start.
 
     Two drivers of one coordinate are compared along the whole run; other drivers that part later are not found here.
@@ -75,7 +75,7 @@ def refuse_fighting_drivers(structure: Structure, theta: Numeric, ts: Float[np.n
         _refuse_parting(structure, theta, ts, y, pairs, found)
 
 
-def fighting_at(structure: Structure, theta: Numeric, t: float) -> tuple[str, ...]:
+def conflicts_at(structure: Structure, theta: Numeric, t: float) -> tuple[str, ...]:
     """Names of the drivers, if there are several, that ask for positions that cannot be had together."""
     system = structure.system(theta)
     drivers = [name for name, joint in system.joints.items() if joint.is_driven]

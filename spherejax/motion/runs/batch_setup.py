@@ -1,4 +1,4 @@
-"""One of many runs as its lane sees it: how it starts, what is integrated, and the trajectory that comes of it.
+"""Set-up of a batch: how each run of it starts, what is integrated, and the trajectory that its lane returns.
 
 The scene of one run is traced for all; what depends on the run alone are numbers.
 """

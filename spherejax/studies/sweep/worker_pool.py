@@ -36,7 +36,7 @@ Submit = Callable[[Sequence[int]], "Future[list[ChunkResult]]"]
 """Hand out chunks that are computed together."""
 
 
-class Crew(NamedTuple):
+class WorkerPool(NamedTuple):
     """Where chunks go.
 
     Attributes:
@@ -50,7 +50,7 @@ class Crew(NamedTuple):
     at_once: int
 
 
-def crew_for(results: Results, workers: int, executor: Executor | None) -> Crew:
+def worker_pool_for(results: Results, workers: int, executor: Executor | None) -> WorkerPool:
     """An executor, where one is given; otherwise the devices of this process."""
     if executor is not None:
         return _elsewhere(results, executor)
@@ -105,7 +105,7 @@ def paced(work: ChunkWork, *, some_runs: Callable[[int], Any], n_runs: int, work
     return replace(work, size=min(size, work.size))
 
 
-def work_off(results: Results, crew: Crew, report: Report) -> None:
+def run_chunks(results: Results, worker_pool: WorkerPool, report: Report) -> None:
     """Hand out the missing chunks, take what comes back, and hand out again what was lost."""
     waiting = results.missing()
     seen = SweepProgress.beginning(
@@ -116,12 +116,12 @@ def work_off(results: Results, crew: Crew, report: Report) -> None:
         return
     attempts: Counter[int] = Counter()
     try:
-        with crew.opened() as submit:
+        with worker_pool.opened() as submit:
             under_way: dict[Future, list[int]] = {}
             try:
                 while waiting or under_way:
-                    while waiting and len(under_way) < crew.at_once:
-                        chunks, waiting = waiting[: crew.together], waiting[crew.together :]
+                    while waiting and len(under_way) < worker_pool.at_once:
+                        chunks, waiting = waiting[: worker_pool.together], waiting[worker_pool.together :]
                         attempts.update(chunks)
                         try:
                             under_way[submit(chunks)] = chunks
@@ -188,20 +188,20 @@ def _keep_finished(results: Results, under_way: Mapping[Future, list[int]]) -> N
                 results.put(chunk, result)
 
 
-# The three crews ---------------------------------------------------------------------------------------------------
+# The three pools --------------------------------------------------------------------------------------------------
 
 
-def _elsewhere(results: Results, executor: Executor) -> Crew:
+def _elsewhere(results: Results, executor: Executor) -> WorkerPool:
     sent = packed(results.work)
 
     @contextmanager
     def opened() -> Iterator[Submit]:
         yield lambda chunks: executor.submit(run_packed_chunk, sent, results.rows(chunks[0]))
 
-    return Crew(opened, 1, 4 * (getattr(executor, "_max_workers", None) or os.cpu_count() or 1))
+    return WorkerPool(opened, 1, 4 * (getattr(executor, "_max_workers", None) or os.cpu_count() or 1))
 
 
-def _threads(results: Results, workers: int) -> Crew:
+def _threads(results: Results, workers: int) -> WorkerPool:
     """Threads of one device: the compiled loop runs on one core."""
     work = results.work
 
@@ -212,10 +212,10 @@ def _threads(results: Results, workers: int) -> Crew:
             program = pool.submit(lambda: compiled_for(work, results.rows(0)))
             yield lambda chunks: pool.submit(lambda: [run_chunk(work, results.rows(chunks[0]), program.result())])
 
-    return Crew(opened, 1, workers)
+    return WorkerPool(opened, 1, workers)
 
 
-def _devices(results: Results, devices: Sequence[Any]) -> Crew:
+def _devices(results: Results, devices: Sequence[Any]) -> WorkerPool:
     """All devices together, a chunk for each; the next chunks wait while the last ones are stored."""
     work, n = results.work, len(devices)
 
@@ -229,7 +229,7 @@ def _devices(results: Results, devices: Sequence[Any]) -> Crew:
 
             yield lambda chunks: pool.submit(lambda: side_by_side(chunks))
 
-    return Crew(opened, n, 2)
+    return WorkerPool(opened, n, 2)
 
 
 class _Threads:
