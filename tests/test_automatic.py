@@ -317,14 +317,15 @@ def test_a_traced_tolerance_and_a_derivative_together():
 def test_default_root_finders_are_replaced_and_others_kept():
     import optimistix
 
-    replaced = with_converging_root_finder(diffrax.Kvaerno5(), 1e-6)
+    assert with_converging_root_finder(diffrax.Kvaerno5(), 1e-6) == diffrax.Kvaerno5()  # stepped in our own loop
+    replaced = with_converging_root_finder(diffrax.Kvaerno5(), 1e-6, makes_own_steps=True)
     assert isinstance(replaced.root_finder, optimistix.Chord)
     assert float(replaced.root_finder.rtol) == pytest.approx(1e-7)
     own = diffrax.Kvaerno5(root_finder=diffrax.VeryChord(rtol=1e-9, atol=1e-9))
     newton = diffrax.Kvaerno3(root_finder=optimistix.Newton(rtol=1e-9, atol=1e-9))
     explicit = diffrax.Dopri8()
     for solver in (own, newton, explicit):
-        assert with_converging_root_finder(solver, 1e-6) is solver
+        assert with_converging_root_finder(solver, 1e-6, makes_own_steps=True) is solver
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.motion.equations.programs import made_program
-from spherejax.motion.integration.integrate import integrate
 from spherejax.motion.integration.one_run import advance_window, integrated, started
+from spherejax.motion.integration.through_diffrax import integrate_through_diffrax
 from spherejax.motion.runs.many import many, simulate_many
 from spherejax.program_cache import cached_jit, folders
 from spherejax.program_cache.fingerprints import program_fingerprint, value_fingerprint
@@ -137,17 +137,17 @@ def test_a_run_leaves_nothing_behind_when_its_program_is_let_go(is_kept, tmp_pat
     """diffrax keeps a trace of its own of each integration, which held the functions of ours for ever."""
     monkeypatch.setattr(folders, "_in_use", [tmp_path] if is_kept else [])
     scene = pendulum(9.81, 1.0)
-    of_diffrax = diffrax.Kvaerno5()
-    for programs, name, solver, lengths, n_programs in (
+    by_diffrax = diffrax.RecursiveCheckpointAdjoint()
+    for programs, name, adjoint, lengths, n_programs in (
         (integrated, "integrated", None, (1, 2), 2),
         (advance_window, "advance_window", None, (3, 4), 1),
-        (integrate, "integrate", of_diffrax, (2, 3), 2),
+        (integrate_through_diffrax, "integrate_through_diffrax", by_diffrax, (2, 3), 2),
     ):
         programs.clear()
         gc.collect()
         before, of_loops = _n_traces_of(name), _n_traces_of("diffeqsolve")
         for n in lengths:
-            sj.simulate(scene, np.linspace(0.0, 0.01, n), solver=solver)
+            sj.simulate(scene, np.linspace(0.0, 0.01, n), adjoint=adjoint, max_steps=100)
         assert programs.n_programs == n_programs
         assert is_kept or _n_traces_of(name) == before + n_programs
         assert _n_traces_of("diffeqsolve") == of_loops
@@ -172,7 +172,7 @@ def test_every_cache_is_bounded():
         text = path.read_text()
         assert not re.search(r"^[^#`\n]*(@|= )eqx\.filter_jit", text, re.M), path
         assert "maxsize=None" not in text, path
-    for cached in (integrate, integrated, started, advance_window, many, _program):
+    for cached in (integrate_through_diffrax, integrated, started, advance_window, many, _program):
         assert cached.n_programs <= 24
     assert made_program.cache_info().maxsize is not None
 

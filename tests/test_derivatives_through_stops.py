@@ -361,16 +361,18 @@ def test_a_spring_that_begins_later():
     np.testing.assert_allclose(slope(0.01), -1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("options", "names"),
-    [({"solver": diffrax.Kvaerno5()}, "Kvaerno5"), ({"adjoint": diffrax.RecursiveCheckpointAdjoint()}, "Recursive")],
-    ids=["implicit", "adjoint"],
-)
 @pytest.mark.parametrize("make", [ball_scene, socket_scene])
-def test_methods_that_cannot_are_refused(options, names, make):
+def test_adjoints_of_diffrax_are_refused(make):
     """The derivative of a step with stages on both sides of the surface was wrong, or not finite."""
-    with pytest.raises(sj.SceneError, match=f"derivatives by {names}.*Rodas5P"):
-        jax.grad(lambda start: end_states((1e6, start, 1.0, 1.0), [0.5], make=make, **options)[0, 0])(0.0)
+    adjoint = diffrax.RecursiveCheckpointAdjoint()
+    with pytest.raises(sj.SceneError, match=r"derivatives by Recursive.*Rodas5P"):
+        jax.grad(lambda start: end_states((1e6, start, 1.0, 1.0), [0.5], make=make, adjoint=adjoint)[0, 0])(0.0)
+
+
+def test_an_implicit_method_of_diffrax():
+    """Its steps end short of the touch, and begin behind it, as all do."""
+    for stiffness in (1e4, 1e6, 1e8):
+        assert errors(stiffness, [0.3, 0.5, 0.9], solver=diffrax.Kvaerno5()) < 1e-6
 
 
 def test_a_damped_stop_with_an_onset_against_differences():

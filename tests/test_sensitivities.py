@@ -12,7 +12,6 @@ from bouncing import SCALE, VALUES
 
 import spherejax as sj
 from spherejax.motion.derivatives import sensitivities
-from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
 
 IMPACTS = (1, 2, 10)
 AFTER = {1: 0.0040, 2: 0.0085, 10: 0.0600}
@@ -133,8 +132,7 @@ def test_derivatives_have_a_tolerance_of_their_own(jacobian_at, reference_slopes
         ({"derivative_rtol": np.nan}, "derivative_rtol"),
         ({"derivative_rtol": (1e-6, 1e-6)}, "derivative_rtol"),
         ({"derivative_rtol": 1e-6, "adjoint": diffrax.DirectAdjoint()}, "adjoint of your own"),
-        ({"derivative_rtol": 1e-6, "stepsize_controller": diffrax.ConstantStepSize()}, "controller"),
-        ({"derivative_rtol": 1e-6, "solver": diffrax.Kvaerno5()}, "explicit or a Rosenbrock"),
+        ({"derivative_rtol": 1e-6, "stepsize_controller": diffrax.PIDController(1e-8, 1e-8)}, "controller"),
     ],
 )
 def test_a_tolerance_of_derivatives_that_cannot_be(options, said):
@@ -194,12 +192,6 @@ def test_grazing_onset_has_finite_derivatives(gap, sample_times):
     )
     assert np.isfinite(states).all()
     assert np.all([np.isfinite(push(e)).all() for e in jnp.eye(len(VALUES))])
-
-
-def test_explicit_and_rosenbrock_methods_control_the_sensitivities():
-    assert has_controlled_sensitivities(diffrax.Dopri8())
-    assert has_controlled_sensitivities(sj.Rodas5P())
-    assert not has_controlled_sensitivities(diffrax.Kvaerno5())
 
 
 @pytest.mark.slow

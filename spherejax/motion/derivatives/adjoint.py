@@ -21,6 +21,7 @@ controlled along the mixture, not one by one.
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -32,10 +33,11 @@ from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
 from spherejax.motion.derivatives.pullback import event_of, mixture_of
-from spherejax.motion.derivatives.sensitivities import integrate_rows, names_of_kinks, start_of_rows
+from spherejax.motion.derivatives.sensitivities import names_of_kinks
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
-from spherejax.motion.integration.implicit_rows import solver_with_fixed_matrix
+from spherejax.motion.integration.compiling import options_for
+from spherejax.motion.integration.implicit_rows import slack_of, solver_with_fixed_matrix
 from spherejax.motion.integration.integrate import (
     Options,
     Parameters,
@@ -44,13 +46,15 @@ from spherejax.motion.integration.integrate import (
     correction_for,
     parameters_from,
 )
+from spherejax.motion.integration.jobs import JobKind, with_slopes
+from spherejax.motion.integration.lanes import Block, steps_in_lanes
 from spherejax.motion.integration.lanes.stages import explicit_tableau
+from spherejax.motion.integration.one_run import RunRequest
 from spherejax.motion.integration.sampling import samples_of
-from spherejax.motion.integration.sensitivity_rows import linearized
-from spherejax.motion.integration.status import SimulationWarning, Status
+from spherejax.motion.integration.status import SimulationWarning
 from spherejax.motion.solvers.kinks import over_kink
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
-from spherejax.motion.solvers.traits import can_step_in_lanes, is_linearly_implicit
+from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.program_cache import cached_jit
 
@@ -106,10 +110,10 @@ def kept_run(
     if names:
         warnings.warn(SimulationWarning(UNSURE_THROUGH_KINKS.format(names=names)), stacklevel=2)
     room = min(FIRST_ROOM, options.max_steps)
+    request = RunRequest.of(plan.structure, replace(options, solver=_differentiable(options.solver)))
     while True:
-        limited = Options(_differentiable(options.solver), options.controller, diffrax.ForwardMode(), room)
-        run = _kept_run(plan, limited, values, directions, known, ts, start, values_are_legal)
-        if int(run.status) != Status.TOO_MANY_STEPS or room == options.max_steps:
+        run, n_kept = _kept_run(plan, request, room, values, directions, known, ts, start, values_are_legal)
+        if int(n_kept) <= room:
             return run
         room = min(MORE_ROOM * room, options.max_steps)
 
@@ -136,30 +140,46 @@ def gradients(
 
 def _differentiable(solver: Any) -> diffrax.AbstractSolver:
     """The method of a run whose steps are to be differentiated; for one that has no explicit stages, Ros34PW2."""
-    return solver if can_step_in_lanes(solver) else Ros34PW2()
+    return solver if is_explicit(solver) or is_linearly_implicit(solver) else Ros34PW2()
 
 
-@cached_jit(what="a run that keeps its steps")
-def _kept_run(plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal) -> KeptRun:
-    rate = program_for(state_rate, plan.structure, plan.scalar)
-    began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal)
+@cached_jit(what="a run that keeps its steps", options=options_for)
+def _kept_run(
+    plan: Plan, request: RunRequest, room: int, values, directions, known, ts, start, values_are_legal
+) -> tuple[KeptRun, Int[Array, ""]]:
+    """The run, with room for so many steps, and how many it kept."""
+
+    def job_of_values(values):
+        return request.job(plan, values, known, ts, start, values_are_legal)
+
+    job, _ = with_slopes(job_of_values, values, directions)
     mixture = mixture_of(directions.shape[0])
-
-    found = integrate_rows(
-        plan,
-        options,
-        linearized(partial(parameters_from, plan, rate, known), values, mixture @ directions),
-        jnp.concatenate([began.y0[None], mixture @ began.slopes]),
-        ts,
-        began,
-        (diffrax.SubSaveAt(steps=True, fn=lambda t, rows, args: rows[0]),),
+    slopes = jax.tree.map(lambda leaf: jnp.tensordot(mixture, leaf, 1), job.numbers.slopes)
+    numbers = job.numbers._replace(slopes=slopes)
+    rows = jnp.concatenate([job.y0[:1], mixture @ job.y0[1:]])
+    # As the state's; through kinks those of a W-method less.
+    solver = request.rest if is_explicit(request.rest) else Ros34PW2()
+    slack = min(1.0, slack_of(solver, plan.structure))
+    kind = JobKind(plan.structure, plan.scalar, request.rest, True, slack=slack, control=request.control, by_steps=True)
+    problem = kind.problem(ts, request.of_all)
+    own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (numbers, rows, job.may_run, job.status))
+    numbers, first, may_run, status = own
+    made, log = steps_in_lanes(problem, numbers, first, ts, may_run, status, Block(), room, ())
+    made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
+    times, states = log.times[0, :, -1], log.states[0, :, -1, 0]
+    is_kept = jnp.arange(room) < made.n_accepted
+    run = KeptRun(
+        made.ys[:, 0],
+        ts[0],
+        jnp.where(is_kept, times, jnp.inf),
+        jnp.concatenate([job.y0[:1], states]),
+        job.y0[1:],
+        job.assembly,
+        made.status,
+        made.t_reached,
+        made.n_accepted + made.n_rejected,
     )
-    ends, states = found.also_saved[0]
-    states = jnp.concatenate([began.y0[None], states])
-    return KeptRun(
-        found.rows[:, 0], ts[0], ends, states, began.slopes, began.assembly, found.status, found.t_reached,
-        found.n_steps,
-    )  # fmt: skip
+    return run, made.n_accepted
 
 
 # Backward -----------------------------------------------------------------------------------------------------------

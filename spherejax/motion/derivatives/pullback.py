@@ -118,7 +118,7 @@ def pulled_back(
     given = plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly
     # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes. What lies between
     # them is not joined (`native_run`): of the way back through a contact XLA (JAX 0.10) cannot compile a branch then.
-    with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan, request.rest)):
+    with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
         return _pulled_back(*given)
 
 

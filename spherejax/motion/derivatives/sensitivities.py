@@ -2,9 +2,7 @@
 error control; see `sensitivity_rows` for their equations.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
@@ -25,44 +23,10 @@ from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosen
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration.diffrax_integration import diffeqsolve
-from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, slack_of
-from spherejax.motion.integration.integrate import (
-    Options,
-    Outcome,
-    Plan,
-    audit_limits,
-    audit_of,
-    beginning,
-    contacts_of,
-    correction_for,
-    integrate,
-    landing_controller,
-    parameters_from,
-    room_of,
-    samples,
-    samples_reached,
-    status_at_end,
-    with_loop_of,
-    wrapped,
-)
-from spherejax.motion.integration.one_run import RunRequest, can_be_a_job, run_of, slopes_as_job
-from spherejax.motion.integration.sampling import samples_of
-from spherejax.motion.integration.sensitivity_rows import (
-    Linearized,
-    RowParameters,
-    correcting_rows,
-    judging_rows,
-    linearized,
-    of_first_row,
-    rows_rate,
-    unseen_of_first_row,
-    with_rows,
-    with_start_time,
-)
-from spherejax.motion.integration.status import Status, start_status
-from spherejax.motion.integration.unseen import unseen_of
-from spherejax.motion.solvers.rosenbrock import AbstractRosenbrock
+from spherejax.motion.integration.integrate import Options, Outcome, Plan, contacts_of
+from spherejax.motion.integration.one_run import RunRequest, differentiable_slopes, run_of, slopes_as_job
+from spherejax.motion.integration.sensitivity_rows import with_start_time
+from spherejax.motion.integration.status import Status
 from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.program_cache import cached_jit
@@ -71,20 +35,19 @@ from spherejax.program_cache import cached_jit
 def integrate_with_sensitivities(
     plan: Plan, options: Options, values, known, ts, start, values_are_legal, abrupt: tuple[str, ...] = ()
 ) -> Outcome:
-    """As `integrate`, differentiable in forward and in reverse mode: by the traced numbers and by the sample times.
+    """As `run_of`, differentiable in forward and in reverse mode: by the traced numbers and by the sample times.
 
     The derivative rule computes all sensitivities by the traced numbers and applies them: that is linear in the
     tangent, so it can be transposed. With few parameters it is cheaper than a reverse sweep, in run time and far more
-    in compile time. In a lane the outcome and its derivatives come from one integration, by diffrax from two.
+    in compile time. The outcome and its derivatives come from one integration.
 
     The derivative by the sample times is exact where time does not enter the equations by itself, and needs no
     integration; elsewhere the first time has a row of sensitivities of its own. See `sensitivity_rows`.
 
     Args:
-        plan, options, values, known, ts, start, values_are_legal: as of `integrate`.
+        plan, options, values, known, ts, start, values_are_legal: as of `run_of`.
         abrupt: names of contacts that Rosenbrock methods do not differentiate well; see `through_touches`.
     """
-    in_lanes = can_be_a_job(plan.structure, options)
     if not plan.unknown and not plan.from_state and is_concrete(ts):
         return run_of(plan, options, values, known, ts, start, values_are_legal)
     # Tolerances may be traced: a rule may not close over them.
@@ -93,24 +56,14 @@ def integrate_with_sensitivities(
     def slopes_by(by_start: bool) -> Callable:
         """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
 
-        def by_diffrax(values, arrays, *rest: Any) -> tuple[Outcome, Slopes]:
-            options = eqx.combine(arrays, others).decided
-            outcome = run(values, arrays, *rest)
-            if has_controlled_sensitivities(options.solver):
-                return outcome, _controlled_slopes(plan, options, values, *rest, by_start=by_start)
-            return outcome, _slopes_through_the_loop(plan, options, values, *rest, by_start=by_start)
-
         @jax.custom_jvp
         def with_slopes(values, arrays, *rest: Any) -> tuple[Outcome, Slopes]:
             options = eqx.combine(arrays, others).decided
-            if not (in_lanes and has_controlled_sensitivities(options.solver)):
-                return by_diffrax(values, arrays, *rest)
             scale = with_start_time(plan.scales(values), by_start)
             found = slopes_as_job(plan, options, values, _diagonal(scale), *rest, by_start=by_start)
             return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
 
         def with_slopes_jvp(primals, tangents):
-            # Second derivatives: lanes have none of their own.
             if by_start or _is_moved(tangents[3]):
                 raise SceneError(NO_SECOND_BY_TIME)
             solver = eqx.combine(primals[1], others).decided.solver
@@ -118,12 +71,13 @@ def integrate_with_sensitivities(
             if example.touching_forces or (example.contact_joints and isinstance(solver, diffrax.AbstractERK)):
                 raise SceneError(NO_SECOND_DERIVATIVES)
             _refuse_large(plan)
-            found = by_diffrax(*primals)
+            found = with_slopes(*primals)
+            options = eqx.combine(primals[1], others).decided
 
             def floats(values):
-                return eqx.filter(by_diffrax(values, *primals[1:]), _is_float)
+                return eqx.filter(_differentiable(plan, options, values, *primals[2:]), _is_float)
 
-            # All of them, then those along the tangent: that can be transposed, which diffrax's forward mode cannot.
+            # All of them, then those along the tangent: that can be transposed, which a loop cannot.
             second = jax.jacfwd(floats)(primals[0])
             along = _instantiated(tangents[0], primals[0])
             # A film may never be pressed through; where it is, they would miss what happens there.
@@ -135,7 +89,7 @@ def integrate_with_sensitivities(
         with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
         return with_slopes
 
-    is_by_one_direction = in_lanes and _goes_back(plan, options)
+    is_by_one_direction = _goes_back(plan, options)
 
     def along_one_direction(outcome: Outcome, primals, tangent) -> Any:
         """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
@@ -293,15 +247,6 @@ def _diagonal(scale: Any) -> Any:
     return np.diag(scale) if isinstance(scale, np.ndarray) else jnp.diag(scale)
 
 
-def has_controlled_sensitivities(solver: diffrax.AbstractSolver) -> bool:
-    """Whether a run with this solver integrates its sensitivities under error control.
-
-    Explicit Runge-Kutta methods do, and Rosenbrock methods, whose steps are differentiated beside the state's; see
-    `implicit_rows`. Of diffrax's implicit methods the whole run is differentiated step by step, errors unseen.
-    """
-    return isinstance(solver, diffrax.AbstractERK | AbstractRosenbrock)
-
-
 MOST_FOR_SECOND = 5_000
 """Scalar operations of a right-hand side up to which second derivatives are taken. To compile them takes 40 s for a
 pendulum (400 operations), two to five minutes for mechanisms of 2,000, 14 minutes and 5 GB for a chain of 3,200; at
@@ -318,17 +263,6 @@ def _refuse_large(plan: Plan) -> None:
             f"compile than most machines have (up to {MOST_FOR_SECOND:,} it takes minutes). Take "
             "differences of jax.grad: with a step of a thousandth of a number they have four to six digits"
         )
-
-
-def refuse_through_kinks(plan: Plan, method: str) -> None:
-    """Refuse derivatives of a run's own steps where a force may have a kink: stages on both sides mix its slopes.
-
-    Args:
-        plan: what the run is compiled for.
-        method: that integrates, or differentiates.
-    """
-    if kinks_of(plan.structure):
-        raise SceneError(through_kinks(plan, method))
 
 
 def through_kinks(plan: Plan, method: str) -> str:
@@ -401,237 +335,24 @@ def integrate_along(
     """Integrate a run and its derivatives along directions in the traced numbers, in one integration.
 
     Args:
-        plan, options, values, known, ts, start, values_are_legal: as for `integrate`.
+        plan, options, values, known, ts, start, values_are_legal: as for `run_of`.
         directions: of length |p| or so, for all sensitivities to be in the units of the state.
 
-    The errors of the sensitivities are controlled as the state's, where `has_controlled_sensitivities`; otherwise the
-    method's steps are differentiated.
+    The errors of the sensitivities are controlled as the state's.
     """
-    if can_be_a_job(plan.structure, options):
-        found = slopes_as_job(plan, options, values, directions, known, ts, start, values_are_legal)
-        run = found.outcome
-        return StatesAndSlopes(
-            run.ys, found.ys, run.assembly, found.assembly, run.status, run.t_reached, run.stats.n_steps
-        )
-    if has_controlled_sensitivities(options.solver):
-        return _controlled(plan, options, values, directions, known, ts, start, values_are_legal)
-    refuse_through_kinks(plan, type(options.solver).__name__)
-
-    def floats(values):
-        outcome = integrate(plan, options, values, known, ts, start, values_are_legal)
-        return (outcome.ys, outcome.assembly), outcome
-
-    def along(direction):
-        return jax.jvp(floats, (values,), (direction,), has_aux=True)
-
-    _, slopes, outcome = jax.vmap(along, out_axes=(None, 0, None))(directions)
-    n_steps = outcome.stats.n_steps
-    return StatesAndSlopes(
-        outcome.ys, slopes[0], outcome.assembly, slopes[1], outcome.status, outcome.t_reached, n_steps
-    )
-
-
-def _slopes_through_the_loop(
-    plan, options, values, known, ts, start, values_are_legal, by_start: bool = False
-) -> Slopes:
-    """The derivative of every step of the run, in forward mode."""
-    refuse_through_kinks(plan, type(options.solver).__name__)
-
-    def floats(v):
-        result = integrate(plan, options, v, known, ts, start, values_are_legal)
-        return Slopes(result.ys, result.assembly)
-
-    if values.shape[0]:
-        slopes = jax.jacfwd(floats)(values)
-    else:  # JAX maps over no directions where there are none, and its reductions do not bear that
-        slopes = jax.tree.map(lambda leaf: jnp.zeros((*leaf.shape, 0)), jax.eval_shape(floats, values))
-    if not by_start:
-        return slopes
-    # A motion that begins later at the state y0 is there where one that begins now has the state y0 - f dt.
-    along = jnp.zeros((1, values.shape[0] + 1)).at[0, -1].set(1.0)
-    began = start_of_rows(plan, values, along, known, ts, start, values_are_legal, by_start)
-
-    def from_state(y0):
-        at_state = replace(plan, from_state=False)
-        return integrate(at_state, options, values, known, ts, began.assembly._replace(y=y0), values_are_legal).ys
-
-    by_time = jax.jvp(from_state, (began.y0,), (began.slopes[0],))[1]
-    assembly = jax.tree.map(
-        lambda j, dot: jnp.concatenate([j, dot[0][..., None]], -1), slopes[1], began.assembly_slopes
-    )
-    return Slopes(jnp.concatenate([slopes.ys, by_time[..., None]], -1), assembly)
+    found = slopes_as_job(plan, options, values, directions, known, ts, start, values_are_legal)
+    run = found.outcome
+    return StatesAndSlopes(run.ys, found.ys, run.assembly, found.assembly, run.status, run.t_reached, run.stats.n_steps)
 
 
 @cached_jit(what="the derivatives of a run")
-def _controlled_slopes(
-    plan: Plan, options: Options, values: Float[Array, " p"], known, ts, start, values_are_legal, by_start: bool
-) -> Slopes:
-    """The derivatives by each of the traced numbers, with their errors controlled."""
-    scale = with_start_time(plan.scales(values), by_start)
-    found = _controlled(plan, options, values, _diagonal(scale), known, ts, start, values_are_legal, by_start)
-    return Slopes(*_unscaled((found.slopes, found.assembly_slopes), scale))
-
-
-def _controlled(
-    plan: Plan,
-    options: Options,
-    values: Float[Array, " p"],
-    directions: Float[Array, "k p"],
-    known: Float[Array, " n_numbers"],
-    ts: Float[Array, " n"],
-    start: Assembly | None,
-    values_are_legal: Flag,
-    by_start: bool = False,
-) -> StatesAndSlopes:
-    """Integrate the state and its sensitivities together, with the errors of both controlled."""
-    rate = program_for(state_rate, plan.structure, plan.scalar)
-
-    began = start_of_rows(plan, values, directions, known, ts, start, values_are_legal, by_start)
-    rows0 = jnp.concatenate([began.y0[None], began.slopes])
-    parameters = linearized(partial(parameters_from, plan, rate, known), values, directions[:, : values.shape[0]])
-    found = integrate_rows(plan, options, parameters, rows0, ts, began)
-    slopes = jnp.moveaxis(found.rows[:, 1:], 1, 0)
-    return StatesAndSlopes(
-        found.rows[:, 0], slopes, began.assembly, began.assembly_slopes, found.status, found.t_reached, found.n_steps
-    )
-
-
-class RowsStart(NamedTuple):
-    """The start of a run and its derivatives along k directions in the traced numbers.
-
-    Attributes:
-        y0: flat state.
-        slopes: its derivatives.
-        assembly: how the start was made consistent.
-        assembly_slopes: its derivatives, with a leading axis of directions.
-        values_are_legal: whether the scene's conditions hold.
-    """
-
-    y0: Float[Array, " size"]
-    slopes: Float[Array, "k size"]
-    assembly: Assembly
-    assembly_slopes: Assembly
-    values_are_legal: Flag
-
-    @property
-    def status(self) -> Int[Array, ""]:
-        """Of the run before its first step, an integer of `Status`."""
-        return start_status(self.values_are_legal, self.assembly.residual_after, self.y0)
-
-    @property
-    def may_run(self) -> Flag:
-        """Whether the run can be made."""
-        return self.status == Status.SUCCEEDED
-
-
-def start_of_rows(
-    plan: Plan,
-    values,
-    directions,
-    known,
-    ts: Float[Array, " n"],
-    start: Assembly | None,
-    values_are_legal: Flag,
-    by_start: bool = False,
-) -> RowsStart:
-    """The start of a run and its derivatives; arguments as for `integrate_along`.
-
-    With `by_start` the directions have the first sample time as their last entry.
-    """
-    n = values.shape[0]
-
-    def beginning_of(values):
-        t0 = values[n] if by_start else ts[0]
-        return beginning(plan, plan.theta(values[:n], known), t0, plan.start(values[:n], start))
-
-    numbers = jnp.append(values, ts[0]) if by_start else values
-    (assembly, y0), (assembly_slopes, slopes) = linearized(beginning_of, numbers, directions)
-    if by_start:
-        rate = program_for(state_rate, plan.structure, plan.scalar)
-        slopes = slopes - directions[:, n, None] * rate(plan.theta(values, known), ts[0], y0)
-    return RowsStart(y0, slopes, assembly, assembly_slopes, values_are_legal)
-
-
-class IntegratedRows(NamedTuple):
-    """A state and its sensitivities along time, as rows of one matrix.
-
-    Attributes:
-        rows: at the sample times; NaN where they were not reached.
-        also_saved: times and values of what was saved besides.
-        status: integer of `Status`.
-        t_reached: time reached [s].
-        n_steps: steps tried.
-    """
-
-    rows: Float[Array, "n rows size"]
-    also_saved: list[tuple[Array, Array]]
-    status: Int[Array, ""]
-    t_reached: Float[Array, ""]
-    n_steps: Int[Array, ""]
-
-
-def integrate_rows(
-    plan: Plan,
-    options: Options,
-    parameters: Linearized,
-    rows0: Float[Array, "rows size"],
-    ts: Float[Array, " n"],
-    began: RowsStart,
-    also_saved: Sequence[diffrax.SubSaveAt] = (),
-) -> IntegratedRows:
-    """Integrate a state and its sensitivities together, with the errors of all rows controlled.
-
-    Args:
-        plan, options, ts: as for `integrate`.
-        parameters: what the right-hand side is given, and its derivatives.
-        rows0: the first state, then its derivatives.
-        began: the start.
-
-    Other args:
-        also_saved: what to save besides the samples.
-    """
-    rate = program_for(state_rate, plan.structure, plan.scalar)
-    contacts = contacts_of(plan.structure, plan.scalar)
-    contacts = None if contacts is None else with_rows(contacts, rate)
-    correct = correcting_rows(correction_for(plan))
-    taken = samples_of(plan.structure, plan.scalar)
-    taken = None if taken is None else taken.of_rows()
-    t1 = jnp.where(began.may_run, ts[-1], ts[0])
-    saved = [samples(jnp.minimum(ts, t1), correct, taken), diffrax.SubSaveAt(t1=True), *also_saved]
-    solver = with_loop_of(options.adjoint, rows_with_fixed_matrix(options.solver, plan.structure, rate))
-    # As the state's; through kinks those of a W-method less.
-    slack = min(1.0, slack_of(solver, plan.structure))
-    judging = replace(options, controller=judging_rows(options.controller, slack))
-    solution = diffeqsolve(
-        diffrax.ODETerm(lambda t, rows, args: rows_rate(rate, args, t, rows)),
-        wrapped(solver, correct, contacts, taken, audit_of(plan).of_rows()),
-        t0=ts[0],
-        t1=t1,
-        dt0=None,
-        y0=rows0,
-        args=RowParameters(*parameters, audit_limits(plan, options, parameters.value.theta)),
-        saveat=diffrax.SaveAt(subs=saved),
-        stepsize_controller=landing_controller(
-            judging,
-            solver,
-            contacts,
-            taken,
-            plan,
-            ts,
-            of_first_row(room_of(plan)),
-            unseen_of_first_row(unseen_of(plan.structure, plan.scalar, solver)),
-        ),
-        adjoint=options.adjoint,
-        max_steps=options.max_steps,
-        throw=False,
-    )
-    sampled: Any = solution.ys
-    times: Any = solution.ts
-    reached = times[1][0]
-    rows = samples_reached(sampled[0], (ts <= reached) & began.may_run)
-    status = status_at_end(began.status, solution.result, reached, ts[-1], rows, sampled[1])
-    others = list(zip(times[2:], sampled[2:], strict=True))
-    return IntegratedRows(rows, others, status, reached, solution.stats["num_steps"])
+def _differentiable(
+    plan: Plan, options: Options, values: Float[Array, " p"], known, ts, start, values_are_legal
+) -> tuple[Outcome, Slopes]:
+    """A run and its slopes, to be differentiated once more in forward mode."""
+    scale = plan.scales(values)
+    found = differentiable_slopes(plan, options, values, _diagonal(scale), known, ts, start, values_are_legal)
+    return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
 
 
 @jax.jit

@@ -22,7 +22,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.integration.status import SimulationWarning
-from spherejax.motion.solvers.traits import is_linearly_implicit
+from spherejax.motion.solvers.traits import is_explicit
 from spherejax.program_cache import disk_cache
 
 UNSURE_BY_ROSENBROCK = (
@@ -42,7 +42,7 @@ def warn_of_rosenbrock(names: Iterable[str], solver: diffrax.AbstractSolver, sta
         stacklevel: as of `warnings.warn`, from the caller on.
     """
     names = tuple(names)
-    if names and is_linearly_implicit(solver):
+    if names and not is_explicit(solver):
         disk_cache.note_warning()  # where it is traced: who loads that program from disk would not be warned
         said = UNSURE_BY_ROSENBROCK.format(method=type(solver).__name__, names=" and ".join(map(repr, names)))
         warnings.warn(said, SimulationWarning, stacklevel=stacklevel + 1)

@@ -6,7 +6,6 @@ from typing import Any
 from spherejax.compiler import hooks, native_code
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 
 LARGE = 10_000
 """Scalar operations of a right-hand side above which compile time is favoured over run time.
@@ -37,12 +36,9 @@ def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
     return hooks.FAST_COMPILE if is_large(plan) else hooks.LESS_ALIASING
 
 
-def in_machine_code(plan: Any, solver: Any) -> bool:
-    """Whether the programs of a single run become machine code of their own."""
-    scalar = program_for(state_rate, plan.structure, plan.scalar).scalar
-    if scalar is None:
-        return False
-    return is_linearly_implicit(solver) or is_explicit(solver) or scalar.n_operations > LARGE
+def in_machine_code(plan: Any) -> bool:
+    """Whether the programs of a run become machine code of their own."""
+    return program_for(state_rate, plan.structure, plan.scalar).scalar is not None
 
 
 def native_run(function: Callable[[], Any], is_native: bool) -> Any:

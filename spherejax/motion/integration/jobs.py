@@ -17,11 +17,11 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.quantities import magnitudes
 from spherejax.motion.integration.audit import Limits, limits_of
 from spherejax.motion.integration.compiling import in_machine_code
-from spherejax.motion.integration.implicit_rows import slack_of, solver_of_rows
+from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, slack_of, solver_of_rows
 from spherejax.motion.integration.integrate import (
     Parameters,
     Plan,
@@ -46,6 +46,7 @@ from spherejax.motion.integration.sensitivity_rows import (
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
+from spherejax.motion.solvers.diagonally_implicit import in_structure
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.kinks import OverKinks
 from spherejax.motion.solvers.landing import ContactFunctions
@@ -113,6 +114,10 @@ class JobKind:
         slack: how much larger the errors of sensitivities may be than the state's, where a run does not say; None for
             what the method has.
         moving: numbers of the system that the sensitivities are by; None for all.
+        control: a step-size controller of a user's, without its arrays, which then stand for the tolerances; None for
+            that of this package.
+        by_steps: whether derivatives are taken of the steps that are made, in reverse or once more: explicit ones are
+            made in straight time, and those of Rosenbrock methods with the state's matrix for all rows.
     """
 
     structure: Structure
@@ -122,6 +127,8 @@ class JobKind:
     watch: tuple[str, ...] = ()
     slack: float | None = None
     moving: tuple[int, ...] | None = None
+    control: Any = None
+    by_steps: bool = False
 
     @property
     def n_contacts(self) -> int:
@@ -140,9 +147,15 @@ class JobKind:
         rate = program_for(state_rate, self.structure, self.scalar)
 
         def controller_of(numbers: RunNumbers):
-            return controller_for(self.structure, *(tolerances if numbers.tolerances is None else numbers.tolerances))
+            given = tolerances if numbers.tolerances is None else numbers.tolerances
+            return controller_for(self.structure, *given) if self.control is None else eqx.combine(given, self.control)
 
-        solver = eqx.combine(arrays, self.solver)
+        def tolerances_of(numbers: RunNumbers):
+            controller = controller_of(numbers)
+            relative, absolute = (getattr(controller, name, None) for name in ("rtol", "atol"))
+            return None if relative is None or absolute is None else (relative, absolute)
+
+        solver = in_structure(eqx.combine(arrays, self.solver), self.structure, rate, tolerances_of)
         problem = LaneProblem(
             with_structure(solver, self.structure),
             controller_of,
@@ -156,9 +169,10 @@ class JobKind:
             room_of(plan),
             example_of(self.structure).layout.work_start,
             samples_of(self.structure, self.scalar),
-            in_machine_code=in_machine_code(plan, self.solver),
+            in_machine_code=in_machine_code(plan),
             program=rate.scalar,
             unseen=unseen_of(self.structure, self.scalar, self.solver),
+            lands_inside=self._lands_inside,
         )
         return self._of_rows(problem, solver, rate) if self.with_rows else problem
 
@@ -173,7 +187,7 @@ class JobKind:
 
         contacts = None if problem.contacts is None else with_rows(problem.contacts, rate)
         return problem._replace(
-            solver=_over_kinks(solver_of_rows(solver, self.structure, rate, self.moving), contacts),
+            solver=self._over_kinks(self._solver_of_rows(solver, rate), contacts),
             controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack(numbers)),
             slack_of=slack,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
@@ -187,13 +201,23 @@ class JobKind:
             moving=self.moving,
         )
 
+    @property
+    def _lands_inside(self) -> bool:
+        return self.control is None and not self.by_steps
 
-def _over_kinks(solver: Any, contacts: ContactFunctions | None) -> Any:
-    """The solver, going over kinks; an explicit one leaves that to `lanes.landing`."""
-    if contacts is None or not contacts.has_rates_that_jump or is_explicit(solver):
-        return solver
-    made: Any = OverKinks  # pyright takes its fields for those of diffrax's base class
-    return made(solver, contacts)
+    def _solver_of_rows(self, solver: Any, rate: Program) -> Any:
+        if self.by_steps:
+            return rows_with_fixed_matrix(solver, self.structure, rate)
+        return solver_of_rows(solver, self.structure, rate, self.moving)
+
+    def _over_kinks(self, solver: Any, contacts: ContactFunctions | None) -> Any:
+        """The solver, going over kinks; an explicit one whose steps land inside leaves that to `lanes.landing`."""
+        if contacts is None or not contacts.has_rates_that_jump:
+            return solver
+        if is_explicit(solver) and self._lands_inside:
+            return solver
+        made: Any = OverKinks  # pyright takes its fields for those of diffrax's base class
+        return made(solver, contacts)
 
 
 def watching(structure: Structure, names: tuple[str, ...]) -> Callable | None:
@@ -215,25 +239,25 @@ def _magnitudes_of(names: tuple[str, ...]):
 
 
 def job_of(
-    plan: Plan, solver: Any, theta: Float[Array, " p"], ts: Float[Array, " n"], start: Assembly | None,
-    values_are_legal: Flag, limits: Any, tolerances: Any,
+    plan: Plan, theta: Float[Array, " p"], ts: Float[Array, " n"], start: Assembly | None, values_are_legal: Flag,
+    limits: Any, tolerances: Any, is_native: bool,
 ) -> Job:  # fmt: skip
     """A run without rows as a job.
 
     Args:
         plan: what it is compiled for.
-        solver: that integrates it.
         theta: all numbers of the system.
         ts: sample times [s].
         start: the consistent start; None to assemble it.
         values_are_legal: whether the scene's conditions hold.
         limits: of the audit.
         tolerances: relative and absolute, where they depend on the run.
+        is_native: whether its programs become machine code of their own.
     """
     assembly, y0 = beginning(plan, theta, ts[0], start)
     status = start_status(values_are_legal, assembly.residual_after, y0)
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    with rate.native_code(in_machine_code(plan, solver)):  # in vectors, if it is read by machine code
+    with rate.native_code(is_native):  # in vectors, if it is read by machine code
         ahead = rate.ahead(theta)
     numbers = RunNumbers(Parameters(theta, ahead), None, tolerances, limits)
     return Job(numbers, y0, status == Status.SUCCEEDED, status, assembly)

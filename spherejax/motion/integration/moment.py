@@ -13,7 +13,6 @@ from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.jobs import JobKind
 from spherejax.motion.integration.spans import Jobs, SpanKind, over_spans
 from spherejax.motion.integration.status import Status
-from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.tolerances import component_tolerances
 
 
@@ -25,12 +24,12 @@ def state_between(
     Raises:
         SceneError: for a run that cannot be gone on with.
     """
-    solver: Any = None if asked is None else asked.solver
-    if asked is None or not can_step_in_lanes(solver):
+    if asked is None:
         raise SceneError(
             "a moment between samples is integrated anew, which this run's method does not allow (its tolerances were "
-            "traced, a controller of its own judged them, or the solver is implicit); add the time to ts"
+            "traced, or a controller of its own judged them); add the time to ts"
         )
+    solver: Any = asked.solver
     structure, theta = flatten_by_factor(system)
     tolerances = component_tolerances(system, asked.rtol) if asked.atol is None else None
     pair = (asked.rtol, asked.atol) if tolerances is None else (tolerances.rtol, tolerances.atol)

@@ -7,6 +7,7 @@ A run of numbers is two programs, its start and its windows of samples, which se
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -24,17 +25,16 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Limits
-from spherejax.motion.integration.compiling import OF_START, options_for
+from spherejax.motion.integration.compiling import OF_START, in_machine_code, options_for
 from spherejax.motion.integration.implicit_rows import slack_of
 from spherejax.motion.integration.integrate import (
     Options,
     Outcome,
     Plan,
-    integrate,
     stages_of,
 )
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
-from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
+from spherejax.motion.integration.lanes import Block, LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.integration.lanes.operation import runs
 from spherejax.motion.integration.lanes.windows import (
     RunCheckpoint,
@@ -46,18 +46,14 @@ from spherejax.motion.integration.lanes.windows import (
 )
 from spherejax.motion.integration.row_blocks import as_numbers, placed_rows
 from spherejax.motion.integration.widths import block_for
+from spherejax.motion.solvers.given_steps import GivenSteps
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
-from spherejax.motion.solvers.traits import can_step_in_lanes
+from spherejax.motion.solvers.rosenbrock import Ros34PW2
+from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.tolerances import controller_for
 from spherejax.program_cache import cached_jit
 from spherejax.program_cache.disk_cache import is_debugging
-
-
-def can_be_a_job(structure: Structure, options: Options) -> bool:
-    """Whether the lanes can make a run: with the step-size control that they have themselves."""
-    solver: Any = options.solver
-    return can_step_in_lanes(solver) and _rest(options.controller) == _own_rest(structure)
 
 
 @lru_cache(maxsize=64)
@@ -72,18 +68,27 @@ def _rest(controller) -> Any:
     return tuple(value for name, value in vars(controller).items() if name not in ("rtol", "atol"))
 
 
+def _numbers_apart(controller: Any) -> Any:
+    """A controller whose tolerances and times are arrays: other ones need no other program."""
+    if isinstance(controller, diffrax.StepTo):
+        return GivenSteps(controller.ts)
+    numbers = [name for name in ("rtol", "atol") if isinstance(getattr(controller, name, None), int | float)]
+    if type(controller) is diffrax.PIDController and numbers:
+        values = [jnp.asarray(getattr(controller, name), jnp.float64) for name in numbers]
+        controller = eqx.tree_at(lambda c: [getattr(c, name) for name in numbers], controller, values)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf, controller)
+
+
 def run_of(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Outcome:
-    """As `integrate`: in a lane where it can be, else by diffrax. `jax.vmap` of a lane is a queue of runs."""
+    """A run in a lane; arguments as of `integrated`. `jax.vmap` of a lane is a queue of runs."""
     return bound_run(plan, options, values, known, ts, start, values_are_legal)()
 
 
 def bound_run(plan: Plan, options: Options, values, known, ts, start, values_are_legal) -> Callable[[], Outcome]:
     """`run_of` these arguments, to be called again and again."""
-    if can_be_a_job(plan.structure, options):
-        request = RunRequest.of(plan.structure, options)
-        given = plan, request, values, known, ts, start, values_are_legal
-        return _in_windows(*given) if ts.shape[0] > 2 and _are_known(given) else integrated.bound(*given)
-    return integrate.bound(plan, options, values, known, ts, start, values_are_legal)
+    request = RunRequest.of(plan.structure, options)
+    given = plan, request, values, known, ts, start, values_are_legal
+    return _in_windows(*given) if ts.shape[0] > 2 and _are_known(given) else integrated.bound(*given)
 
 
 def _are_known(given: tuple) -> bool:
@@ -211,7 +216,8 @@ class RunRequest(eqx.Module):
 
     Attributes:
         solver: its arrays.
-        shared: tolerances that are known, which all runs of a queue share, or None.
+        shared: tolerances that are known, which all runs of a queue share, or None; of a controller of a user's all of
+            its arrays.
         own: tolerances of a run, or None.
         budget: largest number of steps.
         rest: the solver without its arrays (static).
@@ -219,6 +225,7 @@ class RunRequest(eqx.Module):
         stiff: arrays of the solver of a run whose joints act faster than the limit when it starts.
         stiff_rest: that solver without its arrays (static); None where there is no choice left.
         limit: a rate [1/s] (static).
+        control: a step-size controller of a user's, without its arrays (static); None for that of this package.
     """
 
     solver: Any
@@ -230,21 +237,25 @@ class RunRequest(eqx.Module):
     stiff: Any = None
     stiff_rest: Any = eqx.field(static=True, default=None)
     limit: float = eqx.field(static=True, default=math.inf)
+    control: Any = eqx.field(static=True, default=None)
 
     @classmethod
     def of(cls, structure: Structure, options: Options) -> "RunRequest":
-        """From the options of a run that can be a job."""
+        """From the options of a run."""
         solver, rest = eqx.partition(options.solver, eqx.is_array)
-        controller: Any = options.controller
-        tolerances = controller.rtol, controller.atol
+        controller, control = _numbers_apart(options.controller), None
+        if _rest(controller) == _own_rest(structure):
+            tolerances = controller.rtol, controller.atol
+        else:
+            tolerances, control = eqx.partition(controller, eqx.is_array)
         budget = np.asarray(options.max_steps, np.int64) if options.budget is None else options.budget
-        alike = all(is_concrete(each) for each in tolerances)
+        alike = all(is_concrete(each) for each in jax.tree.leaves(tolerances))
         shared, own = (tolerances, None) if alike else (None, tolerances)
         usual = slack_of(options.solver, structure)
         slack = np.asarray(usual) if options.slack is None else options.slack
         given = solver, shared, own, budget, rest, slack
         if options.at_start is None:
-            return cls(*given)
+            return cls(*given, control=control)
         return cls(*given, *eqx.partition(options.at_start.solver, eqx.is_array), options.at_start.limit)
 
     @property
@@ -252,14 +263,19 @@ class RunRequest(eqx.Module):
         """The same with the other solver."""
         return RunRequest(self.stiff, self.shared, self.own, self.budget, self.stiff_rest, self.slack)
 
-    def job(self, plan: Plan, values, known, ts, start, values_are_legal) -> Job:
-        """The run as a job, from the traced numbers."""
+    def job(self, plan: Plan, values, known, ts, start, values_are_legal, is_differentiated: bool = False) -> Job:
+        """The run as a job, from the traced numbers; in array code where it is differentiated itself."""
         theta, start = plan.theta(values, known), plan.start(values, start)
-        return job_of(plan, self.rest, theta, ts, start, values_are_legal, self.limits(plan, theta), self.own)
+        limits, is_native = self.limits(plan, theta), not is_differentiated and in_machine_code(plan)
+        return job_of(plan, theta, ts, start, values_are_legal, limits, self.own, is_native)
 
     def limits(self, plan: Plan, theta) -> Limits:
         """Of the audit."""
-        rtol, _ = self.own if self.shared is None else self.shared
+        tolerances = self.own if self.shared is None else self.shared
+        if self.control is None:
+            rtol, _ = tolerances
+        else:
+            rtol = getattr(eqx.combine(tolerances, self.control), "rtol", None)
         return audit_limits(plan.structure.system(theta), rtol, self.rest)
 
     @property
@@ -269,11 +285,12 @@ class RunRequest(eqx.Module):
 
     def problem(self, plan: Plan, ts) -> LaneProblem:
         """What is integrated, without rows."""
-        return JobKind(plan.structure, plan.scalar, self.rest).problem(ts, self.of_all)
+        return JobKind(plan.structure, plan.scalar, self.rest, control=self.control).problem(ts, self.of_all)
 
     def made(self, plan: Plan, job: Job, ts, with_rows: bool) -> LaneOutcome:
         """What comes of the job."""
-        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows, moving=plan.unknown if with_rows else None)
+        moving = plan.unknown if with_rows else None
+        kind = JobKind(plan.structure, plan.scalar, self.rest, with_rows, moving=moving, control=self.control)
         job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
         found = runs(kind, job.numbers, job.y0, ts, job.may_run, job.status, self.of_all, block_for())
         return jax.tree.map(lambda leaf: leaf[0], found._replace(n_lane_steps=found.n_lane_steps[None]))
@@ -325,6 +342,32 @@ def advance_window(plan: Plan, request: RunRequest, ends, forms: Any, vectors, w
     ys, t_reached, y_reached, status = (each[0] for each in (made.ys, made.t_reached, made.y_reached, made.status))
     of_it = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
     return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(request.rest))), vectors, progress
+
+
+def differentiable_slopes(
+    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal
+) -> JobWithSlopes:
+    """As `slopes_as_job`, to be differentiated in forward mode: the loop over the run's steps, and no operation of JAX.
+
+    Of methods that are not explicit, by Ros34PW2.
+    """
+    solver = options.solver if is_explicit(options.solver) else Ros34PW2()
+    request = RunRequest.of(plan.structure, replace(options, solver=solver))
+
+    def job_of_values(values):
+        return request.job(plan, values, known, ts, start, values_are_legal, is_differentiated=True)
+
+    job, assembly = with_slopes(job_of_values, values, directions)
+    slack = min(1.0, slack_of(solver, plan.structure))
+    kind = JobKind(plan.structure, plan.scalar, request.rest, True, slack=slack, control=request.control, by_steps=True)
+    problem = kind.problem(ts, request.of_all)._replace(in_machine_code=False, program=None)
+    job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
+    made = run_in_lanes(problem, job.numbers, job.y0, ts, job.may_run, job.status, Block())
+    made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
+    slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)
+    made = made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0])
+    first = jax.tree.map(lambda leaf: leaf[0], job)
+    return JobWithSlopes(_outcome(request, first, made), slopes, assembly)
 
 
 @cached_jit(what="a run and its derivatives", many="runs and their derivatives in lanes", options=options_for)

@@ -13,8 +13,6 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -25,7 +23,6 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.sampling import due_samples, memory_after_samples, next_samples
 from spherejax.motion.integration.sensitivity_rows import rows_of
-from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 
 
 class SampledElements(NamedTuple):
@@ -131,24 +128,3 @@ class _SampleSlopes(NamedTuple):
             jumped = jax.jvp(self.sampled, primals, direction)[1] - behind * delays[i]
             slope = slope + jnp.where(own, jnp.where(is_due[i], jumped - y_dot, 0.0), (before - behind) * delays[i])
         return slope
-
-
-class SamplingSolver(AbstractForwardingSolver):
-    """A solver that takes the samples that are due at the end of each step.
-
-    Attributes:
-        solver: the solver that makes the steps.
-        samples: the system's.
-    """
-
-    solver: diffrax.AbstractSolver
-    samples: SampledElements = eqx.field(static=True)
-
-    def init(self, terms, t0, t1, y0, args):
-        """As the wrapped solver's."""
-        return self.solver.init(terms, t0, t1, y0, args)
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """A step of the wrapped solver, then the samples at its end."""
-        y1, error, dense_info, state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
-        return self.samples.update(args, t1, y1), error, dense_info, state, result

@@ -71,19 +71,6 @@ class Linearized(NamedTuple):
     slopes: Any
 
 
-class RowParameters(NamedTuple):
-    """What the right-hand side of the rows is given.
-
-    Attributes:
-        value, slopes: what that of the state is given, and its derivatives, as `Linearized`.
-        limits: of the audit.
-    """
-
-    value: Any
-    slopes: Any
-    limits: Any
-
-
 def linearized(function, values: Float[Array, " p"], directions: Float[Array, "k p"]) -> Linearized:
     """The value of a function of the traced numbers, and its derivatives."""
 

@@ -6,7 +6,6 @@ states within them by the method's own interpolation, as samples have them: betw
 
 from typing import Any
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -168,10 +167,10 @@ def _sampled(run: Any, sampled: Float[Array, " n"]) -> tuple[Float[Array, "n siz
     if unknown and not asked.by_name:
         choice = choose_solver(seen, asked.rtol, explicit_only=run.scalar is False and asked.scalar is None)
         solver, at_start = choice.solver, choice.at_start
-    tolerances = tolerances_of(run.system, solver, asked.rtol, asked.atol)
+    tolerances = tolerances_of(run.system, asked.rtol, asked.atol)
     controller = controller_for(structure, tolerances.rtol, tolerances.atol)
     solver = with_converging_root_finder(solver, asked.rtol)
-    options = Options(solver, controller, diffrax.ForwardMode(), asked.max_steps, None, at_start)
+    options = Options(solver, controller, asked.max_steps, None, at_start)
     values = rows_at(jnp.asarray(theta), unknown) if unknown else np.zeros(0)
     start, from_state = run.assembly, False
     if not is_concrete(start.y):

@@ -25,7 +25,6 @@ from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_la
 from spherejax.motion.integration.row_blocks import in_blocks
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.motion.start.tolerances import component_tolerances
 from spherejax.physics.state import unpack
 from spherejax.program_cache import cached_jit
@@ -142,17 +141,11 @@ def repeated_in_steps(
 
 
 def repeatable(asked: Asked | None) -> Asked:
-    """How the run was integrated, where that can be done in lanes; `SceneError` where it cannot be repeated so."""
+    """How the run was integrated; `SceneError` where it cannot be repeated so."""
     if asked is None:
         raise SceneError(
             "the steps of this run cannot be told: its tolerances were traced, or a step-size controller of its own "
             "judged them. Simulate it once more with rtol= as a number and without stepsize_controller="
-        )
-    solver: Any = asked.solver
-    if not can_step_in_lanes(solver):
-        raise SceneError(
-            f"the steps of {type(solver).__name__} cannot be told; those of explicit and of Rosenbrock methods can "
-            "(diffrax.Dopri8(), sj.Rodas5P()), and solver=None takes one of them"
         )
     return asked
 

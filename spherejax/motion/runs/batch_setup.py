@@ -14,6 +14,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, example_of, flatten_system, split
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.asked import Asked
+from spherejax.motion.integration.compiling import in_machine_code
 from spherejax.motion.integration.integrate import Plan, stages_of
 from spherejax.motion.integration.jobs import Job, JobKind, audit_limits, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneOutcome, LaneProblem
@@ -85,7 +86,7 @@ class PreparedRuns:
         structure, theta = flatten_system(system)
         _, unknown = split(system)
         self.plan = plan = Plan(structure, unknown, path_of(structure).scalar)
-        tolerances = tolerances_of(system, method.choice.solver, method.rtol, method.atol)
+        tolerances = tolerances_of(system, method.rtol, method.atol)
         self.explanation = f"{method.choice.reason}; {tolerances.description}; first step by trial (Hairer)"
         pair = (tolerances.rtol, tolerances.atol)
         own = pair if not all(is_concrete(each) for each in pair) else None
@@ -97,7 +98,7 @@ class PreparedRuns:
         assembly = None if start is None else start.assembly
         solver = method.choice.solver
         limits = audit_limits(system, pair[0], solver)
-        return job_of(plan, solver, jnp.asarray(theta), self.ts, assembly, legal, limits, own)
+        return job_of(plan, jnp.asarray(theta), self.ts, assembly, legal, limits, own, in_machine_code(plan))
 
     def problem(self) -> LaneProblem:
         """What every lane integrates."""

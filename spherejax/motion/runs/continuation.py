@@ -32,7 +32,7 @@ def continue_from(
     rtol: float | None = None,
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     derivative_rtol: float | None = None,
     max_steps: int | None = None,

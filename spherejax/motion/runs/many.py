@@ -23,7 +23,6 @@ from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.derivatives.refused import without_derivative
-from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.integration.audit import cautions
@@ -207,11 +206,6 @@ def with_sensitivities(
             raise SceneError(f"sensitivities by {name!r}: no such parameter; there are {known}")
         if np.ndim(parameters[name]) != 1:
             raise SceneError(f"sensitivities by {name!r}: it must be one number for each run")
-    if not has_controlled_sensitivities(method.choice.solver):
-        raise SceneError(
-            f"sensitivities in lanes need an explicit or a Rosenbrock method, and these runs have another one "
-            f"({method.choice.reason}); pass solver=diffrax.Dopri8() or solver=sj.Ros34PW2()"
-        )
     return method._replace(by=by, derivative_rtol=None if derivative_rtol is None else float(derivative_rtol))
 
 

@@ -79,10 +79,10 @@ class Pieces:
             if solver is None
             else choice_for(None, rtol, solver)
         )
-        tolerances = tolerances_of(system, self.choice.solver, rtol, None)
+        tolerances = tolerances_of(system, rtol, None)
         controller = controller_for(self.plan.structure, tolerances.rtol, tolerances.atol)
         method = with_converging_root_finder(self.choice.solver, rtol)
-        self._options = Options(method, controller, diffrax.ForwardMode(), max_steps, None)
+        self._options = Options(method, controller, max_steps, None)
 
     def system_with(self, values: Float[np.ndarray, " k"]) -> System:
         """The system with other numbers, checked.

@@ -1,4 +1,4 @@
-"""Simulate a scene: the adapter between the equations of motion and diffrax."""
+"""Simulate a scene: what is asked for is checked, what is left open is decided, and the run is made."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -25,8 +25,8 @@ from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivit
 from spherejax.motion.equations.contacts import abrupt_contacts, kinks_of
 from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions, parts_with_a_range
-from spherejax.motion.integration.integrate import Options, Outcome, Plan, integrate
-from spherejax.motion.integration.one_run import bound_run, can_be_a_job
+from spherejax.motion.integration.integrate import Options, Outcome, Plan
+from spherejax.motion.integration.one_run import bound_run
 from spherejax.motion.integration.status import (
     OutOfRangeWarning,
     SimulationError,
@@ -34,18 +34,20 @@ from spherejax.motion.integration.status import (
     Status,
     diagnosis,
 )
+from spherejax.motion.integration.through_diffrax import integrate_through_diffrax
 from spherejax.motion.integration.unseen import bound_in_words
 from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.stopping import When, conditions_of, stopped
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
+from spherejax.motion.runs.method_checks import check_methods
 from spherejax.motion.runs.scene_cache import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
-from spherejax.motion.start.tolerances import controller_for, tolerances_of
+from spherejax.motion.start.tolerances import controller_for, tolerances_in_all_units, tolerances_of
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
@@ -75,7 +77,7 @@ def simulate(
     rtol: float = 1e-8,
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     derivative_rtol: float | None = None,
     max_steps: int = 20_000_000,
@@ -97,23 +99,23 @@ def simulate(
             kind of entry has its own, by the scales of the scene, and positions are judged against the clearance; see
             `spherejax.motion.start.tolerances`. `run.stats.explanation` says what was used.
         solver: a diffrax solver; chosen by the scene when None (`run.choice` says which and why), where `jax.jit` hides
-            a bushing's numbers by each run when it starts; see `choose_solver`. An implicit method whose root finder is
-            diffrax's default gets one that converges on stiff mechanisms.
+            a bushing's numbers by each run when it starts; see `choose_solver`. All of diffrax's for one term do
+            (explicit, implicit, `HalfSolver`); diagonally implicit ones (`Kvaerno5`) solve their stages in the
+            structure of the mechanism, unless their `root_finder` is your own.
         stepsize_controller: a diffrax controller; `PIDController(rtol, atol)` when None. Contact onsets and releases
-            are landed on whichever controller judges the errors.
+            are landed on whichever controller judges the errors, with `diffrax.StepTo(ts)` as well, whose steps end at
+            the times that you give.
         adjoint: a diffrax adjoint. With None (or `diffrax.ForwardMode()`) derivatives are forward sensitivities by the
             traced numbers, which serve forward and reverse mode alike. They are integrated beside the motion, with
             their errors controlled at twice its tolerance (see `derivative_rtol`): through ten impacts they are good to
             1e-6 at an `rtol` of 1e-8, and to 1e-4 at 1e-6. A motion and its derivative by one number cost about four
-            plain runs. Explicit Runge-Kutta methods do so. Of Rosenbrock methods each step is differentiated beside the
-            motion, and repeated only where the derivatives' errors are a thousand times its tolerance: those of the
-            lubricated four-bar are right to 2e-4 at an `rtol` of 1e-8, to 1e-6 at 1e-10, for about eight values. With a
-            controller of your own they are integrated in a run of their own, of Rosenbrock methods by Ros34PW2, and it
-            judges the state and the sensitivities as rows of one array; a `PIDController` judges the worst row. A
-            sample that the sensitivities do not reach within `max_steps` has the derivative NaN. With any other method
-            each step of the run is differentiated, and nobody controls the error of the derivatives, which behind
-            impacts are good to about 1e-3. For the gradient of one number by hundreds of parameters see
-            `sj.sensitivity`.
+            plain runs. Of Rosenbrock methods each step is differentiated beside the motion, and repeated only where the
+            derivatives' errors are a thousand times its tolerance: those of the lubricated four-bar are right to 2e-4
+            at an `rtol` of 1e-8, to 1e-6 at 1e-10, for about eight values. A controller of your own judges the state
+            and the sensitivities as rows of one array; a `PIDController` judges the worst row. A sample that the
+            sensitivities do not reach within `max_steps` has the derivative NaN. With an adjoint of diffrax the loop is
+            diffrax's, which that adjoint differentiates: nobody controls the error of the derivatives. For the gradient
+            of one number by hundreds of parameters see `sj.sensitivity`.
         derivative_rtol: relative tolerance of derivatives in a step, each in units of its number; None for twice `rtol`
             with explicit methods, a thousand times with Rosenbrock methods. The motion keeps its own. More makes them
             cheaper and coarser, down to the motion's own steps with `inf`, where nobody judges them
@@ -140,8 +142,8 @@ def simulate(
             derivatives, by the implicit function. It costs two more runs, one to see the steps and one to sample the
             step in which the condition is met. A run that fails behind that instant has succeeded; `run.stats` counts
             up to the last sample time. A quantity that passes the level and comes back between two of the five instants
-            that are looked at in each step is not seen. Implicit methods of diffrax and a step-size controller of your
-            own have no steps that could be seen: they are refused.
+            that are looked at in each step is not seen. With a step-size controller of your own it is refused: such a
+            run cannot be repeated.
 
     Returns:
         The motion at the sample times.
@@ -242,8 +244,12 @@ def call_of(
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     path, unknown = prepared_scene.path, prepared_scene.unknown
     choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver)
+    # diffrax's forward mode has no reverse mode; the sensitivities serve both.
+    by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
+    check_methods(choice.solver, stepsize_controller, adjoint, ts)
     if stepsize_controller is None:
-        controller, said = control_of(prepared_scene, choice.solver, rtol, atol)
+        in_numbers = not by_sensitivities and isinstance(choice.solver, diffrax.AbstractImplicitSolver)
+        controller, said = control_of(prepared_scene, rtol, atol, in_numbers)
     else:
         controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
     start = prepared_scene.start(ts) if carried is None else None
@@ -253,9 +259,6 @@ def call_of(
     # A state that is traced is one of the traced numbers, so that there are derivatives by it.
     from_state = carried is not None and not is_concrete(carried.y)
     plan = Plan(prepared_scene.structure, unknown, path.scalar, from_state)
-    # diffrax's forward mode has no reverse mode; the sensitivities serve both.
-    by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
-    adjoint = diffrax.ForwardMode() if adjoint is None else adjoint
     if budget is not None and not by_sensitivities:
         raise SceneError(
             f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
@@ -264,13 +267,11 @@ def call_of(
     own_control = stepsize_controller is None
     at_start = choice.at_start if by_sensitivities and own_control else None
     slack = None if derivative_rtol is None else jnp.asarray(derivative_rtol / rtol, jnp.float64)
-    options = Options(
-        with_converging_root_finder(choice.solver, rtol), controller, adjoint, max_steps, budget, at_start, slack
-    )
-    if slack is not None and not (by_sensitivities and can_be_a_job(prepared_scene.structure, options)):
+    options = Options(with_converging_root_finder(choice.solver, rtol), controller, max_steps, budget, at_start, slack)
+    if slack is not None and not (by_sensitivities and own_control):
         raise SceneError(BESIDE_THE_MOTION)
     if own_control:
-        # On every road: `lanes/first_step.py` for lanes, `LandingController.init` for diffrax's loop.
+        # `lanes/first_step.py` for explicit methods, `LandingController.init` for all others.
         said = f"{said}; first step by trial (Hairer)"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*prepared_scene.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
@@ -288,7 +289,9 @@ def call_of(
         fixed = without_derivative(ts, f"{type(adjoint).__name__} gives no derivative by sample times. {BY_TIMES}")
         if kinks_of(prepared_scene.structure):
             values = without_derivative(values, through_kinks(plan, type(adjoint).__name__))
-        outcome_of = integrate.bound(plan, options, values, prepared_scene.known, fixed, *arguments[5:])
+        outcome_of = integrate_through_diffrax.bound(
+            plan, options, adjoint, values, prepared_scene.known, fixed, *arguments[5:]
+        )
     elif unknown or from_state or not is_concrete(ts):
         outcome_of = partial(integrate_with_sensitivities, *arguments, abrupt_contacts(prepared_scene.system()))
     else:
@@ -418,12 +421,18 @@ def traced_times(ts: Float[Array, " n"]) -> list:
     return [] if is_concrete(ts) else [jnp.all(jnp.isfinite(ts)), jnp.all(jnp.diff(ts) >= 0)]
 
 
-def control_of(found: PreparedScene, solver: diffrax.AbstractSolver, rtol, atol) -> tuple[Any, str]:
-    """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it."""
-    if atol is None and not isinstance(solver, diffrax.AbstractImplicitSolver):
+def control_of(found: PreparedScene, rtol, atol, in_numbers: bool = False) -> tuple[Any, str]:
+    """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it.
+
+    Args:
+        found: the scene.
+        rtol, atol: as of `simulate`.
+        in_numbers: whether tolerances must be numbers, the same for all entries of the state.
+    """
+    if atol is None and not in_numbers:
         tolerances, controller = found.tolerances(rtol)
     else:
-        tolerances = tolerances_of(found.system(), solver, rtol, atol)
+        tolerances = tolerances_in_all_units(rtol) if atol is None else tolerances_of(found.system(), rtol, atol)
         controller = controller_for(found.structure, tolerances.rtol, tolerances.atol)
     return controller, tolerances.description
 

@@ -242,9 +242,9 @@ class _Stepper(NamedTuple):
         # Method and tolerances are those of the scene, whatever the inputs are.
         scene = prepared_system(state.system, asked.scalar)
         choice = choice_for(None, asked.rtol, asked.solver) if asked.by_name else scene.choice(asked.rtol)
-        controller, _ = control_of(scene, choice.solver, asked.rtol, asked.atol)
+        controller, _ = control_of(scene, asked.rtol, asked.atol)
         solver = with_converging_root_finder(choice.solver, asked.rtol)
-        options = Options(solver, controller, diffrax.ForwardMode(), asked.max_steps, None, choice.at_start)
+        options = Options(solver, controller, asked.max_steps, None, choice.at_start)
         plan = Plan(structure, unknown, path_of(structure, asked.scalar).scalar)
         reads_time = depends_on_time(plan) or bool(example_of(structure).sampled_forces)
         shapes = tuple(entry.shape for entry in entries)

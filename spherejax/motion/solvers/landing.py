@@ -1,5 +1,4 @@
-"""Landing on contact onsets and releases: a step-size controller that ends a step on them, and a solver that updates
-the contact memory there. Both wrap any diffrax controller and solver; `diffrax.diffeqsolve` is used as it is.
+"""Landing on contact onsets and releases: a step-size controller, around any of diffrax, that ends a step on them.
 
 Within a step the contact's mode (flight or contact) is frozen: a trial step from flight feels no contact force even
 beyond the surface. So the motion is smooth up to the onset, which is found on the states inside the step
@@ -15,10 +14,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from spherejax.motion.solvers.crossing_search import FoundCrossings, first_event
-from spherejax.motion.solvers.wrapping import AbstractForwardingController, AbstractForwardingSolver
+from spherejax.motion.solvers.wrapping import AbstractForwardingController
 from spherejax.physics.joints.base import Crossing
 
 LANDING_WINDOW = 1e-9
@@ -190,32 +189,6 @@ class ErrorAndInside(NamedTuple):
 
     error: Any
     dense_info: Any
-
-
-class MemorySolver(AbstractForwardingSolver):
-    """A solver that updates the contact memory after each step and counts onsets.
-
-    Attributes:
-        solver: the solver that makes the steps.
-        contacts: the system's contacts.
-    """
-
-    solver: diffrax.AbstractSolver
-    contacts: ContactFunctions = eqx.field(static=True)
-
-    def init(self, terms, t0, t1, y0, args):
-        """The wrapped solver's state, and no onset yet."""
-        n_onsets = jnp.zeros(len(self.contacts.onset_entries), jnp.int64)
-        return self.solver.init(terms, t0, t1, y0, args), n_onsets
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """A step of the wrapped solver, then the events at its end."""
-        inner_state, n_onsets = solver_state
-        y1, error, dense_info, inner_state, result = self.solver.step(terms, t0, t1, y0, args, inner_state, made_jump)
-        y0 = state_at_start(self.contacts, args, t0, y0)
-        updated = self.contacts.update(args, t1, y0, y1)
-        began = ~self.contacts.is_touching(y0) & self.contacts.is_touching(updated)
-        return updated, ErrorAndInside(error, dense_info), dense_info, (inner_state, n_onsets + began), result
 
 
 class LandingState(NamedTuple):
@@ -446,8 +419,3 @@ def finite_size(size, span) -> Float[Array, ""]:
     Steps of the size NaN would follow each other without end; from here they shrink until they are none.
     """
     return jnp.where(jnp.isfinite(size), size, 1e-6 * span)
-
-
-def count_of(solver_state) -> Int[Array, " n_contacts"]:
-    """Number of onsets of each contact, from the final state of a `MemorySolver`."""
-    return solver_state[1]

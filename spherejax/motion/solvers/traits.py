@@ -15,14 +15,10 @@ def is_linearly_implicit(solver: Any) -> bool:
 
 def is_explicit(solver: Any) -> bool:
     """An explicit Runge-Kutta method with one tableau: states inside its steps follow from that."""
-    return isinstance(solver, diffrax.AbstractERK) and isinstance(solver.tableau, diffrax.ButcherTableau)
+    is_such = isinstance(solver, diffrax.AbstractERK)
+    return is_such and isinstance(getattr(solver, "tableau", None), diffrax.ButcherTableau)
 
 
 def n_stages_of_end(tableau: diffrax.ButcherTableau) -> int:
     """How many stages the end of an explicit step and its error need; those behind are for states inside it."""
     return 1 + max(int(np.flatnonzero(weights)[-1]) for weights in (tableau.b_sol, tableau.b_error))
-
-
-def can_step_in_lanes(solver: Any) -> bool:
-    """Whether our own loop can make its steps; others are made by diffrax."""
-    return is_explicit(solver) or is_linearly_implicit(solver)

@@ -1,11 +1,10 @@
 """A diffrax solver or step-size controller around another: what passes through unchanged."""
 
+import math
 from typing import Any
 
 import diffrax
 import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array
 
 
 class AbstractForwardingSolver(diffrax.AbstractWrappedSolver):
@@ -71,48 +70,15 @@ class AbstractForwardingController(diffrax.AbstractAdaptiveStepSizeController):
 
     @property
     def rtol(self):
-        """As the wrapped controller's."""
-        return self.controller.rtol
+        """As the wrapped controller's; any error where that judges none (`diffrax.StepTo`)."""
+        return getattr(self.controller, "rtol", math.inf)
 
     @property
     def atol(self):
-        """As the wrapped controller's."""
-        return self.controller.atol
+        """As the wrapped controller's; any error where that judges none."""
+        return getattr(self.controller, "atol", math.inf)
 
     @property
     def norm(self):
         """As the wrapped controller's."""
         return self.controller.norm
-
-
-class StepBudget(AbstractForwardingController):
-    """A step-size controller that ends the integration after a number of steps, which may be traced.
-
-    `max_steps` of diffrax is part of the program; this budget is a number, so one program serves all budgets.
-
-    Attributes:
-        controller: the controller that judges errors.
-        n_steps: largest number of steps tried.
-    """
-
-    controller: Any  # diffrax.AbstractAdaptiveStepSizeController
-    n_steps: Array
-
-    def wrap(self, direction):
-        """Wrap the wrapped controller."""
-        return StepBudget(self.controller.wrap(direction), self.n_steps)  # pyright: ignore[reportCallIssue]
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The wrapped controller's first step."""
-        first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return first, (inner, jnp.zeros((), jnp.int64))
-
-    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
-        """The wrapped controller's judgment, and the end when the budget is spent."""
-        inner, n_tried = controller_state
-        *judgment, inner, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
-        )
-        is_spent = (n_tried + 1 >= self.n_steps) & (result == diffrax.RESULTS.successful)
-        result = diffrax.RESULTS.where(is_spent, diffrax.RESULTS.max_steps_reached, result)
-        return *judgment, (inner, n_tried + 1), result

@@ -98,14 +98,16 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
     return Tolerances(found.relative, found.absolute, text)
 
 
-def tolerances_of(system: System, solver: diffrax.AbstractSolver, rtol, atol) -> Tolerances:
+def tolerances_of(system: System, rtol, atol) -> Tolerances:
     """Tolerances of each entry of the state, by the scales of the scene unless they are given."""
     if atol is not None:
         return Tolerances(rtol, atol, "tolerances as asked for")
-    if isinstance(solver, diffrax.AbstractImplicitSolver):
-        # Their root finders take their tolerances from the controller, as numbers.
-        return Tolerances(rtol, 1e-2 * rtol, "atol 1e-2 rtol in all units")
     return component_tolerances(system, rtol)
+
+
+def tolerances_in_all_units(rtol) -> Tolerances:
+    """The same for all entries: root finders of diffrax take their tolerances from the controller, as numbers."""
+    return Tolerances(rtol, 1e-2 * rtol, "atol 1e-2 rtol in all units")
 
 
 class _Numbers(NamedTuple):

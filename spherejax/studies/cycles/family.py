@@ -23,7 +23,6 @@ from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.integration.spans import Jobs, SpanKind, over_spans
 from spherejax.motion.runs.simulate import check_tolerances, choice_for, tolerances_of
 from spherejax.motion.runs.traced_functions import built, known_build
-from spherejax.motion.solvers.traits import can_step_in_lanes
 from spherejax.program_cache import cached_jit
 from spherejax.studies.linear.tangent import Geometry, held, held_along, masses, size_of
 
@@ -71,13 +70,8 @@ class Family:
         self.layout = self.example.layout
         self.choice = choice_for(self.example, rtol, solver)
         method: Any = self.choice.solver
-        if not can_step_in_lanes(method):
-            raise SceneError(
-                f"{type(method).__name__} cannot integrate cycles; explicit and Rosenbrock methods can "
-                "(diffrax.Dopri8(), sj.Ros34PW2()), and solver=None takes one of them"
-            )
         self.rtol, self.max_steps = float(rtol), int(max_steps)
-        self.tolerances = tolerances_of(self.example, method, self.rtol, None)
+        self.tolerances = tolerances_of(self.example, self.rtol, None)
         self.scalar = path_of(self.structure).scalar
         self.asked = Asked(method, self.rtol, None, self.max_steps)
 

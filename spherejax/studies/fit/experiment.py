@@ -308,10 +308,10 @@ def experiment_of(
     moved = moved if plan.unknown else ()
     if track_work:
         example = compile_scene(built(build, start), track_work=True).system
-    tolerances = tolerances_of(example, choice.solver, integration.rtol, integration.atol)
+    tolerances = tolerances_of(example, integration.rtol, integration.atol)
     controller = controller_for(plan.structure, tolerances.rtol, tolerances.atol)
     solver = with_converging_root_finder(choice.solver, integration.rtol)
-    options = Options(solver, controller, diffrax.ForwardMode(), integration.max_steps)
+    options = Options(solver, controller, integration.max_steps)
     setting = Setting(options, jnp.asarray(reach.known), jnp.asarray(times), reach.start)
     data = np.concatenate([value.reshape(measured.ts.size, -1) for value in measured.values.values()], 1)
     frame = Frame(plan, tuple(observables.values()), choice.reason, unknowns.size, moved, sensing)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system, split
-from spherejax.motion.derivatives.sensitivities import has_controlled_sensitivities, integrate_along
+from spherejax.motion.derivatives.sensitivities import integrate_along
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
@@ -110,10 +110,10 @@ def prepare(flat: FlatBuild, numbers, times, method: RunMethod) -> PreparedStudy
     choice = choice_at(flat, numbers, method)
     system = system_at(flat, numbers, method.track_work)
     any_jump(system)
-    limits = tolerances_of(system, choice.solver, method.rtol, method.atol)
+    limits = tolerances_of(system, method.rtol, method.atol)
     controller = controller_for(flatten_system(system)[0], limits.rtol, limits.atol)
     solver = with_converging_root_finder(choice.solver, method.rtol)
-    options = Options(solver, controller, diffrax.ForwardMode(), method.max_steps)
+    options = Options(solver, controller, method.max_steps)
     found = []
 
     def traced(numbers):
@@ -168,11 +168,7 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
     run = observable_run(prepared, prepared.plan.theta(values, prepared.known), found.ys)
     stats = replace(run.stats, n_steps=found.n_steps)
     run = replace(run, stats=stats, ended=found.status, t_reached=found.t_reached)
-    errors = (
-        "the errors of the derivatives are controlled"
-        if has_controlled_sensitivities(prepared.options.solver)
-        else "the steps are differentiated, nobody controls the errors of the derivatives"
-    )
+    errors = "the errors of the derivatives are controlled"
     return RunWithSlopes(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
 
 

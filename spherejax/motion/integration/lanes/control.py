@@ -12,7 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.status import status_of
-from spherejax.motion.solvers.landing import ErrorAndInside, LandingController, state_at_start
+from spherejax.motion.integration.step_end import StepEnd
+from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
 
 
 class Judgment(NamedTuple):
@@ -93,17 +94,10 @@ class Repeating:
         return in_lanes(self._judge)(step, state, was_jump)
 
     def _judge(self, step: BlockSteps, state, was_jump) -> Judgment:
-        contacts, y = self.problem.contacts, step.y1
-        began, error = jnp.zeros(0, bool), step.error
-        if self.problem.correct is not None:
-            y = self.problem.correct(step.parameters, step.t1, y)
-        if contacts is not None:
-            y0 = state_at_start(contacts, step.parameters, step.t0, step.y0)
-            y = contacts.update(step.parameters, step.t1, y0, y)
-            began = ~contacts.is_touching(y0) & contacts.is_touching(y)
-            error = ErrorAndInside(error, step.dense_info)
-        if self.problem.samples is not None:
-            y = self.problem.samples.update(step.parameters, step.t1, y)
+        problem = self.problem
+        end = StepEnd(problem.correct, problem.contacts, problem.samples)
+        y, began = end.changed(step.parameters, step.t0, step.y0, step.t1, step.y1)
+        error = step.error if problem.contacts is None else ErrorAndInside(step.error, step.dense_info)
         keep, t, t_next, made_jump, state, verdict = self._controller(step.parameters).adapt_step_size(
             step.t0, step.t1, step.y0, y, step.parameters, error, self.order, state
         )

@@ -99,14 +99,12 @@ class Queue:
         self.steps = steps_of(problem.solver, problem.rate, ts.shape[0] > 2, problem.program, problem.moving)
         self.term = diffrax.ODETerm(problem.rate)
         self.order = problem.solver.error_order(self.term)
-        self.control = (
-            Landing(problem, self.order, self.steps)
-            if isinstance(self.steps, ExplicitStages)
-            else Repeating(problem, self.order)
-        )
+        if isinstance(self.steps, ExplicitStages) and problem.lands_inside:
+            self.control, can_look = Landing(problem, self.order, self.steps), self.steps.can_look
+        else:
+            self.control, can_look = Repeating(problem, self.order), False
         # Where all runs begin together, and go on, the first turns look at their starts.
-        is_explicit = isinstance(self.steps, ExplicitStages) and self.steps.can_look
-        self.looks = is_explicit and not self.refills and ts.shape[0] > 1
+        self.looks = can_look and not self.refills and ts.shape[0] > 1
         # A sample time interrupts one run now and then: its samples are written between two loops (dry runs and
         # bushings take 7 % less, stiff ones 11; sampled in every second step up to 5 % more). Many lanes pass one in
         # most turns.
@@ -176,12 +174,18 @@ class Queue:
         A look leaves them as they were.
         """
         problem = self.problem
-        error = jnp.where(jnp.isnan(trial.error), jnp.inf, trial.error)
-        ends = lane.y, trial.y, error
+        # A method that estimates none has a controller that asks for none.
+        error = jnp.zeros_like(trial.y) if trial.error is None else trial.error
+        error = jnp.where(jnp.isnan(error), jnp.inf, error)
+        # Where this loop is differentiated itself (second derivatives), its steps are held fixed: how long they are has
+        # derivatives without meaning.
+        fixed = jax.lax.stop_gradient
+        ends = lane.y, trial.y, fixed(error)
         step = BlockSteps(lane.t, lane.t_next, *ends, trial.dense_info, lane.parameters, trial.stray, lane.t_end)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )
+        t, t_next, state = fixed((t, t_next, state))
         told = in_lanes(told_by)(keep, trial.result, verdict)
         # Idle lanes and runs that may not be made go through the motions, and count nothing.
         is_running = is_busy(lane, self.n_jobs) & ~is_look
@@ -198,7 +202,7 @@ class Queue:
         watch = lane.watch
         if problem.audit is not None:
             y = jnp.where(is_running, y, lane.y)  # after a look, the start
-            begun, seen = in_lanes(problem.audit.update_checks)(lane.parameters, watch, t, y)
+            begun, seen = in_lanes(problem.audit.update_checks)(fixed(lane.parameters), watch, t, fixed(y))
             watch = jax.tree.map(kept, seen, watch)
             if self.looks:  # which leave the state at the start
                 begins = is_look & is_busy(lane, self.n_jobs)

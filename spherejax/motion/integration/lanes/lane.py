@@ -54,6 +54,8 @@ class LaneProblem(NamedTuple):
         program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
         moving: entries of theta that the sensitivities are by; None for all.
         unseen: looks between the stages for pulses of functions of time, or None.
+        lands_inside: whether steps of explicit methods may end on events inside them, in a time of their own; not with
+            a controller of a user's, and not where derivatives are taken of the steps.
     """
 
     solver: diffrax.AbstractSolver
@@ -73,6 +75,7 @@ class LaneProblem(NamedTuple):
     program: Any = None
     moving: tuple[int, ...] | None = None
     unseen: Unseen | None = None
+    lands_inside: bool = True
 
 
 class StepLog(NamedTuple):

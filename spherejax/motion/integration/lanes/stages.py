@@ -28,7 +28,7 @@ class TrialStep(NamedTuple):
 
     Attributes:
         y: state at its end.
-        error: estimate of its error.
+        error: estimate of its error; None of a method that makes none.
         dense_info: what the solver's interpolation is made from.
         solver_state: the solver's state at its end.
         result: whether the solver could make it, as `diffrax.RESULTS`; None where it always can.
@@ -36,7 +36,7 @@ class TrialStep(NamedTuple):
     """
 
     y: Array
-    error: Array
+    error: Array | None
     dense_info: dict[str, Any]
     solver_state: Any
     result: Any
