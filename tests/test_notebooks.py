@@ -24,6 +24,7 @@ TOPICS = (
     "dry_contact",
     "equations",
     "four_joints",
+    "from_a_csv_to_a_joint_model",
     "hard_cases",
     "identification",
     "lubrication",
