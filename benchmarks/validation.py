@@ -16,9 +16,16 @@ matplotlib.use("Agg")
 
 from machine import write
 from matplotlib.figure import Figure
-from measured import double, emps, furuta, pendulum
+from measured import double, driven, emps, furuta, papers, pendulum
 
-CASES = {"furuta": furuta.study, "emps": emps.study, "pendulum": pendulum.study, "double": double.study}
+CASES = {
+    "furuta": furuta.study,
+    "emps": emps.study,
+    "pendulum": pendulum.study,
+    "double": double.study,
+    "driven": driven.study,
+    "papers": papers.study,
+}
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
 
 

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
-from measured import emps, furuta, pendulum
-from measured.comparing import predicted
+from measured import driven, emps, furuta, pendulum
+from measured.comparing import least_squares_by_differences, predicted
 from measured.records import Record, read, state_at
 
 import spherejax as sj
@@ -99,3 +99,54 @@ def test_the_drive_follows_its_reference_and_shows_its_friction():
     assert abs(voltage * emps.FORCE / force - 1) < 1e-6
     lag = (voltage / emps.SPEED_GAIN + 0.1) / emps.POSITION_GAIN
     assert abs(position - (0.1 * 0.8 - 0.005 - lag)) < 1e-8
+
+
+def test_a_table_of_friction_against_speed_is_felt_in_the_drive():
+    """Beside the dry friction, the table's value at the speed, in both directions."""
+    for direction in (1.0, -1.0):
+        reference = np.array([0.0, 0.1, 1.0]), direction * np.array([0.0, 0.083, 0.083]), 0.0
+        table = np.array([5.0, 10.0, 18.0, 27.0])
+        scene = emps.drive(reference, 0.0, 0.0, mass=95.0, coulomb=20.0, by_speed=table)
+        _, voltage = predicted(scene, np.array([0.0, 0.8]), emps.FUNCTIONS, rtol=1e-8)[1]
+        assert abs(voltage * emps.FORCE / (20.0 + 18.0) - direction) < 1e-6
+
+
+def test_the_driven_double_pendulum_is_that_of_its_three_equations():
+    """Lagrange's equations of both links and of the elbow's rotor behind its gear, the shoulder's by its ratio."""
+    numbers = driven.PUBLISHED
+    first, second, rotor = (numbers[name] for name in ("first_inertia", "second_inertia", "rotor"))
+    (upper, lower), (_, center), small = driven.MASSES, driven.CENTERS, driven.ROTOR_MASS
+    coupling, weight = lower * 0.3 * center, 9.81 * lower * center
+
+    def rates(t, state):
+        _, elbow, turn, first_rate, elbow_rate, turn_rate = state
+        s, c = np.sin(elbow), np.cos(elbow)
+        whole = first + second + (lower + small) * 0.3**2 + 2 * coupling * c + 37 * rotor
+        masses = [[whole, second + coupling * c, rotor], [second + coupling * c, second, 0.0], [rotor, 0.0, rotor]]
+        quick = [-coupling * s * (2 * first_rate + elbow_rate) * elbow_rate, coupling * s * first_rate**2, 0.0]
+        below = weight * np.sin(state[0] + elbow)
+        teeth = driven.TEETH * (elbow + turn / 6) + driven.TEETH_DAMPING * (elbow_rate + turn_rate / 6)
+        pull = [9.81 * (upper + lower + small) * 0.3 * np.sin(state[0]) + below, below + teeth, teeth / 6]
+        speeds = np.array([first_rate, elbow_rate, 0.0])
+        friction = np.array([0.093, 0.078, 0.0]) * np.tanh(speeds / driven.RATE) + 0.001 * speeds
+        return [first_rate, elbow_rate, turn_rate, *np.linalg.solve(masses, -np.array(pull) - friction - quick)]
+
+    times = np.arange(0.0, 0.8, 0.02)
+    angles = predicted(driven.driven((1.4, 1.5), (0.0, 0.5), **numbers), times, driven.FUNCTIONS, rtol=1e-7)
+    start = [1.4, 1.5, -6 * 1.5, 0.0, 0.5, -6 * 0.5]
+    reference = solve_ivp(rates, (0, 0.8), start, "LSODA", times, rtol=1e-9, atol=1e-10)
+    assert np.max(np.abs(angles - reference.y[:2].T)) < 2e-5
+
+
+def test_least_squares_by_differences_counts_its_runs_and_finds_the_friction():
+    times = np.arange(0.0, 2.0, 0.01)
+
+    def build(viscous):
+        return pendulum.single(1.6, 0.3, viscous=viscous)
+
+    functions = {"angle": pendulum.arm_angle}
+    values = predicted(build(2e-4), times, functions)
+    search = least_squares_by_differences(build, {"viscous": 1e-4}, times, values, functions, diff_step=1e-4)
+    assert abs(search.numbers["viscous"] / 2e-4 - 1) < 1e-3
+    assert search.cost < 1e-6
+    assert search.runs > 5

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
 
 import spherejax as sj
 
@@ -45,6 +45,36 @@ class Search(NamedTuple):
     seconds: float
 
 
+class CountedErrors:
+    """Errors of a model as a function of the logarithms of its positive parameters, without derivatives.
+
+    Attributes:
+        runs: how often it was asked.
+    """
+
+    def __init__(self, build: Callable[..., sj.Scene], names: Sequence[str], ts, values, functions: Functions, rtol):
+        self.names, self.runs = list(names), 0
+
+        @jax.jit
+        def errors(logarithms):
+            scene = build(**dict(zip(self.names, jnp.exp(logarithms), strict=True)))
+            run = sj.simulate(scene, jnp.asarray(ts), rtol=rtol)
+            return (jnp.stack([function(run) for function in functions.values()], 1) - values).ravel()
+
+        self._errors = errors
+
+    def __call__(self, logarithms) -> np.ndarray:
+        """Of all samples."""
+        self.runs += 1
+        return np.asarray(self._errors(jnp.asarray(logarithms)))
+
+    def search(self, logarithms, began: float) -> Search:
+        """How a method went that ended here."""
+        cost, runs = float(np.sum(self(logarithms) ** 2)), self.runs - 1
+        numbers = dict(zip(self.names, map(float, np.exp(logarithms)), strict=True))
+        return Search(numbers, cost, runs, time.process_time() - began)
+
+
 def nelder_mead(
     build: Callable[..., sj.Scene],
     start: Mapping[str, float],
@@ -54,31 +84,35 @@ def nelder_mead(
     rtol: float = 1e-8,
 ) -> Search:
     """SciPy's Nelder-Mead on the logarithms of positive parameters, with SciPy's tolerances."""
-    began, names, runs = time.process_time(), list(start), 0
-
-    @jax.jit
-    def sum_of_squares(logarithms):
-        scene = build(**dict(zip(names, jnp.exp(logarithms), strict=True)))
-        run = sj.simulate(scene, jnp.asarray(ts), rtol=rtol)
-        return jnp.sum((jnp.stack([function(run) for function in functions.values()], 1) - values) ** 2)
-
-    def cost(logarithms):
-        nonlocal runs
-        runs += 1
-        return float(sum_of_squares(jnp.asarray(logarithms)))
-
-    ended: Any = minimize(cost, np.log(list(start.values())), method="Nelder-Mead")
-    numbers = dict(zip(names, map(float, np.exp(ended.x)), strict=True))
-    return Search(numbers, float(ended.fun), runs, time.process_time() - began)
-
-
-def fitted(build: Callable[..., sj.Scene], start: Mapping[str, Any], measured: Any, **options) -> tuple[sj.Fit, Search]:
-    """`sj.fit` on the whole record, and how it went."""
     began = time.process_time()
-    fit = sj.fit(build, start, measured, horizon=sj.Whole(), progress=False, **options)
+    errors = CountedErrors(build, [*start], ts, values, functions, rtol)
+    ended: Any = minimize(lambda u: float(np.sum(errors(u) ** 2)), np.log(list(start.values())), method="Nelder-Mead")
+    return errors.search(ended.x, began)
+
+
+def least_squares_by_differences(
+    build: Callable[..., sj.Scene],
+    start: Mapping[str, float],
+    ts: np.ndarray,
+    values: np.ndarray,
+    functions: Functions,
+    rtol: float = 1e-8,
+    diff_step: float | None = None,
+) -> Search:
+    """SciPy's `least_squares` with derivatives by differences, as `nelder_mead`; `diff_step` is SciPy's."""
+    began = time.process_time()
+    errors = CountedErrors(build, [*start], ts, values, functions, rtol)
+    ended = least_squares(errors, np.log(list(start.values())), diff_step=diff_step)
+    return errors.search(ended.x, began)
+
+
+def fitted(build: Any, start: Mapping[str, Any], measured: Any, **options) -> tuple[sj.Fit, Search]:
+    """`sj.fit`, on the whole record unless a `horizon` says otherwise, and how it went."""
+    began = time.process_time()
+    fit = sj.fit(build, start, measured, progress=False, **{"horizon": sj.Whole(), **options})
     squares = [np.nansum((table * noise) ** 2) for table, noise in zip(fit.tables, fit.problem.noise, strict=True)]
     runs = sum(course.n_iterations for course in fit.courses) * len(fit.problem.experiments)
-    numbers = {name: float(value) for name, value in fit.estimates.items()}
+    numbers = {name: float(value) for name, value in fit.estimates.items() if np.ndim(value) == 0}
     return fit, Search(numbers, float(sum(squares)), runs, time.process_time() - began)
 
 

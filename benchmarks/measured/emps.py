@@ -10,7 +10,9 @@ in continuous time, or held for a millisecond from each sample on.
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib import pyplot as plt
 
@@ -24,6 +26,9 @@ FORCE, POSITION_GAIN, SPEED_GAIN = 35.15065, 160.18, 243.45
 PUBLISHED = {"mass": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
 SPEED = 1e-4
 """Sliding speed at which three quarters of the dry friction act [m/s]."""
+
+SPEEDS = (0.02, 0.0415, 0.083, 0.125)
+"""Where a table of friction has its points [m/s]: the last three are the speeds at which the carriage is driven."""
 
 AXIS = (1.0, 0.0, 0.0)
 
@@ -85,7 +90,9 @@ def loop(travel, wanted, gain, period, first_sample, of_rate=False):
     return sj.SampledPID(travel, period, wanted, proportional=gain, of_rate=of_rate, first_sample=first_sample)
 
 
-def drive(reference, start, rate, *, mass, viscous, coulomb, offset, period=None, first_sample=0.0):
+def drive(
+    reference, start, rate, *, mass, viscous=0.0, coulomb, offset=0.0, period=None, first_sample=0.0, by_speed=None,
+):  # fmt: skip
     """The carriage between its two loops.
 
     Args:
@@ -94,6 +101,7 @@ def drive(reference, start, rate, *, mass, viscous, coulomb, offset, period=None
         mass, viscous, coulomb, offset: [kg, N s/m, N, N].
         period: of the digital loops [s]; None for loops in continuous time.
         first_sample: of the digital loops [s].
+        by_speed: friction beside the dry one at `SPEEDS` [N], the same in both directions.
     """
     knots, speeds, begin = reference
     travel = sj.Travel(("ground", "carriage"), AXIS)
@@ -106,13 +114,18 @@ def drive(reference, start, rate, *, mass, viscous, coulomb, offset, period=None
         "resistance": sj.PID(travel, 0.0, proportional=viscous, offset=-offset, of_rate=True),
     }
     # The gain of a controlled rate of 0 is a viscous resistance.
-    rails = {"rail": sj.Prismatic(("ground", "carriage"), (0.0, 0.0, 0.0), AXIS, rail_with(coulomb))}
+    ends = "ground", "carriage"
+    if by_speed is not None:
+        table = sj.SmoothTable([-x for x in reversed(SPEEDS)] + [0.0, *SPEEDS], _odd(jnp.asarray(by_speed)))
+        forces["friction_by_speed"] = sj.SpringDamper(ends, damper=table, direction=AXIS)
+    law = sj.Threlfall(mu=1.0, v1=SPEED)
+    model = sj.Ideal(friction=law, pressure=sj.PreloadAlone(), preload_force=coulomb)
+    rails = {"rail": sj.Prismatic(ends, (0.0, 0.0, 0.0), AXIS, model)}
     return sj.Scene({"carriage": carriage}, rails, forces, gravity=(0.0, 0.0, 0.0))
 
 
-def rail_with(coulomb):
-    """A rail with constant dry friction [N]."""
-    return sj.Ideal(friction=sj.Threlfall(mu=1.0, v1=SPEED), pressure=sj.PreloadAlone(), preload_force=coulomb)
+def _odd(values):
+    return jnp.concatenate([-values[::-1], jnp.zeros(1), values])
 
 
 def position(run):
@@ -137,7 +150,15 @@ PERIOD = 1e-3
 """Of the loops, as the record is sampled [s]."""
 
 EVERY = 10
-START = {"mass": 80.0, "viscous": 150.0, "coulomb": 15.0, "offset": sj.Parameter(-1.0, scale=1.0)}
+BODY = {"mass": 80.0, "coulomb": 15.0}
+OFFSET = {"offset": sj.Parameter(-1.0, scale=1.0)}
+TABLE = {"by_speed": sj.Parameter([4.0, 8.0, 16.0, 24.0], scale=5.0, positive=False)}
+FOUR = "Coulomb, viscous"
+MODELS: dict[str, dict[str, Any]] = {
+    FOUR: {**BODY, "viscous": 150.0, **OFFSET},
+    "table by speed": {**BODY, **OFFSET, **TABLE},
+}
+"""What is fitted with each friction, and where the fit begins."""
 
 
 def half_of(record: Record, number: int) -> Record:
@@ -151,40 +172,79 @@ def build_for(record: Record, reference, number: int, period):
     values, rates = state_at(record, begin, 0.012)
     start, rate = float(values[0]), float(rates[0])
 
-    def build(mass, viscous, coulomb, offset):
-        friction = {"viscous": viscous, "coulomb": coulomb, "offset": offset}
-        return drive(reference, start, rate, mass=mass, **friction, period=period, first_sample=begin)
+    def build(**numbers):
+        return drive(reference, start, rate, **numbers, period=period, first_sample=begin)
 
     return build
 
 
 def study(folder: Path) -> Iterator[Part]:
-    """Four numbers from each half of the record, and the other half predicted by them and by the published ones."""
+    """The other half of the record as each half predicts it, by several friction laws, and by the published numbers."""
     record = read(folder, "emps_estimation.csv")
     *reference, _ = reference_of(record.times, record.values[:, 1])
     halves = [half_of(record, number) for number in (0, 1)]
     measured = [half.values[:, [0, 2]] for half in halves]
-    continuous = [build_for(record, tuple(reference), number, None) for number in (0, 1)]
-    builds = [build_for(record, tuple(reference), number, PERIOD) for number in (0, 1)]
-    numbers, predictions, shown = [], [], {}
-    for number, name in enumerate(("first half", "second half")):
-        for kind, those in (("published, continuous loops", continuous), ("published, digital loops", builds)):
-            run = predicted(those[number](**PUBLISHED), halves[number].times, FUNCTIONS, rtol=1e-6)
-            predictions.append(_row(kind, "the whole", name, run - measured[number], measured[number]))
-            shown[kind, number] = run
-    for number, other, name, other_name in ((0, 1, "first half", "second half"), (1, 0, "second half", "first half")):
-        times = halves[number].times
-        values = dict(zip(FUNCTIONS, measured[number].T, strict=True))
-        experiment = sj.Measured(times, values, functions=FUNCTIONS, noise=NOISE, t0=times[0])
-        fit, search = fitted(builds[number], START, experiment, rtol=1e-6)
-        numbers += number_rows(f"{name}, {search.runs} runs", fit, UNITS, PUBLISHED)
-        for place, where in ((number, name), (other, other_name)):
-            run = predicted(builds[place](**fit.estimates), halves[place].times, FUNCTIONS, rtol=1e-6)
-            predictions.append(_row("own, digital loops", name, where, run - measured[place], measured[place]))
-            shown[name, place] = run
-    yield "numbers", numbers
-    yield "predictions", predictions
-    yield "figure", _figure(halves[1], measured[1], shown)
+    predictions, errors = [], {}
+    for kind, period in (("published, continuous loops", None), ("published, digital loops", PERIOD)):
+        for number, name in enumerate(HALVES):
+            build = build_for(record, tuple(reference), number, period)
+            run = predicted(build(**PUBLISHED), halves[number].times, FUNCTIONS, rtol=1e-6)
+            errors[kind, number] = run - measured[number]
+            predictions.append(_row(kind, "the whole", name, errors[kind, number], measured[number]))
+    experiments = [
+        sj.Measured(
+            half.times,
+            dict(zip(FUNCTIONS, values.T, strict=True)),
+            functions=FUNCTIONS,
+            build=build_for(record, tuple(reference), number, PERIOD),
+            t0=half.times[0],
+            name=HALVES[number],
+        )
+        for number, (half, values) in enumerate(zip(halves, measured, strict=True))
+    ]
+    numbers, laws = [], []
+    for model, start in MODELS.items():
+        for number, other in ((0, 1), (1, 0)):
+            fit, search = fitted(
+                experiments[number].build,
+                start,
+                experiments[number],
+                validate=experiments[other],
+                noise=NOISE,
+                rtol=1e-6,
+            )
+            validation = fit.validation
+            assert validation is not None
+            seen = fit.tables[0] * np.array([*NOISE.values()])
+            errors[model, other] = np.stack([*validation.differences[HALVES[other]].values()], 1)
+            for place, these in ((number, seen), (other, errors[model, other])):
+                predictions.append(_row(f"own, {model}", HALVES[number], HALVES[place], these, measured[place]))
+            if model == FOUR:
+                numbers += number_rows(f"{HALVES[number]}, {search.runs} runs", fit, UNITS, PUBLISHED)
+            laws.append(_law_row(model, HALVES[number], start, fit, search))
+        # Written after each model, for they take minutes.
+        yield "numbers", numbers
+        yield "predictions", predictions
+        yield "friction", laws
+        if model == FOUR:
+            yield "figure", _figure(halves[1], measured[1], errors)
+
+
+HALVES = ("first half", "second half")
+
+
+def _law_row(model, half, start, fit, search) -> dict[str, object]:
+    texts = []
+    for name in start:
+        values = np.atleast_1d(np.asarray(fit.estimates[name]))
+        texts.append(f"{name} {' '.join(f'{value:.4g}' for value in values)}")
+    return {
+        "model": model,
+        "fitted_to": half,
+        "estimates": "; ".join(texts),
+        "runs": search.runs,
+        "processor_seconds": f"{search.seconds:.1f}",
+    }
 
 
 def _row(model, fitted_to, predicted_part, errors, values) -> dict[str, object]:
@@ -201,24 +261,25 @@ def _row(model, fitted_to, predicted_part, errors, values) -> dict[str, object]:
     }
 
 
-def _figure(half, values, shown):
+def _figure(half, values, errors):
     """The second half as the first predicts it: voltage of one repetition, and errors."""
     figure, (voltages, ahead, wrong) = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
-    own, times = shown["first half", 1], half.times
+    times = half.times
     inside = (times > 12.5) & (times < 18.7)
+    own = values + errors[FOUR, 1]
     voltages.plot(times[inside], values[inside, 1], color=GRAY, linewidth=1.5, label="record")
     voltages.plot(
         times[inside], own[inside, 1], color=BLUE, linewidth=0.8, label="predicted by a fit to the first half"
     )
     voltages.set_title("motor voltage [V]", loc="left")
     voltages.legend(loc="lower right", ncols=2, fontsize=8, bbox_to_anchor=(1.0, 1.0))
-    for name, run, color in (
-        ("published numbers, continuous loops", shown["published, continuous loops", 1], ORANGE),
-        ("own numbers of the first half, digital loops", own, BLUE),
+    for name, kind, color in (
+        ("published numbers, continuous loops", "published, continuous loops", ORANGE),
+        ("own numbers of the first half, digital loops", FOUR, BLUE),
     ):
-        errors = (run - values)[inside]
-        ahead.plot(times[inside], errors[:, 1], color=color, linewidth=0.7, label=name)
-        wrong.plot(times[inside], 1e6 * errors[:, 0], color=color, linewidth=0.7, label=name)
+        these = errors[kind, 1][inside]
+        ahead.plot(times[inside], these[:, 1], color=color, linewidth=0.7, label=name)
+        wrong.plot(times[inside], 1e6 * these[:, 0], color=color, linewidth=0.7, label=name)
     ahead.set_title("error of the voltage [V]", loc="left")
     ahead.legend(loc="lower right", ncols=2, fontsize=8, bbox_to_anchor=(1.0, 1.0))
     wrong.set_title("error of the position [um]", loc="left")

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import spherejax as sj
+from measured.arms import bearing
 from measured.comparing import (
     BLUE,
     GRAY,
@@ -26,6 +27,7 @@ from measured.comparing import (
     Search,
     effort_row,
     fitted,
+    least_squares_by_differences,
     nelder_mead,
     number_rows,
     predicted,
@@ -62,13 +64,6 @@ NOISE = {"arm": 0.030, "pendulum": 0.0197}
 """Scatter of both angles about smooth curves [rad]: polynomials of degree 4 through 9 samples."""
 
 
-def joint(moment, friction=None, rate=RATE):
-    """A hinge with a constant dry moment [N m], and a part that follows its reaction by a coefficient."""
-    law = sj.Threlfall(mu=1.0 if friction is None else friction, v1=RADIUS * rate)
-    pressure = sj.PreloadAlone() if friction is None else sj.CosinePressure()
-    return sj.Ideal(friction=law, radius=RADIUS, pressure=pressure, preload=moment)
-
-
 def furuta(
     arm_moment,
     pendulum_moment,
@@ -80,9 +75,14 @@ def furuta(
     pendulum_inertia=PENDULUM_INERTIA,
     arm_start=0.0,
     pendulum_start=np.pi / 6,
+    breakaway=None,
     rate=RATE,
 ):
     """The mechanism, released from rest at two angles [rad]."""
+    hinges = [
+        bearing(moment, mu, breakaway, radius=RADIUS, rate=rate)
+        for moment, mu in ((arm_moment, None), (pendulum_moment, friction))
+    ]
     c, s = jnp.cos(arm_start), jnp.sin(arm_start)
     along, up = jnp.stack([c, 0.0 * c, -s]), jnp.array([0.0, 1.0, 0.0])
     across = jnp.stack([s, 0.0 * c, c])
@@ -105,8 +105,8 @@ def furuta(
         ),
     }
     joints = {
-        "arm_joint": sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), joint(arm_moment, rate=rate)),
-        "pendulum_joint": sj.Revolute(("arm", "pendulum"), pivot, along, joint(pendulum_moment, friction, rate)),
+        "arm_joint": sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), hinges[0]),
+        "pendulum_joint": sj.Revolute(("arm", "pendulum"), pivot, along, hinges[1]),
     }
     drags = {
         "arm_drag": sj.TorsionalSpring(("ground", "arm"), (0.0, 1.0, 0.0), damping=arm_viscous),
@@ -135,9 +135,14 @@ def two_moments(arm_moment, pendulum_moment, rate=RATE):
     return furuta(arm_moment, pendulum_moment, rate=rate)
 
 
+def with_stribeck(rate=0.05, **numbers):
+    """Dry moments that are larger than those of fast turning by a share `breakaway`, the most at `rate` [rad/s]."""
+    return furuta(rate=rate, **numbers)
+
+
 def coarsely(build):
     """A mechanism whose dry moments begin at `COARSE_RATE`."""
-    return partial(build, rate=COARSE_RATE)
+    return build if build is with_stribeck else partial(build, rate=COARSE_RATE)
 
 
 START = {
@@ -148,6 +153,7 @@ MODELS = {
     "two moments": (two_moments, {}),
     "and start, inertia": (furuta, {**START, "pendulum_inertia": PENDULUM_INERTIA}),
     "and start, friction by reaction": (furuta, {**START, "friction": 0.02}),
+    "and start, Stribeck": (with_stribeck, {**START, "breakaway": 0.1, "rate": 0.05}),
 }
 """By name: the mechanism and its parameters beside the two moments."""
 
@@ -164,6 +170,12 @@ def study(folder: Path) -> Iterator[Part]:
     own = predicted(two_moments(**fit.estimates), ts, FUNCTIONS, rtol=1e-7)
     yield "figure", _figure(ts, angles, published, own)
     simplex = nelder_mead(coarsely(two_moments), FIRST_GUESS, ts, angles, FUNCTIONS, rtol=1e-7)
+    by_differences = {
+        kind: least_squares_by_differences(
+            coarsely(two_moments), FIRST_GUESS, ts, angles, FUNCTIONS, rtol=1e-7, diff_step=step
+        )
+        for kind, step in (("its own differences", None), ("differences of 0.1 %", 1e-3))
+    }
     here = Search(PUBLISHED, float(np.sum((published - angles) ** 2)), 1, 0.0)
     by_others = dict.fromkeys(effort_row("", here), "")
     by_others |= {"method": "published (Nelder-Mead in JModelica)", "parameters": 2, "sum_of_squares": PUBLISHED_COST}
@@ -174,6 +186,7 @@ def study(folder: Path) -> Iterator[Part]:
             effort_row("the published numbers, simulated here", here),
             effort_row("sj.fit, coarse (runs with derivatives)", search),
             effort_row("SciPy's Nelder-Mead, coarse, from the same start", simplex),
+            *(effort_row(f"SciPy's least_squares, coarse, {kind}", search) for kind, search in by_differences.items()),
             effort_row("sj.fit, from the coarse result", fine),
         ],
     )
@@ -193,6 +206,8 @@ def _held_out(name: str, ts, angles, moments) -> dict[str, object]:
     method = sj.LevenbergMarquardt(max_iterations=10, tolerance=0.1)
     fit, search = fitted(coarsely(build), {**moments, **more}, half, rtol=1e-7, method=method)
     errors = predicted(coarsely(build)(**fit.estimates), ts, FUNCTIONS, rtol=1e-7) - angles
+    begin = {key: _begun_at(value, fit.estimates[key]) for key, value in {**moments, **more}.items()}
+    _, whole = fitted(coarsely(build), begin, measured_of(ts, angles, NOISE), rtol=1e-7, method=method)
     seen, new = root_mean_squares(errors[ts <= HALF]), root_mean_squares(errors[ts > HALF])
     return {
         "model": name,
@@ -201,11 +216,17 @@ def _held_out(name: str, ts, angles, moments) -> dict[str, object]:
         "pendulum_fitted_rad": seen[1],
         "arm_held_out_rad": new[0],
         "pendulum_held_out_rad": new[1],
+        "sum_of_squares_whole": f"{whole.cost:.5f}",
         "arm_at_rest_rad": f"{(errors + angles)[-1, 0]:.4f}",
         "estimates": "; ".join(
             f"{key} {value:.4g} (+-{fit.standard_deviations[key]:.1g})" for key, value in search.numbers.items()
         ),
     }
+
+
+def _begun_at(start, estimate):
+    """A parameter with the same scale that begins elsewhere."""
+    return sj.Parameter(estimate, scale=start.scale) if isinstance(start, sj.Parameter) else float(estimate)
 
 
 def _figure(ts, angles, published, own):

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import spherejax as sj
+from measured.arms import AXIS, angle_of, arm, bearing, drag
 from measured.comparing import BLUE, GRAY, ORANGE, Part, fitted, predicted
 from measured.records import Record, read, root_mean_square, state_at
 
@@ -21,56 +22,6 @@ PUBLISHED = {"mass": 0.0938, "center": 0.1086, "inertia": 4.375e-4}
 RADIUS, RATE = 0.004, 1e-2
 """Of the bearings [m], and the angular speed at which three quarters of a dry moment act [rad/s]."""
 
-AXIS = (0.0, 1.0, 0.0)
-
-
-def bearing(moment=None, mu=None):
-    """An ideal hinge with a dry moment [N m], and a friction that follows the reaction by a coefficient [-]."""
-    if moment is None and mu is None:
-        return sj.Ideal()
-    law = sj.Threlfall(mu=1.0 if mu is None else mu, v1=RADIUS * RATE)
-    pressure = sj.PreloadAlone() if mu is None else sj.CosinePressure()
-    return sj.Ideal(friction=law, radius=RADIUS, pressure=pressure, preload=moment)
-
-
-def arm(mass, center, inertia, angle, rate):
-    """An arm that turns about the origin and stands at an angle from upright [rad]."""
-    s, c = jnp.sin(angle), jnp.cos(angle)
-    zero = jnp.zeros_like(s)
-    out = center * jnp.stack([s, zero, c])
-    return sj.Body(
-        mass,
-        (inertia, inertia, inertia),
-        out,
-        quaternion=jnp.stack([jnp.cos(angle / 2), zero, jnp.sin(angle / 2), zero]),
-        velocity=rate * center * jnp.stack([c, zero, -s]),
-        angular_velocity=rate * jnp.array(AXIS),
-    )
-
-
-def drag(bodies, viscous=0.0, square=None):
-    """Resistance that grows with the speed [N m s/rad], and with its square [N m s^2/rad^2]; it counts the angle."""
-    law = None if square is None else Square(square)
-    return sj.TorsionalSpring(bodies, AXIS, damping=viscous, damper=law)
-
-
-class Square(sj.AbstractFunction):
-    """A resistance by the square of a speed.
-
-    Attributes:
-        factor: [N m s^2/rad^2].
-    """
-
-    factor: float
-
-    def __call__(self, x):
-        """factor |x| x."""
-        return self.factor * jnp.abs(x) * x
-
-    def room(self, x, is_forward):
-        """No kink that a step must end on."""
-        return jnp.inf
-
 
 def gravity(tilt=0.0):
     """Gravity by the angle between the encoder's zero and upright [rad]."""
@@ -80,19 +31,17 @@ def gravity(tilt=0.0):
 def single(angle, rate, *, inertia=PUBLISHED["inertia"], tilt=0.0, viscous=0.0, square=None, moment=None, mu=None):
     """One arm."""
     body = arm(PUBLISHED["mass"], PUBLISHED["center"], inertia, angle, rate)
+    hinge = bearing(moment, mu, radius=RADIUS, rate=RATE)
     return sj.Scene(
         {"arm": body},
-        {"bearing": sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), AXIS, bearing(moment, mu))},
+        {"bearing": sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), AXIS, hinge)},
         {"encoder": drag(("ground", "arm"), viscous, square)},
         gravity=gravity(tilt),
     )
 
 
-def arm_angle(run):
-    """Angle of the arm from upright [rad]."""
-    w, _, y, _ = run.quaternion("arm")[0]
-    return run.force("encoder")["angle"] + 2 * jnp.arctan2(y, w)
-
+arm_angle = angle_of("arm", "encoder")
+"""Angle of the arm from upright [rad]."""
 
 MODELS = {
     "viscous": {"viscous": 8.8e-5},

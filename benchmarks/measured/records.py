@@ -22,6 +22,11 @@ SOURCES = {
         "free swings of the multi-arm pendulum of Kaheman and others (2022), arXiv 2205.06231, two arms, as columns "
         "time [s], two angles from upright [rad], two angular velocities [rad/s]"
     ),
+    "dfki_double_": (
+        "double pendulum of DFKI's Underactuated Lab (github.com/dfki-ric-underactuated-lab/double_pendulum, design "
+        "A.0, 2022-08-12), as columns time [s], angle of the first link from hanging and of the second against it "
+        "[rad], their rates [rad/s], moments of both motors at the joints [N m]"
+    ),
 }
 """By the beginning of a file's name: where its content comes from, and its columns."""
 
