@@ -9,7 +9,7 @@ import pytest
 from identification import ball_in_socket
 
 import spherejax as sj
-from spherejax.motion.derivatives import adjoint
+from spherejax.motion.derivatives import pullback
 from spherejax.studies.fit import Whole, problem_of
 
 
@@ -98,7 +98,7 @@ def stiff(stiffness, damping):
     "solver", [pytest.param(sj.Rodas5P(), marks=pytest.mark.slow), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"]
 )
 def test_a_stiff_bushing(solver):
-    """Through the checkpoints of an adaptive run this was NaN. An implicit method's run is made with Ros34PW2."""
+    """Through the checkpoints of an adaptive run this was NaN. Of an implicit method's run Rodas5P's steps are taken."""
     run = sj.simulate(stiff(**STIFF), np.concatenate([[0.0], EARLY]), rtol=1e-9, solver=sj.Rodas5P())
     measured = sj.Measured(EARLY, {"position.bob": np.asarray(run.position("bob"))[1:]}, noise=1e-8)
     problem = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=solver)
@@ -124,8 +124,8 @@ def bounced():
 
 @pytest.mark.slow
 def test_through_impacts(monkeypatch):
-    """With room for few steps at first: the run is made again with more."""
-    monkeypatch.setattr(adjoint, "FIRST_ROOM", 32)
+    """With room for few steps: the run is cut into stretches."""
+    monkeypatch.setattr(pullback, "ROOM", 32)
     start = {"clearance": 1.05e-4, "restitution": 0.75}
     problem = problem_of(ball_in_socket, start, [sj.Measured(BOUNCES, {"position.ball": bounced()["position.ball"]})])
     gradient = assert_gradient(problem, 1e-6)

@@ -7,6 +7,7 @@ gradients against derivatives along directions, which are integrated beside the 
 from typing import Any
 
 import controlling
+import diffrax
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
-from spherejax.motion.derivatives import pullback
+from spherejax.motion.derivatives import pullback, sensitivities
 from spherejax.motion.derivatives.sensitivities import MANY
 
 N = MANY + 8
@@ -62,6 +63,43 @@ def wanted(strengths, **options):
 def test_a_gradient_by_many_numbers(way):
     gradient = jax.grad(wanted) if way == "now" else jax.jit(jax.grad(wanted))
     np.testing.assert_allclose(gradient(STRENGTHS), np.asarray(WEIGHTS) @ exact_slopes(), rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        sj.Rodas5P(),
+        pytest.param(sj.Ros34PW2(), marks=pytest.mark.slow),
+        pytest.param(diffrax.Kvaerno5(), marks=pytest.mark.slow),
+    ],
+    ids=["Rodas5P", "W", "implicit"],
+)
+def test_a_gradient_by_a_stiff_method(solver):
+    """Rosenbrock steps are gone back with their matrix differentiated; an implicit method gets those of Rodas5P."""
+    gradient = jax.jit(jax.grad(lambda strengths: wanted(strengths, solver=solver)))(STRENGTHS)
+    exact = np.asarray(WEIGHTS) @ exact_slopes()
+    np.testing.assert_allclose(gradient, exact, atol=1e-5 * np.abs(exact).max())
+
+
+@pytest.mark.slow
+def test_a_film_by_all_numbers_of_its_bodies(monkeypatch):
+    """Rows for each number beside the way back along the same steps."""
+    scene = sj.gallery.four_bar(sj.Lubricated(clearance=1e-4, viscosity=0.4))
+
+    def masses_of(scene):
+        return [leaf for body in scene.bodies.values() for leaf in (body.mass, body.inertia)]
+
+    flat, unflatten = jax.flatten_util.ravel_pytree([jnp.asarray(leaf, jnp.float64) for leaf in masses_of(scene)])
+
+    def speed(factors):
+        moved = eqx.tree_at(masses_of, scene, unflatten(factors * flat))
+        return jnp.sum(sj.simulate(moved, jnp.linspace(0.0, 0.02, 5)).velocity("rocker") ** 2)
+
+    found = []
+    for many in (4, 1000):
+        monkeypatch.setattr(sensitivities, "MANY", many)
+        found.append(jax.grad(speed)(jnp.ones_like(flat)))
+    np.testing.assert_allclose(*found, atol=1e-9 * np.abs(found[1]).max())
 
 
 def test_a_derivative_along_one_direction():

@@ -16,13 +16,19 @@ A compiled program has room for a fixed number of steps. A longer run is cut int
 notes the state at which each stretch begins; then each stretch, from the last to the first, is made once more and gone
 back. From the same state a stretch takes the same steps to the last bit.
 
-Limits: explicit methods; the errors of the derivatives are controlled along the mixture, not one by one.
+The steps are those of the method, a Rosenbrock method's with its matrix differentiated (`implicit_rows`); a method that
+is neither explicit nor that is replaced by Rodas5P.
+
+Limits: the errors of the derivatives are controlled along the mixture, not one by one.
 """
 
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,10 +36,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.model.system import example_of
+from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.integration.compiling import in_machine_code, options_for
+from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.integrate import (
+    Options,
     Parameters,
     Plan,
     beginning,
@@ -47,7 +56,10 @@ from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
 from spherejax.motion.integration.one_run import RunRequest
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights
-from spherejax.motion.integration.status import Status
+from spherejax.motion.integration.status import SimulationWarning, Status
+from spherejax.motion.solvers.kinks import over_kink
+from spherejax.motion.solvers.rosenbrock import Rodas5P
+from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 from spherejax.physics.forces.remembering import SAME_INSTANT
 from spherejax.program_cache import cached_jit
 
@@ -59,6 +71,13 @@ MIXTURE_SLACK = 0.1
 
 A ball that forty sines drive through four impacts with friction: gradients are right to 2e-5 with 1, to 1.5e-6 with
 0.1 at an rtol of 1e-8 and 1e-9, where rows for all numbers have 1e-7. It takes a third more steps."""
+
+UNSURE_THROUGH_KINKS = (
+    "derivatives in reverse are not sure through {names}: where it begins to press, its stiffness may be there at "
+    "once, and the errors of derivatives are controlled along one mixture of all parameters. Of a ball that bounced "
+    "three times between stops of 1e8 N/m they were wrong by 7e-4. Forward sensitivities are right there: "
+    "mode='forward' of sj.sensitivity, and sj.fit without sj.Descent"
+)
 
 N_STRETCHES = 4096
 """So many of them, four million steps; the gradient of a run with more is NaN."""
@@ -97,6 +116,22 @@ class _Stretches(NamedTuple):
     sweep: _Sweep
 
 
+def with_steps_back(solver: Any) -> Any:
+    """The method whose steps are gone back: for one that is neither explicit nor a Rosenbrock method, Rodas5P."""
+    return solver if is_explicit(solver) or is_linearly_implicit(solver) else Rodas5P()
+
+
+def warn_of_kinks(names: str, stacklevel: int = 2) -> None:
+    """Give a `SimulationWarning` where a stiffness may be there at once.
+
+    Args:
+        names: of these joints and forces, in words; empty without.
+        stacklevel: as of `warnings.warn`, from the caller on.
+    """
+    if names:
+        warnings.warn(SimulationWarning(UNSURE_THROUGH_KINKS.format(names=names)), stacklevel=stacklevel + 1)
+
+
 @cached_jit(what="the gradient of a run", options=options_for)
 def pulled_back(
     plan: Plan,
@@ -107,30 +142,46 @@ def pulled_back(
     start: Any,
     values_are_legal: Any,
     by_ys: Float[Array, "n size"],
-    by_assembly: Any,
+    by_assembly: Any = None,
+    along: Float[Array, " p"] | None = None,
 ) -> Float[Array, " p"]:
     """The derivatives of a number by the traced numbers; NaN where the run fails.
 
     Args:
-        plan, request, values, known, ts, start, values_are_legal: as of `one_run.integrated`; the method is explicit.
-        by_ys, by_assembly: its derivatives by the sampled states, and by how the start was assembled.
+        plan, request, values, known, ts, start, values_are_legal: as of `one_run.integrated`.
+        by_ys: its derivatives by the sampled states.
+        by_assembly: those by how the start was assembled; None where it does not depend on that.
+        along: the direction in the numbers whose sensitivity is carried along; None for a mixture of all.
     """
-    given = plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly
+    given = plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly, along
     # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes. What lies between
     # them is not joined (`native_run`): of the way back through a contact XLA (JAX 0.10) cannot compile a branch then.
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
         return _pulled_back(*given)
 
 
-def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly) -> Array:
-    scale = jnp.asarray(plan.scales(values))
+def gradient_of(
+    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal, by_ys
+) -> Float[Array, " p"]:
+    """`pulled_back` of a run whose numbers move along directions alone, shape (k, p): a mixture of these is carried."""
+    request = RunRequest.of(plan.structure, replace(options, solver=with_steps_back(options.solver)))
+    along = jnp.asarray(mixture_of(directions.shape[0])[0]) @ directions
+    return pulled_back(plan, request, values, known, ts, start, values_are_legal, by_ys, None, along)
+
+
+def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly, along) -> Array:
+    if along is None:
+        along = jnp.asarray(mixture_of(values.shape[0])[0] * plan.scales(values))
 
     def job_of_values(values):
         return request.job(plan, values, known, ts, start, values_are_legal)
 
-    job, _ = with_slopes(job_of_values, values, jnp.asarray(mixture_of(values.shape[0]) * scale))
+    job, _ = with_slopes(job_of_values, values, along[None])
     job = job._replace(numbers=job.numbers._replace(slack=request.slack * MIXTURE_SLACK))
-    kind = JobKind(plan.structure, plan.scalar, request.rest, True, moving=plan.unknown)
+    # Where explicit steps go over kinks by a step of their own, straight ones that begin behind them take their place.
+    is_straight = is_explicit(request.rest) and bool(kinks_of(plan.structure))
+    how = {"moving": plan.unknown, "control": request.control, "by_steps": is_straight}
+    kind = JobKind(plan.structure, plan.scalar, request.rest, True, **how)
     problem = kind.problem(ts, request.of_all)._replace(max_steps=ROOM)
 
     rate = program_for(state_rate, plan.structure, plan.scalar)
@@ -154,7 +205,8 @@ def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_y
     def start_of(values):
         return beginning(plan, plan.theta(values, known), ts[0], plan.start(values, start))
 
-    _, to_start = jax.vjp(start_of, values)
+    (assembly, _), to_start = jax.vjp(start_of, values)
+    by_assembly = jax.tree.map(jnp.zeros_like, assembly) if by_assembly is None else by_assembly
     along_run, at_start = to_values(swept.sweep.by_numbers)[0], to_start((by_assembly, by_start))[0]
     return jnp.where(swept.is_sound, along_run + at_start, jnp.nan)
 
@@ -200,10 +252,15 @@ class _StepsBack:
         self.rate = lambda t, y, parameters: rate.inside(parameters.theta, parameters.ahead, t, y)
         self.correct, self.event = correction_for(plan), event_of(plan, rate)
         self.taken = samples_of(plan.structure, plan.scalar)
-        self.has_contacts = contacts_of(plan.structure, plan.scalar) is not None
+        self.contacts = contacts_of(plan.structure, plan.scalar)
+        self.has_kinks = self.contacts is not None and bool(self.contacts.kinks)
         solver: Any = eqx.combine(request.solver, request.rest)
         self.interpolation = solver.interpolation_cls
-        self.tableau = explicit_tableau(solver.tableau, len(solver.tableau.b_sol), [solver.tableau.b_sol])
+        self.is_explicit = is_explicit(solver)
+        if self.is_explicit:
+            self.tableau = explicit_tableau(solver.tableau, len(solver.tableau.b_sol), [solver.tableau.b_sol])
+        else:
+            self.solver = differentiable_solver(solver, plan.structure)
 
     def along(self, log: StepLog, n_steps, t0, y0, sweep: _Sweep) -> _Sweep:
         """Back along the steps of a stretch that begins at t0 [s] in the state y0."""
@@ -223,16 +280,17 @@ class _StepsBack:
         """Back along one step, that was kept from a trial step of a size [s], made in a bent time."""
         # An event ended it early: the rest of the trial step is no part of it, nor is the rest of its bent time.
         whole, size = size, t_next - t
-        if self.has_contacts:
+        if self.contacts is not None and self.is_explicit and not self.has_kinks:
             part = jnp.clip(own_time(size / whole, bend), 0.0, 1.0)
             bend = jnp.clip(bend * part**2 * whole / size, -1.0, 1.0)
         else:
             bend = None
 
         def made(parameters, y):
-            k = self.tableau.stages(lambda t, y: self.rate(t, y, parameters), t, size, size, y, bend=bend)
-            end = y + self.tableau.sums_of(k)[0]
-            inside = {"y0": y, "y1": end, "k": k}
+            begins = t
+            if self.contacts is not None and self.has_kinks:
+                begins, y, _ = over_kink(self.contacts, self.rate, t, y, parameters)
+            end, inside = self._made(parameters, begins, t_next - begins, y, bend)
             end = end if self.correct is None else self.correct(parameters, t_next, end)
             end = end if self.event is None else self.event(parameters, t_next, y, end, y_next, jnp.array(True))
             return end if self.taken is None else self.taken.update(parameters, t_next, end), inside
@@ -273,6 +331,16 @@ class _StepsBack:
         by_numbers, by_inside, i = jax.lax.while_loop(is_inside, with_inside, (sweep.by_numbers, none, i))
         more, by_state = back((by_end, by_inside))
         return _Sweep(by_state, jax.tree.map(jnp.add, by_numbers, more), i)
+
+    def _made(self, parameters, t, size, y, bend) -> tuple[Array, dict[str, Any]]:
+        """The end of a step, before what happens there, and what states inside it are made from."""
+        if self.is_explicit:
+            k = self.tableau.stages(lambda t, y: self.rate(t, y, parameters), t, size, size, y, bend=bend)
+            end = y + self.tableau.sums_of(k)[0]
+            return end, {"y0": y, "y1": end, "k": k}
+        term = diffrax.ODETerm(self.rate)
+        end, _, inside, *_ = self.solver.step(term, t, t + size, y, parameters, None, jnp.array(False))
+        return end, inside
 
     def _sample_back(self, t, size, bend, inside, i, by_numbers, by_inside):
         """The derivatives by one sample, carried on to the stages of its step and to the parameters."""

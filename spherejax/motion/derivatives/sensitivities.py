@@ -3,6 +3,7 @@ error control; see `sensitivity_rows` for their equations.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import diffrax
@@ -18,7 +19,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.derivatives.linear_operation import LinearMap, linear_operation
-from spherejax.motion.derivatives.pullback import pulled_back
+from spherejax.motion.derivatives.pullback import pulled_back, with_steps_back
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -27,7 +28,6 @@ from spherejax.motion.integration.integrate import Options, Outcome, Plan, conta
 from spherejax.motion.integration.one_run import RunRequest, differentiable_slopes, run_of, slopes_as_job
 from spherejax.motion.integration.sensitivity_rows import with_start_time
 from spherejax.motion.integration.status import Status
-from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.program_cache import cached_jit
 
@@ -106,7 +106,8 @@ def integrate_with_sensitivities(
 
         def backward(leaves, y):
             (values, arrays, *rest), has_succeeded = jax.tree.unflatten(tree, leaves)
-            request = RunRequest.of(plan.structure, eqx.combine(arrays, others).decided)
+            options = eqx.combine(arrays, others).decided
+            request = RunRequest.of(plan.structure, replace(options, solver=with_steps_back(options.solver)))
             slopes = pulled_back(plan, request, values, *rest, *jax.tree.unflatten(image, y))
             return [jnp.where(has_succeeded, slopes, jnp.nan)]
 
@@ -174,9 +175,9 @@ and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The firs
 def _goes_back(plan: Plan, options: Options) -> bool:
     """Whether gradients of a run go back along its steps, in place of rows for all numbers.
 
-    Where a stiffness may be there at once each row has to be controlled by itself; see `adjoint.UNSURE_THROUGH_KINKS`.
+    Where a stiffness may be there at once each row has to be controlled by itself; see `pullback.UNSURE_THROUGH_KINKS`.
     """
-    return len(plan.unknown) > MANY and is_explicit(options.solver) and not kinks_of(plan.structure)
+    return len(plan.unknown) > MANY and not kinks_of(plan.structure)
 
 
 def _shapes_of(arrays: list) -> tuple[jax.ShapeDtypeStruct, ...]:

@@ -10,7 +10,7 @@ matrix: the method keeps its order for the sensitivities too, and they follow th
 the blocks below the diagonal left out, which a W-method bears, the sensitivities of a film needed thirty times the
 motion's steps, or were wrong by 6 to 20 percent on the motion's own (`benchmarks/film_gradient.py`).
 
-In reverse (`adjoint`), and with controllers of a user's own, the matrix is held fixed.
+For second derivatives the matrix is held fixed.
 """
 
 from typing import Any, ClassVar
@@ -147,19 +147,22 @@ def solver_of_rows(solver: Any, structure: Structure, rate: Program, by: tuple[i
     """The method that integrates the state and its sensitivities by some numbers; an explicit one is the same."""
     if not is_linearly_implicit(solver):
         return solver
+    return DifferentiatedRosenbrock(differentiable_solver(solver, structure), rate, systems_for(solver, structure), by)
+
+
+def differentiable_solver(solver: AbstractRosenbrock, structure: Structure) -> Any:
+    """A Rosenbrock method on the state alone whose steps are differentiated, with the system's own linear algebra."""
     systems = systems_for(solver, structure)
     if systems is None:
-        return DifferentiatedRosenbrock(solver, rate, None, by)
-    return DifferentiatedRosenbrock(
-        _with_hooks(solver, systems.jacobian, systems.factorize_differentiated), rate, systems, by
-    )
+        return solver
+    return _with_hooks(solver, systems.jacobian, systems.factorize_differentiated)
 
 
 def rows_with_fixed_matrix(solver: Any, structure: Structure, rate: Program) -> Any:
     """The method for the state and its sensitivities with the state's matrix for all; an explicit one is the same.
 
-    For runs whose steps are kept for a reverse sweep, which holds the matrix fixed too, and with controllers of a
-    user's own: their errors are judged as the state's, which such a matrix needs.
+    For runs whose steps are differentiated once more, with that matrix held fixed: their errors are judged as the
+    state's, which such a matrix needs.
     """
     if not is_linearly_implicit(solver):
         return solver
@@ -178,20 +181,6 @@ def rows_with_fixed_matrix(solver: Any, structure: Structure, rate: Program) -> 
     return _with_hooks(own, jacobian, factorize)
 
 
-def solver_with_fixed_matrix(solver: AbstractRosenbrock, structure: Structure, rate: Program) -> Any:
-    """The same method on the state alone, differentiable as its rows are: with its matrix held fixed."""
-    own = _w_method(solver, structure)
-
-    def jacobian(t, y, args):
-        return jax.lax.stop_gradient(_matrix_of_state(own, rate, t, y, args))
-
-    def factorize(matrix, gamma_h):
-        solve, is_regular = own.factorize(matrix, gamma_h)
-        return _linear(solve_one_by_one(solve)), is_regular
-
-    return _with_hooks(own, jacobian, factorize)
-
-
 def _w_method(solver: AbstractRosenbrock, structure: Structure) -> Any:
     """The method, or Ros34PW2, with the system's own linear algebra."""
     return with_structure(solver if solver.tolerates_inexact_jacobian else Ros34PW2(), structure)
@@ -201,20 +190,6 @@ def _matrix_of_state(own: Any, rate: Program, t, y, args):
     if own.jacobian is not None:
         return own.jacobian(t, y, args)
     return linearize_dense(lambda t, y: rate.inside(args.theta, args.ahead, t, y), t, y, own.tangents_per_pass)
-
-
-def _linear(solve):
-    """A linear function whose derivative is itself: nothing is differentiated by what it is made of."""
-
-    @jax.custom_jvp
-    def linear(rhs):
-        return solve(rhs)
-
-    @linear.defjvp
-    def linear_jvp(primals, tangents):
-        return solve(*primals), solve(*tangents)
-
-    return linear
 
 
 def _with_hooks(solver: Any, jacobian, factorize) -> Any:

@@ -2,7 +2,7 @@
 
 Each step needs the gradient of the cost alone. With few unknowns it is J^T r from the forward sensitivities; with many
 it comes from one sweep in reverse, back along the kept steps of each run, whose time does not grow with their number:
-see `motion.adjoint`.
+see `motion.derivatives.pullback`.
 """
 
 from collections.abc import Callable

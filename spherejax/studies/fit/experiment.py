@@ -18,8 +18,8 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system, split
-from spherejax.motion.derivatives.adjoint import KeptRun, gradients, kept_run
-from spherejax.motion.derivatives.sensitivities import StatesAndSlopes, integrate_along
+from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
+from spherejax.motion.derivatives.sensitivities import StatesAndSlopes, integrate_along, names_of_kinks
 from spherejax.motion.derivatives.through_touches import check_derivatives
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
@@ -201,15 +201,17 @@ class Experiment(eqx.Module):
         frame, setting, numbers = self.frame, self.setting, self.numbers(u)
         common = frame.plan, setting.options, numbers.values
         ts = _sample_times(frame, setting, numbers.of_sensors)
-        run = kept_run(*common, numbers.directions, setting.known, ts, setting.start, numbers.are_legal)
+        warn_of_kinks(names_of_kinks(frame.plan))
+        rest = setting.known, ts, setting.start, numbers.are_legal
+        run: Outcome = run_of(*common, *rest)
         if int(run.status) != Status.SUCCEEDED:
             return CostAndGradient(np.nan, np.full(u.size, np.nan), self.diagnosis(run.status, run.t_reached, u))
         n = setting.ts.size - 1
         data, padded = np.zeros((2, n, self.data.shape[1]))
         data[: len(self.data)], padded[: len(self.data)] = self.data, weights
         slopes = _cost_and_slopes(frame, setting, loss, numbers.values, numbers.of_sensors, run, data, padded)
-        along_run, by_start = gradients(*common, setting.known, ts, run, slopes.by_ys)
-        by_scene = numbers.directions @ (slopes.by_values + along_run) + run.start_slopes @ by_start
+        along_run = gradient_of(*common, numbers.directions, *rest, slopes.by_ys)
+        by_scene = numbers.directions @ (slopes.by_values + along_run)
         gradient = np.zeros(u.size)
         if numbers.sensor_directions is not None and slopes.by_sensors is not None:
             gradient += np.asarray(numbers.sensor_directions @ slopes.by_sensors)
@@ -573,7 +575,7 @@ def _costs(loss: Loss | None, errors):
 
 @cached_jit(what="the gradient of a fit")
 def _cost_and_slopes(
-    frame: Frame, setting: Setting, loss: Loss | None, values, of_sensors, run: KeptRun, data, weights
+    frame: Frame, setting: Setting, loss: Loss | None, values, of_sensors, run: Outcome, data, weights
 ) -> _CostSlopes:
     def cost(values, ys, of_sensors):
         errors = (_observed(frame, setting, values, ys, of_sensors, run.assembly)[1:] - data) * weights

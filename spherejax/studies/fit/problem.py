@@ -205,7 +205,7 @@ class Problem:
     def cost_and_gradient(self, u: Float[np.ndarray, " k"]) -> CostAndGradient:
         """Half the sum of squares and its gradient in reverse mode, for many unknowns; NaN where a run fails.
 
-        Each experiment's run is made with one sensitivity, and gone back along its kept steps: see `motion.adjoint`.
+        Each experiment's run is gone back along its steps: see `motion.derivatives.pullback`.
         """
         found = []
         for experiment, noise in zip(self.experiments, self.noise, strict=True):

@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.motion.derivatives.adjoint import gradients, kept_run
+from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
+from spherejax.motion.derivatives.sensitivities import names_of_kinks
+from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
 from spherejax.program_cache import cached_jit
@@ -25,7 +27,8 @@ ERRORS = "the errors of the derivatives are controlled along a mixture of all pa
 
 
 def reverse(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], method: RunMethod) -> RunWithSlopes:
-    """The run, and the gradient of the one number that is wanted of it; see `motion.adjoint`.
+    """The run, and the gradient of the one number that is wanted of it; see
+    `motion.derivatives.pullback`.
 
     The start follows from the parameters in forward mode, which is cheap; the run is gone back along its steps. The
     derivatives of a run that failed are NaN.
@@ -36,15 +39,16 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
     numbers = jnp.asarray(numbers)
     scale = scales_of(numbers)
     values, directions, are_legal = traced_numbers(flat, plan, numbers, scale, method.track_work)
-    kept = kept_run(plan, options, values, directions, known, ts, prepared.start, are_legal)
-    value, (by_values, by_ys) = _value_and_slopes(prepared, number, values, kept.ys)
+    warn_of_kinks(names_of_kinks(plan))
+    made = run_of(plan, options, values, known, ts, prepared.start, are_legal)
+    value, (by_values, by_ys) = _value_and_slopes(prepared, number, values, made.ys)
     slopes = np.full(numbers.size, np.nan)
-    if int(kept.status) == Status.SUCCEEDED:
-        along_run, by_start = gradients(plan, options, values, known, ts, kept, by_ys)
-        slopes = np.asarray((directions @ (by_values + along_run) + kept.start_slopes @ by_start) / scale)
-    run = observable_run(prepared, plan.theta(values, known), kept.ys)
-    stats = replace(run.stats, n_steps=kept.n_steps)
-    run = replace(run, stats=stats, ended=kept.status, t_reached=kept.t_reached)
+    if int(made.status) == Status.SUCCEEDED:
+        by_run = gradient_of(plan, options, values, directions, known, ts, prepared.start, are_legal, by_ys)
+        slopes = np.asarray(directions @ (by_values + by_run) / scale)
+    run = observable_run(prepared, plan.theta(values, known), made.ys)
+    stats = replace(run.stats, n_steps=made.stats.n_steps)
+    run = replace(run, stats=stats, ended=made.status, t_reached=made.t_reached)
     return RunWithSlopes(run, [(np.asarray(value).reshape(1, 1), slopes.reshape(1, 1, -1))], ERRORS)
 
 
