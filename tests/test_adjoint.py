@@ -98,7 +98,7 @@ def stiff(stiffness, damping):
     "solver", [pytest.param(sj.Rodas5P(), marks=pytest.mark.slow), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"]
 )
 def test_a_stiff_bushing(solver):
-    """Through the checkpoints of an adaptive run this was NaN. Of an implicit method's run Rodas5P's steps are taken."""
+    """Through the checkpoints of an adaptive run this was NaN. An implicit method gets the steps of Rodas5P."""
     run = sj.simulate(stiff(**STIFF), np.concatenate([[0.0], EARLY]), rtol=1e-9, solver=sj.Rodas5P())
     measured = sj.Measured(EARLY, {"position.bob": np.asarray(run.position("bob"))[1:]}, noise=1e-8)
     problem = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=solver)
