@@ -148,6 +148,11 @@ def test_derivatives_by_an_implicit_method_are_controlled():
     assert jax.jacfwd(height)(1e4, diffrax.HalfSolver(diffrax.Tsit5()), 1e-8) == pytest.approx(tight, rel=1e-4)
 
 
+def test_an_implicit_method_in_half_steps():
+    run = sj.simulate(scene_of(1e4), TS, rtol=1e-7, solver=diffrax.HalfSolver(diffrax.Kvaerno3()))
+    np.testing.assert_allclose(run.position("ball"), sj.simulate(scene_of(1e4), TS).position("ball"), atol=1e-7)
+
+
 def test_a_root_finder_of_ones_own_stays():
     newton = diffrax.Kvaerno3(root_finder=optimistix.Newton(rtol=1e-9, atol=1e-9))
     run = sj.simulate(scene_of(1e4), TS, rtol=1e-6, solver=newton)

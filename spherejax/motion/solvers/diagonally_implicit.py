@@ -120,7 +120,8 @@ def _coefficients(method: Any) -> ImplicitTableau | None:
 
 
 def in_structure(solver: Any, structure: Structure, rate: Program, tolerances: Callable) -> Any:
-    """A diagonally implicit method of diffrax with the system's own linear algebra; any other solver as it is.
+    """A diagonally implicit method of diffrax with the system's own linear algebra, alone or in a `HalfSolver`; others as
+    they are.
 
     Args:
         solver: a diffrax solver.
@@ -129,6 +130,9 @@ def in_structure(solver: Any, structure: Structure, rate: Program, tolerances: C
         tolerances: of a step, a function of what the right-hand side is given -> (relative, absolute), or None where a
             controller has none.
     """
+    if type(solver) is diffrax.HalfSolver:
+        inner = in_structure(solver.solver, structure, rate, tolerances)
+        return eqx.tree_at(lambda half: half.solver, solver, inner)
     if tableau_of(solver) is None:
         return solver
     systems = systems_of(structure) if rate.scalar is not None else None
