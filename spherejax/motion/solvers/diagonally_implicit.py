@@ -120,8 +120,9 @@ def _coefficients(method: Any) -> ImplicitTableau | None:
 
 
 def in_structure(solver: Any, structure: Structure, rate: Program, tolerances: Callable) -> Any:
-    """A diagonally implicit method of diffrax with the system's own linear algebra, alone or in a `HalfSolver`; others as
-    they are.
+    """A diagonally implicit method of diffrax, alone or in a `HalfSolver`, with the system's own linear algebra.
+
+    Any other solver is returned as it is.
 
     Args:
         solver: a diffrax solver.
